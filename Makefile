@@ -1,0 +1,41 @@
+# TissueID. `make demo` and `make test` are all that a fresh machine needs; both build .venv when it is missing.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.built
+
+.PHONY: help env demo test lint bench soak run clean
+
+help: ## list the targets
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+
+env: $(STAMP) ## build the environment in .venv from pinned versions
+
+$(STAMP): pyproject.toml constraints.txt tools/build_env.sh
+	@bash tools/build_env.sh $(VENV)
+
+demo: env ## run one guided test on a simulated forearm and open the report's place
+	@$(BIN)/tissueid demo --out demo
+
+test: lint ## every check and test
+	@echo "== tests"
+	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest
+
+lint: env
+	@echo "== ruff"; $(BIN)/ruff check . && $(BIN)/ruff format --check .
+	@echo "== mypy"; $(BIN)/mypy
+	@echo "== layers"; $(BIN)/lint-imports --no-cache
+
+bench: env ## speed, as ratios measured side by side in one run
+	@$(BIN)/python -m benchmarks
+
+soak: env ## the long runs: streaming, frame fuzzing, kills
+	@$(BIN)/python -m pytest -m soak -n 0 --timeout 3600 -o addopts="-v -p no:cacheprovider"
+
+run: env ## open the application
+	@$(BIN)/tissueid
+
+clean: ## remove the environment and caches
+	rm -rf $(VENV) .mypy_cache .ruff_cache .import_linter_cache .hypothesis demo

@@ -1,0 +1,73 @@
+"""Record: one input and one output on a common clock. What every identification engine eats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+
+
+@dataclass(frozen=True)
+class Record:
+    """Input and output of a system, sampled together.
+
+    ``input`` and ``output`` have shape (n,), float64, SI units named by ``input_unit`` and ``output_unit``.
+    NaN marks a sample that was not received; it is never filled in.
+
+    Raises:
+        UnusableInputError: lengths differ, the sample rate is not positive, or there are no samples.
+    """
+
+    input: NDArray[np.float64]
+    output: NDArray[np.float64]
+    sample_rate_hz: float
+    input_name: str = "force"
+    output_name: str = "position"
+    input_unit: str = "N"
+    output_unit: str = "m"
+
+    def __post_init__(self) -> None:
+        for name in ("input", "output"):
+            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if values.ndim != 1:
+                raise UnusableInputError(f"the {name} of a record must have one dimension, not {values.ndim}")
+            object.__setattr__(self, name, values)
+        if self.input.size != self.output.size:
+            raise UnusableInputError(
+                f"input and output differ in length: {self.input.size} and {self.output.size} samples"
+            )
+        if self.input.size == 0:
+            raise UnusableInputError("the record is empty")
+        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+            raise UnusableInputError(f"the sample rate must be positive, not {self.sample_rate_hz}")
+
+    def __len__(self) -> int:
+        return self.input.size
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Seconds from the first sample, shape (n,)."""
+        return np.arange(len(self)) / self.sample_rate_hz
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """True where both input and output were received, shape (n,)."""
+        return np.isfinite(self.input) & np.isfinite(self.output)
+
+    def __getitem__(self, part: slice) -> Record:
+        """Cut a contiguous part out of the record."""
+        return replace(self, input=self.input[part], output=self.output[part])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard deviation; ``std`` is None where none can be had."""
+
+    value: float
+    std: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g}" if self.std is None else f"{self.value:.4g} ± {self.std:.2g}"
