@@ -1,0 +1,68 @@
+"""The wire format: frames and messages between host and firmware. ``docs/protocol.md`` is its specification.
+
+This is the one module that host and firmware share, so it imports nothing of either.
+"""
+
+from tissueid.wire.frames import (
+    HEADER,
+    MAX_PAYLOAD,
+    PROTOCOL_VERSION,
+    Frame,
+    FrameDecoder,
+    FrameStatistics,
+    encode_frame,
+)
+from tissueid.wire.messages import (
+    ACK,
+    ARM,
+    CHANNEL,
+    HELLO,
+    HELLO_ACK,
+    SAMPLE,
+    START,
+    STATUS,
+    STIMULUS_BEGIN,
+    STIMULUS_CHUNK,
+    STIMULUS_COMMIT,
+    STREAM,
+    Fault,
+    Flag,
+    MessageType,
+    PayloadError,
+    Result,
+    State,
+    pack,
+    text,
+    unpack,
+)
+
+__all__ = [
+    "ACK",
+    "ARM",
+    "CHANNEL",
+    "HEADER",
+    "HELLO",
+    "HELLO_ACK",
+    "MAX_PAYLOAD",
+    "PROTOCOL_VERSION",
+    "SAMPLE",
+    "START",
+    "STATUS",
+    "STIMULUS_BEGIN",
+    "STIMULUS_CHUNK",
+    "STIMULUS_COMMIT",
+    "STREAM",
+    "Fault",
+    "Flag",
+    "Frame",
+    "FrameDecoder",
+    "FrameStatistics",
+    "MessageType",
+    "PayloadError",
+    "Result",
+    "State",
+    "encode_frame",
+    "pack",
+    "text",
+    "unpack",
+]
