@@ -20,7 +20,9 @@ from tissueid.sessions.model import SIGNAL_NAMES, SIGNAL_UNITS, STATUSES, Sessio
 
 FORMAT = "tissueid-session"
 FORMAT_VERSION = "1.0"
-MAX_SAMPLES = 50_000_000
+MAX_SAMPLES = 20_000_000
+MAX_NUMBERS = 200_000_000
+"""In all signals of all tests together: 1.6 GB once they are read."""
 MAX_TESTS = 10_000
 MAX_TEXT = 1_000_000
 _REQUIRED_TEST = ("kind", "sample_rate_hz")
@@ -155,6 +157,9 @@ def _read(file: h5py.File) -> Session:
     tests = _group(file, "tests")
     if len(tests) > MAX_TESTS:
         raise SessionFormatError(f"{len(tests)} tests; at most {MAX_TESTS} are read")
+    numbers = sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name))
+    if numbers > MAX_NUMBERS:
+        raise SessionFormatError(f"the tests hold {numbers} numbers; at most {MAX_NUMBERS} are read")
     return Session(
         instrument=_read_instrument(_group(file, "instrument")),
         subject=_read_subject(file),
@@ -233,6 +238,11 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
     if len(set(signals) - {"time"}) < 2:
         raise SessionFormatError("a test needs at least one input and one output")
     return signals
+
+
+def _signal_datasets(tests: h5py.Group, name: str) -> Iterator[tuple[str, h5py.Dataset]]:
+    group = _group(tests, name)
+    return _datasets(_group(group, "signals")) if "signals" in group else iter(())
 
 
 def _datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:

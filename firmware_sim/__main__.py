@@ -1,0 +1,113 @@
+"""``tissueid-firmware-sim``: the simulated instrument as a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from platformdirs import user_runtime_path
+
+from firmware_sim.bench import Bench
+from firmware_sim.firmware import Firmware, Identity
+from firmware_sim.local_values import local_values
+from firmware_sim.presets import preset_names
+from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="tissueid-firmware-sim",
+        description="A simulated indenter at the other end of a cable. Research use only.",
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--pty", action="store_true", help="serve on a pseudo-terminal (default where there are any)")
+    where.add_argument("--tcp", type=int, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 takes a free port")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="TOML file: preset, seed, speed, faults")
+    parser.add_argument("--preset", help="tissue under the probe; see --list")
+    parser.add_argument("--seed", type=int, help="seed of the sensor noise")
+    parser.add_argument("--speed", type=float, help="device seconds per second, 1 is real time")
+    parser.add_argument("--serial-number", dest="serial_number")
+    parser.add_argument("--list", action="store_true", help="list the presets and leave")
+    parser.add_argument(
+        "--local-values",
+        type=float,
+        metavar="POSITION",
+        help="print the plant's own mass, damping and stiffness at a position in metres, as JSON, and leave",
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    options = _parser().parse_args(arguments)
+    if options.list:
+        print("\n".join(preset_names()))
+        return 0
+    try:
+        scenario = load_scenario(
+            options.scenario,
+            preset=options.preset,
+            seed=options.seed,
+            speed=options.speed,
+            serial_number=options.serial_number,
+        )
+        if options.local_values is not None:
+            print(json.dumps(local_values(scenario.preset, options.local_values)))
+            return 0
+        return _serve(scenario, options.tcp)
+    except (ValueError, OSError) as error:
+        print(f"tissueid-firmware-sim: {error}", file=sys.stderr)
+        return 2
+
+
+def _serve(scenario: Scenario, tcp_port: int | None) -> int:
+    print("preparing the plant (compiled on first use) ...", file=sys.stderr, flush=True)
+    bench = Bench(scenario.preset, seed=scenario.seed)
+    bench.warm_up()
+    identity = Identity(
+        serial_number=scenario.serial_number,
+        protocol_min=scenario.protocol[0],
+        protocol_max=scenario.protocol[1],
+    )
+    firmware = Firmware(bench, identity, seed=scenario.seed)
+    port: Port
+    if tcp_port is None and sys.platform != "win32":
+        port = PseudoTerminal()
+    else:
+        port = TcpPort(tcp_port or 0)
+    stopping: list[int] = []
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, lambda number, _frame: stopping.append(number))
+    notice = _announce(port.url, scenario)
+    print(port.url, flush=True)
+    try:
+        Server(firmware, port, scenario).run(until=lambda: bool(stopping))
+    finally:
+        notice.unlink(missing_ok=True)
+        port.unplug()
+    return 0
+
+
+def _announce(url: str, scenario: Scenario) -> Path:
+    """Leave a note where the host's discovery looks, as a USB device would show up in the list of ports."""
+    folder = user_runtime_path("tissueid", appauthor=False) / "simulated"
+    folder.mkdir(parents=True, exist_ok=True)
+    notice = folder / f"{os.getpid()}.json"
+    note = {
+        "url": url,
+        "pid": os.getpid(),
+        "preset": scenario.preset,
+        "serial_number": scenario.serial_number,
+    }
+    notice.write_text(json.dumps(note), encoding="utf-8")
+    return notice
+
+
+if __name__ == "__main__":
+    sys.exit(main())

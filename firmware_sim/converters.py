@@ -1,0 +1,96 @@
+"""Analogue front end: channel scales, 16-bit conversion, saturation and white sensor noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.plant import STANDARD_GRAVITY
+
+CODE_MIN, CODE_MAX = -32768, 32767
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One converted quantity: physical = gain * code + offset.
+
+    ``noise_rms`` is white Gaussian noise ahead of the converter, in ``unit``.
+    """
+
+    name: str
+    unit: str
+    gain: float
+    offset: float
+    noise_rms: float
+
+    def encode(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+        """Nearest codes, and where the converter saturated; both in the shape of ``physical``."""
+        codes = np.rint((physical - self.offset) / self.gain)
+        saturated = (codes < CODE_MIN) | (codes > CODE_MAX)
+        return np.clip(codes, CODE_MIN, CODE_MAX).astype(np.int16), saturated
+
+    def decode(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
+        """Physical values of codes, in ``unit``."""
+        return self.gain * codes.astype(np.float64) + self.offset
+
+
+def _bipolar(name: str, unit: str, full_scale: float, noise_rms: float) -> Channel:
+    return Channel(name, unit, full_scale / 32768.0, 0.0, noise_rms)
+
+
+CHANNELS = (
+    # The command is what the digital-to-analogue converter was told: it has steps but no noise.
+    _bipolar("command", "V", 60.0, 0.0),
+    # Fig. 3.2a: the voltage falls 8 decades of power to its floor. 12 V rms over 200 Hz gives 2.7 mV over 1 kHz.
+    _bipolar("voltage", "V", 60.0, 2.7e-3),
+    # Fig. 3.2a: the force falls about 4 decades. 3 N rms over 200 Hz gives some 40 mN over 1 kHz at 4.4 decades.
+    _bipolar("current", "A", 6.0, 13e-3),
+    # 2.2.1: 0.5 um per code. Fig. 3.2a: about 6 decades from DC to the floor.
+    Channel("position", "m", 0.5e-6, 0.016384, 1.0e-6),
+    # 2.2.1: platinum film RTD in a bridge. Chosen: 0.05 K of noise, range -25 to 225 degC.
+    Channel("temperature", "degC", 250.0 / 65536.0, 100.0, 0.05),
+    # 2.3: ADXL-322, +-2 g; its data sheet gives 220 ug per root hertz, 7 mg over 1 kHz.
+    _bipolar("accelerometer_x", "m/s^2", 2.2 * STANDARD_GRAVITY, 0.07),
+    _bipolar("accelerometer_y", "m/s^2", 2.2 * STANDARD_GRAVITY, 0.07),
+)
+"""Channels in the order of the columns of a block and of the bits of its flags."""
+
+
+class Converters:
+    """Turns analogue values into codes, with a noise generator of its own.
+
+    The noise is the same for the same seed however the samples are cut into blocks.
+    """
+
+    def __init__(self, seed: int, channels: tuple[Channel, ...] = CHANNELS) -> None:
+        self.channels = channels
+        self._noise_rms = np.array([channel.noise_rms for channel in channels])
+        self._random = np.random.default_rng(seed)
+
+    @property
+    def noise_state(self) -> dict[str, Any]:
+        """Where the noise generator stands."""
+        return dict(self._random.bit_generator.state)
+
+    @noise_state.setter
+    def noise_state(self, state: dict[str, Any]) -> None:
+        self._random.bit_generator.state = state
+
+    def drive(self, volts: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int16], NDArray[np.bool_]]:
+        """What the digital-to-analogue converter makes of commands: volts, codes, saturation; each of shape (n,)."""
+        channel = self.channels[0]
+        codes, saturated = channel.encode(volts)
+        return channel.decode(codes), codes, saturated
+
+    def read(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+        """Noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
+        noisy = physical + self._noise_rms * self._random.standard_normal(physical.shape)
+        codes = np.empty(physical.shape, dtype=np.int16)
+        flags = np.zeros(physical.shape[0], dtype=np.uint16)
+        for k, channel in enumerate(self.channels):
+            codes[:, k], saturated = channel.encode(noisy[:, k])
+            flags |= saturated.astype(np.uint16) << np.uint16(k)
+        return codes, flags

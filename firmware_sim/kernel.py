@@ -1,0 +1,303 @@
+"""The compiled part of the plant: equations of motion, contact events and the integration loop.
+
+One call of :func:`advance` integrates a block of samples. Each 2 kHz hold interval is cut into equal sub-steps of
+classical Runge-Kutta of order four. Contact made or lost inside a sub-step is located in time and the sub-step is
+finished from there, so that the order of the method survives the switch.
+
+Units are SI throughout; positions grow into the tissue on the actuator scale.
+"""
+
+from __future__ import annotations
+
+from math import exp, pi, tanh
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MAX_BRANCHES = 3
+"""Relaxation branches that a tissue may have."""
+
+# State vector.
+CURRENT, POSITION, VELOCITY, SURFACE, SURFACE_VELOCITY, TEMPERATURE = range(6)
+LATENT, LATENT_VELOCITY = 6, 7  # Wiener kind: the linear block that the static curve hides
+BRANCH = 8  # MAX_BRANCHES low-passed elastic forces, N
+FILTER = BRANCH + MAX_BRANCHES  # first-order anti-alias filters of voltage, current, position, temperature
+TOUCHING = FILTER + 4  # 1 while probe and tissue move together; switched, not integrated
+STATE_SIZE = TOUCHING + 1
+
+# Kinds of tissue.
+PARALLEL, WIENER, HAMMERSTEIN = 0, 1, 2
+
+# Plant parameters, in the order of plant.PlantParameters.
+(
+    RESISTANCE,
+    INDUCTANCE,
+    FORCE_CONSTANT,
+    MOVING_MASS,
+    BEARING_DAMPING,
+    GRAVITY_FORCE,
+    AMPLIFIER_GAIN,
+    AMPLIFIER_LIMIT,
+    STROKE,
+    STOP_STIFFNESS,
+    STOP_DAMPING,
+    THERMAL_RESISTANCE,
+    HEAT_CAPACITY,
+    AMBIENT,
+    FILTER_CUTOFF,
+) = range(15)
+
+# Tissue parameters, in the order of tissue.Tissue.to_array.
+KIND, REST_SURFACE, CONTACT = 0, 1, 2
+MASS, DAMPING, STIFFNESS = 3, 6, 9  # coefficient, rate (1/m), offset of coefficient * (exp(rate * depth) + offset)
+CURVE_SCALE, CURVE_RATE = 12, 13  # Wiener C1 (m), C2 (1/N); Hammerstein H1 (N), H2 (1/N)
+DIRECTION_RATIO, DIRECTION_SPEED = 14, 15
+RECRUITED_MASS, RECRUITMENT_DEPTH = 16, 17
+BRANCH_GAIN, BRANCH_TIME = 18, 18 + MAX_BRANCHES
+TISSUE_SIZE = 18 + 2 * MAX_BRANCHES
+
+# Columns of the output of advance.
+OUT_COLUMNS = 11
+_EVENTS_PER_STEP = 6
+_LOCATE_ITERATIONS = 40
+
+
+@njit
+def _exponential(tissue: Array, first: int, depth: float) -> float:
+    return tissue[first] * (exp(tissue[first + 1] * depth) + tissue[first + 2])
+
+
+@njit
+def elastic_force(tissue: Array, depth: float) -> float:
+    """Relaxed elastic force K(y) y, newtons, at a depth in metres (thesis Eq. 3.33)."""
+    return _exponential(tissue, STIFFNESS, depth) * depth
+
+
+@njit
+def tissue_mass(tissue: Array, depth: float) -> float:
+    """Mass of tissue that moves with its surface, kilograms, recruited mass included."""
+    mass = _exponential(tissue, MASS, depth)
+    if depth > 0.0:
+        mass += tissue[RECRUITED_MASS] * (1.0 - exp(-depth / tissue[RECRUITMENT_DEPTH]))
+    return mass
+
+
+@njit
+def _recruitment_force(tissue: Array, depth: float, velocity: float) -> float:
+    # Half of dM/dy v^2: with it, recruiting and shedding mass neither makes nor loses kinetic energy.
+    if depth <= 0.0:
+        return 0.0
+    slope = tissue[RECRUITED_MASS] / tissue[RECRUITMENT_DEPTH] * exp(-depth / tissue[RECRUITMENT_DEPTH])
+    return 0.5 * slope * velocity * velocity
+
+
+@njit
+def _resistance(state: Array, tissue: Array, depth: float, velocity: float) -> float:
+    # Everything of the tissue that resists motion at this depth and speed, inertia apart, N.
+    elastic = elastic_force(tissue, depth)
+    force = elastic + _recruitment_force(tissue, depth, velocity)
+    direction = 1.0 + tissue[DIRECTION_RATIO] * tanh(velocity / tissue[DIRECTION_SPEED])
+    force += _exponential(tissue, DAMPING, depth) * direction * velocity
+    for k in range(MAX_BRANCHES):
+        force += tissue[BRANCH_GAIN + k] * (elastic - state[BRANCH + k])
+    return force
+
+
+@njit
+def _end_stop(plant: Array, position: float, velocity: float) -> float:
+    # One-sided springs beyond either end; the damping grows with penetration and never pulls.
+    over = position - plant[STROKE]
+    if over > 0.0:
+        return -plant[STOP_STIFFNESS] * over * max(0.0, 1.0 + plant[STOP_DAMPING] * velocity)
+    if position < 0.0:
+        return -plant[STOP_STIFFNESS] * position * max(0.0, 1.0 - plant[STOP_DAMPING] * velocity)
+    return 0.0
+
+
+@njit
+def _wiener_output(tissue: Array, latent: float, latent_velocity: float) -> tuple[float, float]:
+    # Position and velocity of the probe behind the static curve.
+    decay = exp(-tissue[CURVE_RATE] * tissue[STIFFNESS] * latent)
+    position = tissue[REST_SURFACE] + tissue[CURVE_SCALE] * (1.0 - decay)
+    return position, tissue[CURVE_SCALE] * tissue[CURVE_RATE] * tissue[STIFFNESS] * decay * latent_velocity
+
+
+@njit
+def _contact_force(state: Array, plant: Array, tissue: Array) -> float:
+    # What the tissue pushes back with while probe and surface move together, N.
+    velocity = state[VELOCITY]
+    depth = state[POSITION] - tissue[REST_SURFACE]
+    resistance = _resistance(state, tissue, depth, velocity)
+    probe = _probe_force(state, plant)
+    mass = tissue_mass(tissue, depth)
+    return resistance + mass * (probe - resistance) / (plant[MOVING_MASS] + mass)
+
+
+@njit
+def _probe_force(state: Array, plant: Array) -> float:
+    # Every force on the moving part but the tissue's, N.
+    return (
+        plant[FORCE_CONSTANT] * state[CURRENT]
+        + plant[GRAVITY_FORCE]
+        - plant[BEARING_DAMPING] * state[VELOCITY]
+        + _end_stop(plant, state[POSITION], state[VELOCITY])
+    )
+
+
+@njit
+def _derivative(state: Array, rate: Array, volts: float, plant: Array, tissue: Array) -> None:
+    current = state[CURRENT]
+    kind = tissue[KIND]
+    if kind == WIENER:
+        state[POSITION], state[VELOCITY] = _wiener_output(tissue, state[LATENT], state[LATENT_VELOCITY])
+    position, velocity = state[POSITION], state[VELOCITY]
+    depth = position - tissue[REST_SURFACE]
+    back_emf = plant[FORCE_CONSTANT] * velocity
+    rate[CURRENT] = (volts - plant[RESISTANCE] * current - back_emf) / plant[INDUCTANCE]
+    heating = plant[RESISTANCE] * current * current
+    cooling = (state[TEMPERATURE] - plant[AMBIENT]) / plant[THERMAL_RESISTANCE]
+    rate[TEMPERATURE] = (heating - cooling) / plant[HEAT_CAPACITY]
+    rate[POSITION] = velocity
+    corner = 2.0 * pi * plant[FILTER_CUTOFF]
+    rate[FILTER] = corner * (volts - state[FILTER])
+    rate[FILTER + 1] = corner * (current - state[FILTER + 1])
+    rate[FILTER + 2] = corner * (position - state[FILTER + 2])
+    rate[FILTER + 3] = corner * (state[TEMPERATURE] - state[FILTER + 3])
+    stop = _end_stop(plant, position, velocity)
+    if kind == WIENER:
+        drive = plant[FORCE_CONSTANT] * current + plant[GRAVITY_FORCE] + stop
+        rate[LATENT] = state[LATENT_VELOCITY]
+        opposing = tissue[DAMPING] * state[LATENT_VELOCITY] + tissue[STIFFNESS] * state[LATENT]
+        rate[LATENT_VELOCITY] = (drive - opposing) / tissue[MASS]
+        return
+    if kind == HAMMERSTEIN:
+        drive = plant[FORCE_CONSTANT] * current + plant[GRAVITY_FORCE]
+        drive = tissue[CURVE_SCALE] * (1.0 - exp(-tissue[CURVE_RATE] * drive))
+        opposing = tissue[DAMPING] * velocity + tissue[STIFFNESS] * depth
+        rate[VELOCITY] = (drive + stop - opposing) / tissue[MASS]
+        return
+    probe = _probe_force(state, plant)
+    if state[TOUCHING] > 0.0:
+        resistance = _resistance(state, tissue, depth, velocity)
+        rate[VELOCITY] = (probe - resistance) / (plant[MOVING_MASS] + tissue_mass(tissue, depth))
+        rate[SURFACE] = velocity
+        rate[SURFACE_VELOCITY] = rate[VELOCITY]
+    else:
+        depth = state[SURFACE] - tissue[REST_SURFACE]
+        rate[VELOCITY] = probe / plant[MOVING_MASS]
+        rate[SURFACE] = state[SURFACE_VELOCITY]
+        resistance = _resistance(state, tissue, depth, state[SURFACE_VELOCITY])
+        rate[SURFACE_VELOCITY] = -resistance / tissue_mass(tissue, depth)
+    elastic = elastic_force(tissue, depth)
+    for k in range(MAX_BRANCHES):
+        rate[BRANCH + k] = (elastic - state[BRANCH + k]) / tissue[BRANCH_TIME + k]
+
+
+@njit
+def _runge_kutta(
+    state: Array, after: Array, step: float, volts: float, plant: Array, tissue: Array, work: Array
+) -> None:
+    # work has shape (5, STATE_SIZE): four slopes and a stage.
+    stage = work[4]
+    after[:] = state
+    stage[:] = state
+    _derivative(stage, work[0], volts, plant, tissue)
+    for k in range(3):
+        fraction = step if k == 2 else 0.5 * step
+        for j in range(TOUCHING):
+            stage[j] = state[j] + fraction * work[k, j]
+        _derivative(stage, work[k + 1], volts, plant, tissue)
+    for j in range(TOUCHING):
+        after[j] = state[j] + step / 6.0 * (work[0, j] + 2.0 * work[1, j] + 2.0 * work[2, j] + work[3, j])
+    if tissue[KIND] == WIENER:
+        after[POSITION], after[VELOCITY] = _wiener_output(tissue, after[LATENT], after[LATENT_VELOCITY])
+
+
+@njit
+def _overdue(state: Array, plant: Array, tissue: Array) -> float:
+    # Positive where the present mode of contact has ended: the tissue would pull, or the probe is inside it.
+    if state[TOUCHING] > 0.0:
+        return -_contact_force(state, plant, tissue)
+    return state[POSITION] - state[SURFACE]
+
+
+@njit
+def _switch_contact(state: Array, plant: Array, tissue: Array) -> None:
+    if state[TOUCHING] > 0.0:
+        state[TOUCHING] = 0.0
+        return
+    # Inelastic meeting of probe and surface: momentum is kept, the difference in speed is lost.
+    mass = tissue_mass(tissue, state[SURFACE] - tissue[REST_SURFACE])
+    momentum = plant[MOVING_MASS] * state[VELOCITY] + mass * state[SURFACE_VELOCITY]
+    state[TOUCHING] = 1.0
+    state[VELOCITY] = momentum / (plant[MOVING_MASS] + mass)
+    state[SURFACE_VELOCITY] = state[VELOCITY]
+    state[SURFACE] = state[POSITION]
+
+
+@njit
+def _step(state: Array, step: float, volts: float, plant: Array, tissue: Array, work: Array, after: Array) -> None:
+    remaining = step
+    if tissue[CONTACT] > 0.0:
+        for event in range(_EVENTS_PER_STEP):
+            if event > 0 and state[TOUCHING] > 0.0 and _overdue(state, plant, tissue) > 0.0:
+                _switch_contact(state, plant, tissue)
+            _runge_kutta(state, after, remaining, volts, plant, tissue, work)
+            high = _overdue(after, plant, tissue)
+            if high <= 0.0:
+                state[:] = after
+                return
+            low = min(_overdue(state, plant, tissue), 0.0)
+            left, right = 0.0, remaining
+            for _ in range(_LOCATE_ITERATIONS):  # false position with the Illinois correction
+                middle = 0.5 * (left + right) if low == 0.0 else (left * high - right * low) / (high - low)
+                _runge_kutta(state, after, middle, volts, plant, tissue, work)
+                value = _overdue(after, plant, tissue)
+                if value > 0.0:
+                    right, high, low = middle, value, 0.5 * low
+                else:
+                    left, low, high = middle, value, 0.5 * high
+                if right - left < 1e-7 * step or value == 0.0:
+                    break
+            _runge_kutta(state, after, right, volts, plant, tissue, work)
+            state[:] = after
+            _switch_contact(state, plant, tissue)
+            remaining -= right
+            if remaining <= 0.0:
+                return
+    _runge_kutta(state, after, remaining, volts, plant, tissue, work)
+    state[:] = after
+
+
+@njit(cache=True)
+def advance(
+    commands: Array, state: Array, plant: Array, tissue: Array, interval: float, substeps: int, out: Array
+) -> None:
+    """Integrate one block of zero-order-hold commands in place.
+
+    ``commands`` has shape (n,), volts at the amplifier's input; ``state`` (STATE_SIZE,) is updated; ``out`` has shape
+    (n, OUT_COLUMNS) and receives, at the end of each hold interval: voltage, current, position, velocity,
+    temperature, mean acceleration over the interval, touching, and the four filtered readings (voltage, current,
+    position, temperature).
+    """
+    step = interval / substeps
+    work = np.zeros((5, STATE_SIZE))
+    after = np.zeros(STATE_SIZE)
+    for n in range(commands.shape[0]):
+        volts = plant[AMPLIFIER_GAIN] * commands[n]
+        volts = min(max(volts, -plant[AMPLIFIER_LIMIT]), plant[AMPLIFIER_LIMIT])
+        before = state[VELOCITY]
+        for _ in range(substeps):
+            _step(state, step, volts, plant, tissue, work, after)
+        out[n, 0] = volts
+        out[n, 1] = state[CURRENT]
+        out[n, 2] = state[POSITION]
+        out[n, 3] = state[VELOCITY]
+        out[n, 4] = state[TEMPERATURE]
+        out[n, 5] = (state[VELOCITY] - before) / interval
+        out[n, 6] = state[TOUCHING]
+        for k in range(4):
+            out[n, 7 + k] = state[FILTER + k]

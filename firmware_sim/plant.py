@@ -1,0 +1,179 @@
+"""The plant: amplifier, coil, moving part and tissue, integrated in time.
+
+Conventions: SI; position grows into the tissue on the actuator scale, 0 to the stroke; a positive voltage pushes into
+the tissue. A command is held for one sample interval. Reading ``k`` is taken at the end of interval ``k``, just before
+command ``k + 1`` comes into force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim import kernel
+from firmware_sim.tissue import Tissue
+
+STANDARD_GRAVITY = 9.80665
+SAMPLE_RATE_HZ = 2000.0
+SUBSTEPS = 12
+
+TRACE = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "voltage",
+            "current",
+            "position",
+            "velocity",
+            "temperature",
+            "acceleration",
+            "touching",
+            "filtered_voltage",
+            "filtered_current",
+            "filtered_position",
+            "filtered_temperature",
+        )
+    ]
+)
+"""What an ideal observer sees (V, A, m, m/s, degC, m/s^2, 0 or 1) and what leaves the anti-alias filters."""
+
+
+@dataclass(frozen=True)
+class PlantParameters:
+    """Figures of the desktop research device (thesis 2.2.1, 2.3, Table 2.1), SI; the order is the compiled loop's.
+
+    The thermal figures and the end stops are estimates, since the thesis gives none: 56 m of 28 gage copper (12 ohm)
+    weigh 40 g and hold 16 J/K, a few J/K more with the bobbin; some 50 cm^2 of coil in moving air lose about
+    0.12 W/K. Resistance does not follow temperature.
+
+    Raises:
+        ValueError: a figure that must be positive is not, or is not finite.
+    """
+
+    resistance_ohm: float = 12.0
+    inductance_h: float = 1.00e-3
+    force_constant_n_per_a: float = 3.0
+    moving_mass_kg: float = 0.060
+    bearing_damping_n_s_per_m: float = 3.5
+    gravity_force_n: float = 0.060 * STANDARD_GRAVITY  # 0.59 N into the tissue (Fig. 3.8); negative upside down
+    amplifier_gain: float = 1.0
+    amplifier_limit_v: float = 48.0
+    stroke_m: float = 0.032
+    stop_stiffness_n_per_m: float = 2.0e5
+    stop_damping_s_per_m: float = 5.0
+    thermal_resistance_k_per_w: float = 8.0
+    heat_capacity_j_per_k: float = 18.0
+    ambient_degc: float = 23.0
+    filter_cutoff_hz: float = 2000.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            free = item.name in ("gravity_force_n", "ambient_degc", "bearing_damping_n_s_per_m")
+            if not np.isfinite(value) or not (free or value > 0):
+                raise ValueError(f"plant parameter {item.name} must be finite and positive, not {value}")
+
+    def to_array(self) -> NDArray[np.float64]:
+        """All figures in order, shape (15,)."""
+        return np.array([getattr(self, item.name) for item in fields(self)], dtype=np.float64)
+
+
+class Plant:
+    """Amplifier, coil, moving part and tissue with a state of their own.
+
+    ``substeps`` is the number of integration steps in one sample interval. The plant holds no randomness: the same
+    commands from the same state give the same trace, however they are cut into blocks.
+    """
+
+    def __init__(
+        self, parameters: PlantParameters, tissue: Tissue, *, substeps: int = SUBSTEPS, energised: bool = True
+    ) -> None:
+        if substeps < 1:
+            raise ValueError(f"substeps must be 1 or more, not {substeps}")
+        self.parameters = parameters
+        self.tissue = tissue
+        self.energised = energised
+        self.substeps = substeps
+        self._plant = parameters.to_array()
+        self._tissue = tissue.to_array()
+        self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
+        self.rest()
+
+    def advance(self, voltage: NDArray[np.float64]) -> NDArray[np.void]:
+        """Play commands, shape (n,), volts at 2 kHz, and return a TRACE array, shape (n,).
+
+        While ``energised`` is false the commands are ignored and the amplifier holds its terminals at 0 V: the
+        current dies with L/R and the moving coil brakes itself.
+
+        Raises:
+            ValueError: the commands have more than one dimension or are not finite.
+        """
+        commands = np.ascontiguousarray(voltage, dtype=np.float64)
+        if commands.ndim != 1 or not np.all(np.isfinite(commands)):
+            raise ValueError("commands must be finite volts in one dimension")
+        if not self.energised:
+            commands = np.zeros_like(commands)
+        out = np.empty((commands.size, kernel.OUT_COLUMNS))
+        kernel.advance(
+            commands, self.state, self._plant, self._tissue, 1.0 / SAMPLE_RATE_HZ, self.substeps, out
+        )
+        return out.view(TRACE).reshape(commands.size)
+
+    def rest(self, voltage: float = 0.0) -> None:
+        """Put the state in static equilibrium under a steady command in volts, relaxation complete, coil cold."""
+        limit = self.parameters.amplifier_limit_v
+        volts = float(np.clip(self.parameters.amplifier_gain * voltage, -limit, limit)) if self.energised else 0.0
+        current = volts / self.parameters.resistance_ohm
+        force = self.parameters.force_constant_n_per_a * current + self.parameters.gravity_force_n
+        position = self.static_position(force)
+        tissue = self.tissue
+        held = "contact" in tissue.extras and position < tissue.surface_m
+        surface = tissue.surface_m if held else position
+        state = np.zeros(kernel.STATE_SIZE)
+        state[kernel.CURRENT] = current
+        state[kernel.POSITION] = position
+        state[kernel.SURFACE] = surface
+        state[kernel.TEMPERATURE] = self.parameters.ambient_degc
+        state[kernel.TOUCHING] = 0.0 if held else 1.0
+        if tissue.kind == "wiener":
+            state[kernel.LATENT] = _latent(tissue, position)
+        elif tissue.kind != "hammerstein":
+            depth = surface - tissue.surface_m
+            state[kernel.BRANCH : kernel.BRANCH + kernel.MAX_BRANCHES] = tissue.stiffness.at(depth) * depth
+        state[kernel.FILTER : kernel.FILTER + 4] = volts, current, position, state[kernel.TEMPERATURE]
+        self.state = state
+
+    def static_position(self, force_n: float) -> float:
+        """Position, metres, where a steady force, newtons with gravity in it, is balanced after full relaxation."""
+        low, high = -1e-3, self.parameters.stroke_m + 1e-3
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if self._surplus(force_n, middle) > 0:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+
+    def _surplus(self, force_n: float, position: float) -> float:
+        # Steady force that is left over to push the probe further in; falls with position.
+        tissue, depth = self.tissue, position - self.tissue.surface_m
+        stop = self.parameters.stop_stiffness_n_per_m * (
+            max(0.0, -position) - max(0.0, position - self.parameters.stroke_m)
+        )
+        if tissue.kind == "wiener":
+            return force_n + stop - tissue.stiffness.coefficient * _latent(tissue, position)
+        if tissue.kind == "hammerstein":
+            pushed = tissue.curve_scale * (1.0 - float(np.exp(-tissue.curve_rate * force_n)))
+            return pushed + stop - tissue.stiffness.coefficient * depth
+        elastic = tissue.stiffness.at(depth) * depth
+        if "contact" in tissue.extras:
+            elastic = max(0.0, elastic)
+        return force_n + stop - elastic
+
+
+def _latent(tissue: Tissue, position: float) -> float:
+    # Hidden displacement behind the static curve; where the curve has saturated, as deep as the end stop needs.
+    share = min((position - tissue.surface_m) / tissue.curve_scale, 1.0 - 1e-12)
+    return -float(np.log1p(-share)) / (tissue.curve_rate * tissue.stiffness.coefficient)

@@ -1,0 +1,171 @@
+"""Serving: the firmware on a pseudo-terminal or a TCP port, in step with the clock."""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import socket
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from firmware_sim.firmware import Firmware
+from firmware_sim.plant import SAMPLE_RATE_HZ
+from firmware_sim.scenario import PlannedFault, Scenario
+from tissueid.wire import State
+
+TICK_S = 0.01
+_READ = 65536
+_BACKLOG_BYTES = 16 * 1024
+
+
+class Port(Protocol):
+    """The device's end of the cable."""
+
+    url: str
+
+    def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:
+        """Send what fits of ``outgoing``, give back what came in and how many bytes were sent."""
+
+    def unplug(self) -> None:
+        """Pull the cable."""
+
+
+class PseudoTerminal:
+    """A pseudo-terminal: to the host it is a serial port."""
+
+    def __init__(self) -> None:
+        import pty
+        import tty
+
+        # The device's own hold on the slave end keeps the terminal alive between hosts.
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.url = os.ttyname(self._slave)
+
+    def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:  # noqa: D102
+        if self._master < 0:
+            time.sleep(timeout_s)
+            return b"", len(outgoing)
+        ready, writable, _ = select.select([self._master], [self._master] if outgoing else [], [], timeout_s)
+        data, sent = b"", 0
+        try:
+            if writable:
+                sent = os.write(self._master, outgoing)
+            if ready:
+                data = os.read(self._master, _READ)
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EIO):
+                raise
+        return data, sent
+
+    def unplug(self) -> None:  # noqa: D102
+        if self._master >= 0:
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = -1
+
+
+class TcpPort:
+    """TCP on the loopback interface, one host at a time, for pyserial's ``socket://`` URLs."""
+
+    def __init__(self, port: int) -> None:
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self._listener.setblocking(False)
+        self._host: socket.socket | None = None
+        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:  # noqa: D102
+        waiting: list[socket.socket] = [self._listener] if self._listener.fileno() >= 0 else []
+        if self._host is not None:
+            waiting.append(self._host)
+        if not waiting:
+            time.sleep(timeout_s)
+            return b"", len(outgoing)
+        writing = [self._host] if self._host is not None and outgoing else []
+        ready, writable, _ = select.select(waiting, writing, [], timeout_s)
+        if self._listener in ready:
+            newcomer, _ = self._listener.accept()
+            self._hang_up()
+            newcomer.setblocking(False)
+            newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._host = newcomer
+            return b"", len(outgoing)  # what was meant for the host before is not for this one
+        if self._host is None:
+            return b"", len(outgoing)
+        data, sent = b"", 0
+        try:
+            if self._host in writable:
+                sent = self._host.send(outgoing)
+            if self._host in ready:
+                data = self._host.recv(_READ)
+                if not data:
+                    self._hang_up()
+        except BlockingIOError:
+            return data, sent
+        except OSError:
+            self._hang_up()
+        return data, sent
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def unplug(self) -> None:  # noqa: D102
+        self._hang_up()
+        self._listener.close()
+
+
+class Server:
+    """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen."""
+
+    def __init__(self, firmware: Firmware, port: Port, scenario: Scenario) -> None:
+        self._firmware = firmware
+        self._port = port
+        self._rate = SAMPLE_RATE_HZ * scenario.speed
+        self._accelerated = scenario.speed > 1.0
+        self._faults = sorted(scenario.faults, key=lambda fault: fault.after_start_s)
+        self._samples = 0
+        self._first_start: int | None = None
+        self._outgoing = b""
+
+    def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
+        """Serve until ``until`` says so, or the process is told to stop."""
+        begin = time.monotonic()
+        while not until():
+            now = time.monotonic()
+            due = int((now - begin) * self._rate) - self._samples
+            if self._accelerated and len(self._outgoing) > _BACKLOG_BYTES:
+                begin += due / self._rate  # a fast clock waits for its host; a real one would not
+            elif due > 0:
+                self._firmware.advance(due, now)
+                self._samples += due
+                self._let_faults_happen(now)
+            self._outgoing += self._firmware.transmit()
+            data, sent = self._port.exchange(self._outgoing, max(0.0, TICK_S - (time.monotonic() - now)))
+            self._outgoing = self._outgoing[sent:]
+            if data:
+                self._firmware.receive(data, time.monotonic())
+
+    def _let_faults_happen(self, now: float) -> None:
+        if self._first_start is None and self._firmware.state is State.RUNNING:
+            self._first_start = self._samples
+        if self._first_start is None:
+            return
+        elapsed = (self._samples - self._first_start) / SAMPLE_RATE_HZ
+        while self._faults and self._faults[0].after_start_s <= elapsed:
+            self._happen(self._faults.pop(0), now)
+
+    def _happen(self, fault: PlannedFault, now: float) -> None:
+        match fault.kind:
+            case "reset":
+                self._firmware.reboot()
+            case "stall":
+                self._firmware.stall(now + fault.seconds)
+            case "button":
+                self._firmware.bench.button = True
+            case "unplug":
+                self._port.unplug()

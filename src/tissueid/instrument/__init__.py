@@ -1,0 +1,33 @@
+"""Talking to an instrument: a real one on a port, a simulated one in this process, a saved session replayed."""
+
+from tissueid.instrument.discovery import Found, find_instruments, open_instrument
+from tissueid.instrument.driver import SerialInstrument
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, button_pressed, force
+from tissueid.instrument.limits import CLINICAL, PROFILES, RESEARCH, Limits, check_samples, check_stimulus
+from tissueid.instrument.link import Link, SerialLink
+from tissueid.instrument.replay import ReplayInstrument
+from tissueid.instrument.simulated import SimulatedInstrument
+
+__all__ = [
+    "CLINICAL",
+    "PROFILES",
+    "RESEARCH",
+    "SAMPLE",
+    "SIGNALS",
+    "Found",
+    "Gap",
+    "Instrument",
+    "Limits",
+    "Link",
+    "ReplayInstrument",
+    "Run",
+    "SerialInstrument",
+    "SerialLink",
+    "SimulatedInstrument",
+    "button_pressed",
+    "check_samples",
+    "check_stimulus",
+    "find_instruments",
+    "force",
+    "open_instrument",
+]

@@ -1,0 +1,88 @@
+"""What every instrument offers, real, simulated or replayed; and the samples that it delivers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+from tissueid.instrument.limits import Limits
+from tissueid.wire import Flag
+
+SIGNALS = ("command", "voltage", "current", "position", "temperature", "acceleration_x", "acceleration_y")
+"""The recorded channels, SI: V, V, A, m, degC, m/s^2, m/s^2."""
+
+SAMPLE = np.dtype([("index", "<u8"), *((name, "<f8") for name in SIGNALS), ("flags", "<u2")])
+"""One sample in physical units. All signals of a sample that was not received are NaN and its flags are 0."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that were not received: ``count`` of them, from sample ``first_index`` on."""
+
+    first_index: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Run:
+    """One stimulus being played: its samples are ``first_index`` to ``first_index + samples``."""
+
+    first_index: int
+    samples: int
+
+    @property
+    def end_index(self) -> int:
+        """The first sample after the stimulus."""
+        return self.first_index + self.samples
+
+
+class Instrument(Protocol):
+    """Connect, load, arm, start, poll until the run is over, release, close.
+
+    ``poll`` must be called at least every 100 ms while the coil is armed or running: the heartbeat that keeps
+    the firmware's watchdog quiet is sent there and nowhere else, so a host that hangs releases the coil.
+    """
+
+    device: DeviceDescription
+    gaps: list[Gap]
+
+    def load(self, command_v: NDArray[np.float64]) -> None:
+        """Send a stimulus, shape (n,), V at the device's sample rate."""
+
+    def arm(self, limits: Limits) -> None:
+        """Agree on the limits; the next ``start`` plays the stimulus."""
+
+    def start(self) -> Run:
+        """Energise the coil and play."""
+
+    def poll(self, timeout_s: float) -> NDArray[np.void]:
+        """Samples that arrived, shape (k,) of SAMPLE, k may be 0; waits up to ``timeout_s`` for the first."""
+
+    def release(self) -> None:
+        """Free the coil now. Never raises: what cannot be said to the firmware its watchdog does."""
+
+    def close(self) -> None:
+        """Release, and let go of the port."""
+
+
+def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
+    """``count`` samples that were not received: shape (count,), NaN throughout."""
+    samples = np.zeros(count, SAMPLE)
+    samples["index"] = first_index + np.arange(count)
+    for name in SIGNALS:
+        samples[name] = np.nan
+    return samples
+
+
+def force(samples: NDArray[np.void], device: DeviceDescription) -> NDArray[np.float64]:
+    """The force that the instrument believes, N: force constant times measured current, shape (k,)."""
+    return np.asarray(samples["current"]) * device.force_constant_n_per_a
+
+
+def button_pressed(samples: NDArray[np.void]) -> bool:
+    """True when the device's button was down in any of the samples."""
+    return bool(np.any(samples["flags"] & Flag.BUTTON))

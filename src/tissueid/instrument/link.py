@@ -1,0 +1,75 @@
+"""Links: bytes to and from a device. The only place that knows about ports."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+import serial
+
+from tissueid.errors import InstrumentError, LinkLostError
+
+BAUD_RATE = 921_600
+"""Twice what 2 kHz of eight 16-bit channels needs; a USB or pseudo-terminal link ignores it."""
+
+
+_SLICE_S = 0.01
+"""One data frame's worth: a read gathers what arrives in this time, on ports and sockets alike."""
+
+
+class Link(Protocol):
+    """A byte pipe. Every failure is a LinkLostError."""
+
+    name: str
+
+    def read(self, timeout_s: float) -> bytes:
+        """Whatever has arrived; waits up to ``timeout_s`` for the first byte."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+
+    def close(self) -> None:
+        """Let go of the port. Never raises."""
+
+
+class SerialLink:
+    """A real port, a pseudo-terminal, or TCP as ``socket://host:port`` (pyserial's URLs).
+
+    Raises:
+        InstrumentError: the port cannot be opened.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.name = url
+        # pyserial says OSError for some unplugs and SerialException (an OSError too) for others.
+        try:
+            self._port = serial.serial_for_url(url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=1.0)
+            self._port.reset_input_buffer()
+        except (OSError, ValueError) as error:
+            raise InstrumentError(f"cannot open {url}: {_reason(error)}") from error
+
+    def read(self, timeout_s: float) -> bytes:  # noqa: D102
+        deadline = time.monotonic() + timeout_s
+        try:
+            while True:
+                data = bytes(self._port.read(65536))
+                if data or time.monotonic() >= deadline:
+                    return data
+        except (OSError, TypeError) as error:  # TypeError: pyserial's read on a port closed meanwhile
+            raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
+
+    def write(self, data: bytes) -> None:  # noqa: D102
+        try:
+            self._port.write(data)
+        except (OSError, TypeError) as error:
+            raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
+
+    def close(self) -> None:  # noqa: D102
+        try:
+            self._port.close()
+        except OSError:
+            return  # an unplugged port cannot be closed twice
+
+
+def _reason(error: Exception) -> str:
+    return (getattr(error, "strerror", None) or str(error)).splitlines()[0]

@@ -1,0 +1,128 @@
+"""An instrument inside this process: the twin behind the same interface as a real device. No cable, no waiting."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid import twin
+from tissueid.device import DeviceDescription
+from tissueid.errors import InstrumentError, UnusableInputError
+from tissueid.instrument.interface import SAMPLE, Gap, Run
+from tissueid.instrument.limits import Limits, check_samples, check_stimulus
+from tissueid.wire import Flag
+
+BLOCK = 20
+_NOISE = {"voltage": 2.0e-3, "current": 3.0e-4, "position": 5.0e-7}
+"""Standard deviation of the sensor noise, SI: about one converter step."""
+
+_TISSUES = {
+    # Averages of thesis 3.1.3 for the posterior forearm; the softer anterior site after Table 3.1.
+    "forearm": twin.TwinParameters(),
+    "anterior-forearm": twin.TwinParameters(stiffness_n_per_m=350.0, stiffness_growth_per_m=200.0),
+    "spring": twin.TwinParameters(
+        mass_kg=0.060,
+        stiffness_n_per_m=1000.0,
+        stiffness_growth_per_m=0.0,
+        damping_n_s_per_m=0.0,
+        surface_m=0.005,
+    ),
+}
+
+
+def simulated_tissues() -> tuple[str, ...]:
+    """What ``simulated://`` can put under the probe."""
+    return tuple(_TISSUES)
+
+
+class SimulatedInstrument:
+    """The baseline twin as an instrument: every poll delivers the next 20 samples at once.
+
+    Raises:
+        UnusableInputError: no such tissue.
+    """
+
+    def __init__(self, tissue: str = "forearm", *, seed: int = 0) -> None:
+        if tissue not in _TISSUES:
+            raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(_TISSUES)}")
+        self.device = replace(
+            DeviceDescription(),
+            model="desktop indenter (in-process simulation)",
+            serial_number=f"TWIN-{seed}",
+        )
+        self.gaps: list[Gap] = []
+        self._parameters = _TISSUES[tissue]
+        self._random = np.random.default_rng(seed)
+        self._state = twin.State(0.0, self._parameters.surface_m, 0.0)
+        self._command = np.zeros(0)
+        self._limits: Limits | None = None
+        self._run: Run | None = None
+        self._index = 0
+        # Let the probe come to rest on the tissue, as a clinician would before looking at the screen.
+        _, self._state = twin.simulate(np.zeros(4000), self._parameters, self.device.sample_rate_hz, self._state)
+
+    def load(self, command_v: NDArray[np.float64]) -> None:
+        """Take a stimulus, shape (n,), V."""
+        self._command = np.asarray(command_v, np.float64)
+
+    def arm(self, limits: Limits) -> None:
+        """Agree on the limits.
+
+        Raises:
+            LimitError: the stimulus would break them.
+        """
+        check_stimulus(self._command, self.device, limits)
+        self._limits = limits
+
+    def start(self) -> Run:
+        """Play the stimulus from the next poll on.
+
+        Raises:
+            InstrumentError: not armed.
+        """
+        if self._limits is None:
+            raise InstrumentError("load and arm before starting")
+        self._run = Run(self._index, self._command.size)
+        return self._run
+
+    def poll(self, timeout_s: float) -> NDArray[np.void]:
+        """The next block, shape (20,) of SAMPLE, without waiting.
+
+        Raises:
+            LimitError: a limit was broken; the coil is released.
+        """
+        del timeout_s
+        samples = np.zeros(BLOCK, SAMPLE)
+        samples["index"] = self._index + np.arange(BLOCK)
+        if self._run is not None:
+            part = self._command[self._index - self._run.first_index :][:BLOCK]
+            samples["command"][: part.size] = part
+            samples["flags"][: part.size] = Flag.PLAYING | Flag.ENERGISED
+        signals, self._state = twin.simulate(
+            samples["command"], self._parameters, self.device.sample_rate_hz, self._state
+        )
+        for name, values in zip(("voltage", "current", "position"), signals, strict=True):
+            samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
+        samples["temperature"] = 25.0
+        samples["acceleration_x"] = 9.81
+        self._index += BLOCK
+        if self._limits is not None and self._run is not None:
+            try:
+                check_samples(samples, self.device, self._limits, self._run.first_index)
+            except Exception:
+                self.release()
+                raise
+            if self._index >= self._run.end_index:
+                self.release()
+        return samples
+
+    def release(self) -> None:
+        """Free the coil: from the next sample on the command is zero."""
+        self._run = None
+        self._limits = None
+
+    def close(self) -> None:
+        """Release."""
+        self.release()

@@ -1,0 +1,467 @@
+"""The driver against the simulated firmware, on a link that loses, damages and repeats what it carries."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import connect
+
+from firmware_sim.firmware import WATCHDOG_S, Identity
+from tissueid import wire
+from tissueid.errors import (
+    FirmwareFaultError,
+    InstrumentError,
+    LimitError,
+    LinkLostError,
+    ProtocolVersionError,
+)
+from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits
+from tissueid.wire import Fault, Flag, State
+
+SECOND = 2000
+
+
+def hold(volts: float, seconds: float = 1.0) -> np.ndarray:
+    return np.full(round(seconds * SECOND), volts)
+
+
+def collect(instrument, run):
+    blocks = []
+    while not blocks or blocks[-1]["index"][-1] + 1 < run.end_index:
+        block = instrument.poll(0.05)
+        if block.size:
+            blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def play(instrument, command, limits=CLINICAL):
+    instrument.load(command)
+    instrument.arm(limits)
+    run = instrument.start()
+    samples = collect(instrument, run)
+    return run, samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
+
+
+def test_handshake_tells_the_device_figures():
+    instrument = connect()
+    assert instrument.device.coil_resistance_ohm == 12.0
+    assert instrument.device.force_constant_n_per_a == 3.0
+    assert instrument.device.sample_rate_hz == 2000.0
+    assert instrument.device.stroke_m == 0.032
+    assert instrument.device.protocol_version == "1"
+    assert instrument.device.serial_number == "SIM-0001"
+
+
+def test_a_run_plays_the_stimulus_sample_by_sample():
+    instrument = connect()
+    command = np.linspace(0.0, 20.0, 1234)
+    run, samples = play(instrument, command)
+    assert samples.size == 1234
+    assert np.array_equal(samples["index"], run.first_index + np.arange(1234))
+    np.testing.assert_allclose(samples["command"], command, atol=60 / 32768)
+    np.testing.assert_allclose(samples["voltage"][100:], command[100:], atol=0.1)
+    assert np.all(samples["flags"] & Flag.PLAYING)
+    assert instrument.gaps == []
+
+
+def test_the_coil_is_free_after_a_run():
+    instrument = connect()
+    play(instrument, hold(10.0, 0.2))
+    for _ in range(20):
+        instrument.poll(0.05)
+    assert not instrument._link.firmware.energised
+    last = instrument.poll(0.05)
+    assert not np.any(last["flags"] & Flag.ENERGISED)
+    assert np.all(np.abs(last["voltage"]) < 0.05)
+
+
+def test_a_second_test_can_follow_at_once():
+    instrument = connect()
+    play(instrument, hold(4.0, 0.1))
+    play(instrument, hold(8.0, 0.1))
+
+
+@pytest.mark.parametrize("loss", [0.05, 0.3])
+def test_requests_survive_a_lossy_link_and_act_once(loss):
+    instrument = connect()
+    rng = random.Random(3)
+    link = instrument._link
+    link.to_device = lambda data: b"" if rng.random() < loss else data
+    instrument.load(hold(5.0, 2.0))
+    instrument.arm(RESEARCH)
+    run = instrument.start()
+    assert instrument.repeated_requests > 0
+    assert link.firmware.state is State.RUNNING
+    assert link.firmware._start_index == run.first_index
+    assert link.firmware._stimulus.size == 4000
+
+
+def test_a_repeated_start_does_not_start_again():
+    instrument = connect()
+    instrument.load(hold(5.0))
+    instrument.arm(CLINICAL)
+    instrument.start()
+    firmware = instrument._link.firmware
+    instrument.poll(0.3)
+    cursor = firmware._cursor
+    start = wire.encode_frame(
+        wire.Frame(
+            wire.MessageType.START, instrument._sequence - 1, payload=wire.pack(wire.START, token=instrument._token)
+        )
+    )
+    firmware.receive(start, instrument._link.now)
+    assert firmware._cursor == cursor
+
+
+def test_lost_samples_are_nan_and_logged():
+    instrument = connect()
+    link = instrument._link
+    instrument.load(hold(5.0, 0.5))
+    instrument.arm(CLINICAL)
+    run = instrument.start()
+    frames = iter(range(10_000))
+    link.to_host = lambda data: b"" if next(frames) in (10, 11, 30) else data
+    samples = collect(instrument, run)
+    samples = samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
+    assert samples.size == 1000
+    lost = np.isnan(samples["position"])
+    assert sum(gap.count for gap in instrument.gaps) == lost.sum() > 0
+    assert np.array_equal(np.isnan(samples["current"]), lost)
+    for gap in instrument.gaps:
+        inside = (samples["index"] >= gap.first_index) & (samples["index"] < gap.first_index + gap.count)
+        assert lost[inside].all()
+
+
+def test_duplicated_frames_are_taken_once():
+    instrument = connect()
+    instrument._link.to_host = lambda data: data + data
+    _, samples = play(instrument, hold(5.0, 0.3))
+    assert samples.size == 600
+    assert not np.isnan(samples["position"]).any()
+
+
+def test_a_stop_whose_message_was_lost_is_noticed():
+    instrument = connect()
+    running(instrument)
+    link = instrument._link
+
+    def without_status(data):
+        frames = wire.FrameDecoder().feed(data)
+        return b"".join(wire.encode_frame(f) for f in frames if f.type != wire.MessageType.STATUS)
+
+    link.to_host = without_status
+    link.firmware._trip(Fault.STROKE)
+    instrument.poll(0.05)
+    link.to_host = lambda data: data
+    with pytest.raises(FirmwareFaultError, match="end of its stroke"):
+        for _ in range(10):
+            instrument.poll(0.05)
+
+
+@pytest.mark.parametrize(("oldest", "newest", "what"), [(2, 3, "software"), (0, 0, "firmware")])
+def test_a_version_that_it_does_not_speak_is_refused(oldest, newest, what):
+    with pytest.raises(ProtocolVersionError, match=rf"speaks protocol {oldest} to {newest}.*update the {what}"):
+        connect(identity=Identity(protocol_min=oldest, protocol_max=newest))
+
+
+def test_a_firmware_that_does_not_share_a_version_obeys_nothing():
+    with pytest.raises(ProtocolVersionError):
+        connect(identity=Identity(protocol_min=2, protocol_max=3))
+
+
+def test_silence_is_a_lost_link():
+    instrument = connect()
+    instrument._link.to_host = lambda data: b""
+    with pytest.raises(LinkLostError, match="silent for 1 s"):
+        while True:
+            instrument.poll(0.05)
+
+
+def test_nothing_at_the_other_end():
+    from support import LoopbackLink
+
+    from firmware_sim.bench import Bench
+    from firmware_sim.firmware import Firmware
+    from tissueid.instrument import SerialInstrument
+
+    link = LoopbackLink(Firmware(Bench()))
+    link.to_host = lambda data: b""
+    with pytest.raises(LinkLostError, match="no instrument answers on loopback"):
+        SerialInstrument(link, clock=link.clock)
+    assert link.closed
+
+
+# -- limits, in the host and in the firmware, each with the other out of the way --------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "limits", "words"),
+    [
+        (hold(47.0), CLINICAL, None),
+        (hold(47.0), replace(CLINICAL, max_force_n=8.0), "reaches 11.8 N; the limit is 8 N"),
+        (hold(-40.0), replace(CLINICAL, max_force_n=8.0), "reaches 10.0 N"),
+        (hold(50.0), RESEARCH, "needs 50.0 V; the amplifier gives 48 V"),
+        (hold(1.0, 31.0), RESEARCH, "lasts 31.0 s; the limit is 30 s"),
+        (np.array([1.0, np.nan]), RESEARCH, "finite"),
+    ],
+)
+def test_the_host_checks_before_sending(command, limits, words):
+    from tissueid.instrument import check_stimulus
+
+    device = connect().device
+    if words is None:
+        check_stimulus(command, device, limits)
+        return
+    with pytest.raises(LimitError, match=words):
+        check_stimulus(command, device, limits)
+
+
+def without_host_checks(monkeypatch):
+    monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
+    monkeypatch.setattr("tissueid.instrument.driver.check_samples", lambda *_: None)
+
+
+def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
+    without_host_checks(monkeypatch)
+    instrument = connect()
+    instrument.load(hold(40.0))
+    with pytest.raises(LimitError, match="go beyond"):
+        instrument.arm(Limits(max_force_n=8.0))
+    with pytest.raises(LimitError, match="go beyond"):
+        instrument.arm(Limits(max_force_n=500.0))
+    assert not instrument._link.firmware.energised
+
+
+@pytest.mark.parametrize(
+    ("limits", "fault", "words"),
+    [
+        (Limits(max_position_m=0.0125), Fault.STROKE, "end of its stroke"),
+        (Limits(max_temperature_c=23.5), Fault.OVER_TEMPERATURE, "too hot"),
+    ],
+)
+def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault, words):
+    without_host_checks(monkeypatch)
+    instrument = connect()
+    with pytest.raises(FirmwareFaultError, match=words):
+        play(instrument, hold(30.0, 3.0), limits)
+    firmware = instrument._link.firmware
+    assert firmware.faults == fault
+    assert not firmware.energised
+
+
+def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
+    without_host_checks(monkeypatch)
+    instrument = connect()
+    monkeypatch.setattr("firmware_sim.firmware.FORCE_MARGIN", 1.0)
+    instrument.load(hold(20.0))
+    instrument.arm(Limits(max_force_n=5.05))
+    firmware = instrument._link.firmware
+    firmware._armed = replace(firmware._armed, max_force_n=3.0)
+    run = instrument.start()
+    blocks = []
+    with pytest.raises(FirmwareFaultError, match="force went beyond"):
+        while True:
+            blocks.append(instrument.poll(0.05))
+    samples = np.concatenate(blocks)
+    force = np.abs(samples["current"]) * 3.0
+    first = int(np.argmax(force > 3.0))
+    assert samples["index"][first] >= run.first_index
+    assert samples["flags"][first] & Flag.ENERGISED
+    assert not np.any(samples["flags"][first + 1 :] & Flag.ENERGISED)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (Limits(max_position_m=0.0125), "end of its stroke, at 1"),
+        (Limits(max_temperature_c=23.5), "coil is at 24"),
+        (Limits(max_force_n=3.0), "force reached"),
+    ],
+)
+def test_the_host_releases_on_its_own(monkeypatch, limits, words):
+    monkeypatch.setattr("firmware_sim.firmware.Firmware._first_violation", lambda *_: (0, Fault.NONE))
+    monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
+    instrument = connect()
+    instrument.load(hold(30.0, 3.0))
+    firmware = instrument._link.firmware
+    instrument.arm(RESEARCH)
+    instrument._limits = limits
+    run = instrument.start()
+    with pytest.raises(LimitError, match=words):
+        collect(instrument, run)
+    assert not firmware.energised
+
+
+def test_the_watchdog_latches_and_needs_re_arming():
+    instrument = connect()
+    instrument.load(hold(10.0, 5.0))
+    instrument.arm(CLINICAL)
+    instrument.start()
+    link, firmware = instrument._link, instrument._link.firmware
+    link.run_for(WATCHDOG_S - 0.05)
+    assert firmware.energised
+    link.run_for(0.1)
+    assert not firmware.energised
+    assert firmware.faults == Fault.WATCHDOG
+    with pytest.raises(FirmwareFaultError, match="silent for too long"):
+        while True:
+            instrument.poll(0.05)
+    with pytest.raises(FirmwareFaultError, match="refuses after a fault"):
+        instrument.start()
+    instrument.clear_faults()
+    assert firmware.state is State.IDLE
+    with pytest.raises(InstrumentError, match="not in a state"):
+        instrument.start()
+    play(instrument, hold(10.0, 0.1))
+
+
+def test_an_armed_device_does_not_wait_for_a_dead_host():
+    instrument = connect()
+    instrument.load(hold(10.0))
+    instrument.arm(CLINICAL)
+    instrument._link.run_for(1.0)
+    assert instrument._link.firmware.state is State.FAULT
+
+
+# -- everything that can go wrong, in every state ---------------------------------------------------------------------
+
+
+def loaded(instrument):
+    instrument.load(hold(10.0, 2.0))
+
+
+def armed(instrument):
+    loaded(instrument)
+    instrument.arm(CLINICAL)
+
+
+def running(instrument):
+    armed(instrument)
+    instrument.start()
+    instrument.poll(0.3)
+
+
+def unplug(instrument):
+    instrument._link.plugged = False
+
+
+def reset(instrument):
+    instrument._link.firmware.reboot()
+
+
+def stall(instrument):
+    instrument._link.firmware.stall(instrument._link.now + 3.0)
+
+
+def go_on(instrument):
+    """What a host would do next, whatever the state; ends in an error when something went wrong."""
+    for _ in range(100):
+        instrument.poll(0.05)
+    instrument.load(hold(1.0, 0.1))
+
+
+@pytest.mark.parametrize("state", [lambda _: None, loaded, armed, running], ids=["idle", "loaded", "armed", "running"])
+@pytest.mark.parametrize(
+    ("mishap", "error", "words"),
+    [
+        (unplug, LinkLostError, "connection to loopback broke"),
+        (reset, FirmwareFaultError, "restarted by itself"),
+        (stall, LinkLostError, "went silent"),
+    ],
+    ids=["unplug", "reset", "stall"],
+)
+def test_mishaps_in_every_state(state, mishap, error, words):
+    instrument = connect()
+    state(instrument)
+    mishap(instrument)
+    with pytest.raises(error, match=words):
+        go_on(instrument)
+    link = instrument._link
+    link.run_for(1.0)
+    assert not link.firmware.energised, "the coil must be free"
+    instrument.release()
+    instrument.close()
+    assert link.closed
+
+
+def test_what_arrived_before_a_mishap_is_delivered_first():
+    instrument = connect()
+    running(instrument)
+    link = instrument._link
+    link.tick()
+    link.tick()
+    on_the_way = [link.firmware.transmit()]
+    link.firmware.reboot()
+    link.to_host = lambda data: (on_the_way.pop() if on_the_way else b"") + data
+    received = 0
+    with pytest.raises(FirmwareFaultError):
+        while True:
+            received += instrument.poll(0.05).size
+    assert received >= 40
+
+
+def test_the_button_ends_a_run():
+    instrument = connect()
+    running(instrument)
+    instrument._link.firmware.bench.button = True
+    with pytest.raises(FirmwareFaultError, match="button was pressed"):
+        while True:
+            instrument.poll(0.05)
+    assert not instrument._link.firmware.energised
+
+
+# -- a hostile device -------------------------------------------------------------------------------------------------
+
+
+def test_absurd_frames_do_no_harm():
+    instrument = connect()
+    link = instrument._link
+    junk = [
+        wire.Frame(0x83, payload=b"half a sample"),
+        wire.Frame(0x83, sample_index=2**63, payload=bytes(16)),
+        wire.Frame(0x84, payload=b"?"),
+        wire.Frame(0x82, payload=b""),
+        wire.Frame(0xEE, payload=b"from the future"),
+    ]
+    pending = [b"".join(wire.encode_frame(frame) for frame in junk)]
+    link.to_host = lambda data: data + (pending.pop() if pending else b"")
+    with pytest.raises(LinkLostError, match="samples are missing at once"):
+        for _ in range(10):
+            instrument.poll(0.05)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda payload: payload[:60],
+        lambda payload: payload[:-1],
+        lambda payload: payload.replace(b"position", b"weather\0"),
+        lambda payload: payload[:76] + b"\xff" * 8 + payload[84:],
+    ],
+    ids=["short", "cut table", "other channels", "rate not a number"],
+)
+def test_a_damaged_handshake_is_refused(spoil):
+    from support import LoopbackLink
+
+    from firmware_sim.bench import Bench
+    from firmware_sim.firmware import Firmware
+    from tissueid.instrument import SerialInstrument
+
+    link = LoopbackLink(Firmware(Bench()))
+
+    def tamper(data):
+        frames = wire.FrameDecoder().feed(data)
+        return b"".join(
+            wire.encode_frame(replace(f, payload=spoil(f.payload)) if f.type == wire.MessageType.HELLO_ACK else f)
+            for f in frames
+        )
+
+    link.to_host = tamper
+    with pytest.raises(InstrumentError, match=r"damaged|other channels|impossible figures"):
+        SerialInstrument(link, clock=link.clock)
+
+
+def test_samples_have_the_documented_layout():
+    assert SAMPLE.names[0] == "index"
+    assert SAMPLE.names[-1] == "flags"

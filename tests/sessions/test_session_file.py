@@ -1,0 +1,276 @@
+"""The session file: the contract's layout, both ways, and a reader that trusts nothing."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import SessionFormatError, UnusableInputError
+from tissueid.sessions import Session, Subject, Test, read_session, write_session
+
+BLIND = sorted((Path(__file__).parents[3] / "shared" / "blind").glob("*.h5"))
+
+
+def a_test(number=1, n=900, **changes):
+    rng = np.random.default_rng(number)
+    signals = {name: rng.standard_normal(n) for name in ("command", "voltage", "current", "force", "position")}
+    signals["position"][100:110] = np.nan
+    values = dict(kind="stochastic", sample_rate_hz=2000.0, site="left forearm", preload_s=0.05, seed=3)
+    return Test(number=number, signals=signals, stimulus={"type": "gaussian"}, **(values | changes))
+
+
+@pytest.fixture
+def session():
+    device = replace(DeviceDescription(), serial_number="T-1", calibration={"kind": "check", "ohm": 12.1})
+    tests = (a_test(1), a_test(2, repeat_of=1, status="aborted", notes={"reason": "button", "samples_lost": 10.0}))
+    return Session(device, Subject("B5978", {"age": 31.0, "handedness": "right"}), tests)
+
+
+@pytest.fixture
+def path(tmp_path, session):
+    path = tmp_path / "session.h5"
+    write_session(path, session)
+    return path
+
+
+def test_what_is_written_is_read(path, session):
+    read = read_session(path)
+    assert (read.session_id, read.created, read.software) == (session.session_id, session.created, session.software)
+    assert read.instrument == session.instrument
+    assert read.subject == session.subject
+    for ours, theirs in zip(session.tests, read.tests, strict=True):
+        assert theirs.signals.keys() == ours.signals.keys() | {"time"}
+        for name, values in ours.signals.items():
+            np.testing.assert_array_equal(theirs.signals[name], values)
+        assert replace(theirs, signals={}, surface_position_m=0.0) == replace(ours, signals={}, surface_position_m=0.0)
+
+
+def test_the_layout_is_the_contract_s(path):
+    with h5py.File(path) as file:
+        assert file.attrs["format"] == "tissueid-session"
+        assert file.attrs["format_version"] == "1.0"
+        assert {"session_id", "created", "software"} <= set(file.attrs)
+        assert {
+            "model",
+            "serial_number",
+            "coil_resistance_ohm",
+            "coil_inductance_h",
+            "force_constant_n_per_a",
+            "moving_mass_kg",
+            "bearing_damping_n_s_per_m",
+            "amplifier_gain",
+            "amplifier_limit_v",
+            "stroke_m",
+            "sample_rate_hz",
+            "calibration_spring_n_per_m",
+            "calibration_relative_uncertainty",
+            "firmware_version",
+            "protocol_version",
+        } <= set(file["instrument"].attrs)
+        assert file["subject"].attrs["pseudonym"] == "B5978"
+        assert list(file["tests"]) == ["0001", "0002"]
+        group = file["tests/0002"]
+        assert {
+            "kind",
+            "configuration",
+            "site",
+            "sample_rate_hz",
+            "preload_s",
+            "surface_position_m",
+            "stimulus",
+            "seed",
+            "repeat_of",
+            "status",
+        } <= set(group.attrs)
+        assert group.attrs["repeat_of"] == "0001"
+        assert file["tests/0001"].attrs["repeat_of"] == ""
+        assert group["signals/force"].attrs["units"] == "N"
+        assert group["signals/force"].attrs["long_name"]
+        assert group["signals/force"].dims[0][0].name == "/tests/0002/signals/time"
+
+
+def test_xarray_opens_it(path):
+    with xr.open_dataset(path, group="tests/0001/signals", engine="h5netcdf") as signals:
+        assert signals["force"].dims == ("time",)
+        assert signals["position"].attrs["units"] == "m"
+        np.testing.assert_allclose(signals["time"].values[:3], [0, 0.0005, 0.001])
+
+
+def test_a_session_is_never_overwritten(path, session):
+    before = path.read_bytes()
+    with pytest.raises(SessionFormatError, match="never overwritten"):
+        write_session(path, session)
+    assert path.read_bytes() == before
+
+
+def test_nothing_is_left_when_writing_fails(tmp_path, session, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_session(tmp_path / "session.h5", session)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_reads_back_differently_is_not_kept(tmp_path, session, monkeypatch):
+    damaged = replace(session, tests=(a_test(1, site="x"), a_test(3)))
+    monkeypatch.setattr("tissueid.sessions.file.read_session", lambda _: damaged)
+    with pytest.raises(SessionFormatError, match="reads back differently"):
+        write_session(tmp_path / "session.h5", session)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_leaves_out_the_preload(session):
+    record = session.test().record()
+    assert len(record) == 900 - 100
+    assert (record.input_unit, record.output_unit) == ("N", "m")
+    assert len(session.test(1).record(preload=True)) == 900
+
+
+def test_the_first_stochastic_test_is_the_default(session):
+    quiet = a_test(1, kind="quiet")
+    assert Session(session.instrument, tests=(quiet, a_test(2))).test().number == 2
+    assert Session(session.instrument, tests=(quiet,)).test().number == 1
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        (lambda s: s.test(9), "no test 9; it has 1, 2"),
+        (lambda s: replace(s, tests=()).test(), "holds no tests"),
+        (lambda s: s.test().record("torque"), "no signal 'torque'; it has: command, current"),
+        (lambda s: replace(s.test(), preload_s=9.0).record(), "ends within its preload"),
+    ],
+)
+def test_what_is_not_there_is_said(session, ask, words):
+    with pytest.raises(UnusableInputError, match=words):
+        ask(session)
+
+
+def spoil(path, how):
+    with h5py.File(path, "r+") as file:
+        how(file)
+
+
+def replace_dataset(name, **kwargs):
+    def how(file):
+        del file[name]
+        file.create_dataset(name, **kwargs)
+
+    return how
+
+
+def remove(*names):
+    def how(file):
+        for name in names:
+            del file[name]
+
+    return how
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        (lambda f: f.attrs.__delitem__("format"), "not a TissueID session"),
+        (lambda f: f.attrs.__setitem__("format", 7), "format is not text"),
+        (lambda f: f.attrs.__setitem__("format_version", "2.0"), "format version 2.0; this software reads 1.0"),
+        (remove("tests"), "the group tests is missing"),
+        (remove("instrument"), "the group instrument is missing"),
+        (remove("tests/0001/signals"), "tests/0001: the group signals is missing"),
+        (lambda f: f.move("tests/0001", "tests/first"), "tests/first: tests are numbered"),
+        (lambda f: f["tests/0001"].attrs.__delitem__("kind"), "attribute kind is missing"),
+        (lambda f: f["tests/0001"].attrs.__setitem__("sample_rate_hz", -1.0), "a sample rate of -1"),
+        (lambda f: f["tests/0001"].attrs.__setitem__("sample_rate_hz", "fast"), "sample_rate_hz is not a number"),
+        (replace_dataset("tests/0001/signals/force", data=np.zeros(7)), "900 samples where others have|7 samples"),
+        (replace_dataset("tests/0001/signals/force", data=np.zeros((900, 2))), "not a row of numbers"),
+        (replace_dataset("tests/0001/signals/force", data=np.array([b"a"] * 900)), "not a row of numbers"),
+        (replace_dataset("tests/0001/signals/force", shape=(10**12,), dtype="f4", chunks=(1000,)), "at most 200000000"),
+        (remove(*(f"tests/0001/signals/{n}" for n in ("command", "voltage", "current", "force"))), "one input"),
+        (lambda f: f.__setitem__("tests/0003", h5py.ExternalLink("other.h5", "/")), "0003 is a link"),
+        (lambda f: f.__setitem__("tests/0001/signals/x", h5py.SoftLink("/tests/0002")), "is a link"),
+    ],
+)
+def test_a_file_that_breaks_the_format_is_refused(path, how, words):
+    spoil(path, how)
+    with pytest.raises(SessionFormatError, match=words) as caught:
+        read_session(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_many_large_empty_signals_are_not_loaded(path):
+    def bomb(file):
+        for number in range(3, 60):
+            signals = file.create_group(f"tests/{number:04d}/signals")
+            signals.parent.attrs.update(kind="quiet", sample_rate_hz=2000.0)
+            for name in ("force", "position"):
+                signals.create_dataset(name, shape=(15_000_000,), dtype="f4", chunks=(10_000,), compression="gzip")
+
+    spoil(path, bomb)
+    with pytest.raises(SessionFormatError, match="at most"):
+        read_session(path)
+
+
+def test_data_outside_the_file_is_not_followed(path, tmp_path):
+    (tmp_path / "secret").write_bytes(bytes(8 * 900))
+
+    def how(file):
+        del file["tests/0001/signals/force"]
+        file["tests/0001/signals"].create_dataset("force", (900,), "f8", external=[(str(tmp_path / "secret"), 0, 7200)])
+
+    spoil(path, how)
+    with pytest.raises(SessionFormatError, match="points outside the file"):
+        read_session(path)
+
+
+def test_unknown_groups_and_attributes_are_passed_over(path, session):
+    def grow(file):
+        file.attrs["future"] = "yes"
+        file.create_group("tests/0001/signals/spectra")
+        file.create_group("calibrations")
+        file["tests/0001"].attrs["mood"] = "calm"
+
+    spoil(path, grow)
+    read = read_session(path)
+    assert len(read.tests) == len(session.tests)
+    assert read.tests[0].notes == {"mood": "calm"}
+
+
+@pytest.mark.parametrize("content", [b"", b"not hdf5 at all", b"\x89HDF\r\n\x1a\n" + bytes(100)])
+def test_rubbish_is_refused_in_one_line(tmp_path, content):
+    path = tmp_path / "rubbish.h5"
+    path.write_bytes(content)
+    with pytest.raises(SessionFormatError, match="damaged, or not an HDF5 session"):
+        read_session(path)
+
+
+def test_every_truncation_is_refused_or_whole(path, tmp_path):
+    whole = path.read_bytes()
+    for share in np.linspace(0.01, 0.99, 25):
+        cut = tmp_path / "cut.h5"
+        cut.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(SessionFormatError):
+            read_session(cut)
+
+
+def test_a_missing_file_and_a_folder(tmp_path):
+    with pytest.raises(SessionFormatError, match="no such file"):
+        read_session(tmp_path / "nothing.h5")
+    with pytest.raises(SessionFormatError, match="is a folder"):
+        read_session(tmp_path)
+
+
+@pytest.mark.skipif(not BLIND, reason="the independent rig's sessions are not beside the project")
+@pytest.mark.parametrize("path", BLIND, ids=lambda path: path.stem)
+def test_sessions_of_an_independent_rig_are_read(path):
+    session = read_session(path)
+    record = session.test().record()
+    assert len(record) >= 2000
+    assert session.test().kind == "stochastic"
+    assert session.instrument.model == "desktop indenter"

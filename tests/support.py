@@ -1,0 +1,65 @@
+"""What several tests need: a firmware on a loopback link with a clock of its own, so that nothing ever waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from firmware_sim.bench import Bench
+from firmware_sim.firmware import Firmware, Identity
+from tissueid.errors import LinkLostError
+from tissueid.instrument import SerialInstrument
+
+TICK_S = 0.01
+SAMPLES_PER_TICK = 20
+
+
+class LoopbackLink:
+    """A cable without a cable: reading moves the virtual clock on, and the firmware with it."""
+
+    def __init__(self, firmware: Firmware) -> None:
+        self.name = "loopback"
+        self.firmware = firmware
+        self.now = 0.0
+        self.plugged = True
+        self.closed = False
+        self.to_host: Callable[[bytes], bytes] = lambda data: data
+        self.to_device: Callable[[bytes], bytes] = lambda data: data
+
+    def clock(self) -> float:
+        return self.now
+
+    def tick(self) -> None:
+        self.now += TICK_S
+        self.firmware.advance(SAMPLES_PER_TICK, self.now)
+
+    def read(self, timeout_s: float) -> bytes:
+        deadline = self.now + timeout_s
+        while True:
+            if not self.plugged:
+                raise LinkLostError("the connection to loopback broke: unplugged")
+            self.tick()
+            data = b"" if self.now < self.firmware.stalled_until_s else self.to_host(self.firmware.transmit())
+            if data or self.now >= deadline:
+                return data
+
+    def write(self, data: bytes) -> None:
+        if not self.plugged:
+            raise LinkLostError("the connection to loopback broke: unplugged")
+        self.firmware.receive(self.to_device(data), self.now)
+
+    def close(self) -> None:
+        self.closed = True
+
+    def run_for(self, seconds: float) -> None:
+        """Let the device live on without a host."""
+        end = self.now + seconds
+        while self.now < end:
+            self.tick()
+
+
+def connect(
+    preset: str = "left-posterior-forearm", seed: int = 1, identity: Identity | None = None
+) -> SerialInstrument:
+    """A driver on a simulated firmware; its link is ``instrument._link``."""
+    link = LoopbackLink(Firmware(Bench(preset, seed=seed), identity, seed=seed))
+    return SerialInstrument(link, clock=link.clock)
