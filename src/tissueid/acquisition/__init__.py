@@ -1,0 +1,17 @@
+"""Running a test: the journal that survives a dead host, the guided procedure, recovery."""
+
+from tissueid.acquisition.guided import GuidedTest, Phase, Progress, play, run_guided_test
+from tissueid.acquisition.journal import JournalError, journal_path
+from tissueid.acquisition.recorder import SessionRecorder, recover
+
+__all__ = [
+    "GuidedTest",
+    "JournalError",
+    "Phase",
+    "Progress",
+    "SessionRecorder",
+    "journal_path",
+    "play",
+    "recover",
+    "run_guided_test",
+]

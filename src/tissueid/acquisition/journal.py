@@ -1,0 +1,204 @@
+"""The journal: an append-only file of checksummed entries that holds a sitting until its session is written.
+
+An HDF5 file that is open for writing is lost when its host dies at the wrong moment. A journal never is: whatever
+was cut off at its end fails its checksum, and all that stands before it is whole (docs/decisions/0003-journal.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import IO, Any
+
+from tissueid.errors import TissueIDError, UnusableInputError
+
+MAGIC = b"TIDJ\x01\r\n\x00"
+_ENTRY = struct.Struct("<BI")
+_CRC = struct.Struct("<I")
+MAX_ENTRY = 64 * 1024 * 1024
+SYNC_S = 1.0
+
+
+class JournalError(TissueIDError):
+    """The journal cannot be written: the disk is full, or failed. The test is stopped, what is synced is kept."""
+
+
+class Entry(IntEnum):
+    """What an entry holds: JSON, but for SAMPLES."""
+
+    SITTING = 1
+    TEST = 2
+    SAMPLES = 3
+    EVENT = 4
+    TEST_END = 5
+    CLOSED = 6
+
+
+def journal_path(session: Path) -> Path:
+    """Where the journal of a session lies: beside it."""
+    return session.with_name(session.name + ".journal")
+
+
+def encode_entry(kind: Entry, payload: bytes) -> bytes:
+    """One entry: kind, length, payload, CRC-32 of all three."""
+    body = _ENTRY.pack(kind, len(payload)) + payload
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def encode_json(kind: Entry, value: dict[str, Any]) -> bytes:
+    """An entry that holds JSON."""
+    return encode_entry(kind, json.dumps(value).encode())
+
+
+def read_entries(path: Path) -> Iterator[tuple[Entry, bytes]]:
+    """The whole entries of a journal, in order; stops without complaint where it was cut off or damaged.
+
+    Raises:
+        UnusableInputError: not a journal at all.
+    """
+    with path.open("rb") as file:
+        magic = file.read(len(MAGIC))
+        if not MAGIC.startswith(magic):
+            raise UnusableInputError(f"{path} is not a journal of this software")
+        while True:
+            head = file.read(_ENTRY.size)
+            if len(head) < _ENTRY.size:
+                return
+            kind, length = _ENTRY.unpack(head)
+            if length > MAX_ENTRY:
+                return
+            payload, crc = file.read(length), file.read(_CRC.size)
+            if len(crc) < _CRC.size or zlib.crc32(head + payload) != _CRC.unpack(crc)[0]:
+                return
+            with contextlib.suppress(ValueError):  # a kind that a newer version added
+                yield Entry(kind), payload
+
+
+@dataclass
+class _Flush:
+    """Asks the writing thread to sync what came before, and with ``last`` to end; then sets ``done``."""
+
+    last: bool = False
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+class Journal:
+    """A journal being written. A thread does the writing, so that a slow disk does not starve the heartbeat.
+
+    Raises:
+        JournalError: the file is there already, or cannot be made.
+    """
+
+    def __init__(self, path: Path, *, sync_s: float = SYNC_S) -> None:
+        self.path = path
+        self._sync_s = sync_s
+        try:
+            self._file: IO[bytes] = path.open("xb", buffering=0)
+        except FileExistsError as error:
+            raise JournalError(f"{path} is left from an unfinished session: run 'tissueid recover' first") from error
+        except OSError as error:
+            raise JournalError(f"cannot write {path}: {error.strerror}") from error
+        lock(self._file)
+        self._file.write(MAGIC)
+        self._queue: queue.SimpleQueue[bytes | _Flush] = queue.SimpleQueue()
+        self._error: OSError | None = None
+        self._appended = self._synced = 0
+        self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
+        self._thread.start()
+
+    def append(self, entry: bytes) -> int:
+        """Queue an entry; returns its number, to be compared with ``synced``.
+
+        Raises:
+            JournalError: an earlier write failed.
+        """
+        self.check()
+        self._appended += 1
+        self._queue.put(entry)
+        return self._appended
+
+    @property
+    def synced(self) -> int:
+        """How many entries are known to be on the disk."""
+        return self._synced
+
+    def check(self) -> None:
+        """Raise what the writing thread met, if anything."""
+        if self._error is not None:
+            reason = self._error.strerror or str(self._error)
+            raise JournalError(f"cannot write {self.path}: {reason}. What was recorded before is kept")
+
+    def sync(self) -> None:
+        """Wait until everything appended so far is on the disk."""
+        self._flush(_Flush())
+        self.check()
+
+    def close(self) -> None:
+        """Write what is queued, sync, and close. Errors are left for ``check``."""
+        if self._thread.is_alive():
+            self._flush(_Flush(last=True))
+            self._thread.join()
+
+    def _flush(self, request: _Flush) -> None:
+        self._queue.put(request)
+        request.done.wait()
+
+    def _write_all(self) -> None:
+        written = 0
+        sync_at: float | None = None
+        with self._file:
+            while True:
+                item = self._next(sync_at)
+                try:
+                    if self._error is None and isinstance(item, bytes):
+                        self._write(item)
+                        written += 1
+                        sync_at = sync_at or time.monotonic() + self._sync_s
+                    due = not isinstance(item, bytes) or (sync_at or 0.0) <= time.monotonic()
+                    if self._error is None and due:
+                        os.fsync(self._file.fileno())
+                        self._synced, sync_at = written, None
+                except OSError as error:
+                    self._error, sync_at = error, None
+                if isinstance(item, _Flush):
+                    item.done.set()
+                    if item.last:
+                        return
+
+    def _next(self, sync_at: float | None) -> bytes | _Flush | None:
+        """The next item, or None when it is time to sync."""
+        try:
+            return self._queue.get(timeout=None if sync_at is None else max(0.0, sync_at - time.monotonic()))
+        except queue.Empty:
+            return None
+
+    def _write(self, data: bytes) -> None:
+        view = memoryview(data)
+        while view:
+            view = view[self._file.write(view) :]
+
+
+def lock(file: IO[bytes]) -> None:
+    """Hold the file until it is closed, so that nobody recovers a journal that is being written.
+
+    Raises:
+        JournalError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows refuses to rename or delete an open file, which does the same
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise JournalError(f"{file.name} is being written by a test that still runs") from error
