@@ -10,11 +10,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from platformdirs import user_runtime_path
+from platformdirs import user_cache_path
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware, Identity
-from firmware_sim.local_values import local_values
 from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
@@ -58,6 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             serial_number=options.serial_number,
         )
         if options.local_values is not None:
+            from firmware_sim.local_values import local_values
+
             print(json.dumps(local_values(scenario.preset, options.local_values)))
             return 0
         return _serve(scenario, options.tcp)
@@ -96,7 +97,7 @@ def _serve(scenario: Scenario, tcp_port: int | None) -> int:
 
 def _announce(url: str, scenario: Scenario) -> Path:
     """Leave a note where the host's discovery looks, as a USB device would show up in the list of ports."""
-    folder = user_runtime_path("tissueid", appauthor=False) / "simulated"
+    folder = user_cache_path("tissueid", appauthor=False) / "simulated"
     folder.mkdir(parents=True, exist_ok=True)
     notice = folder / f"{os.getpid()}.json"
     note = {

@@ -194,6 +194,8 @@ class Firmware:
         self._send(MessageType.HELLO_ACK, head + table)
 
     def _obey(self, frame: Frame, now_s: float) -> tuple[Result, int]:
+        if self.state is State.FAULT and MessageType.STIMULUS_BEGIN <= frame.type <= MessageType.START:
+            return Result.FAULT_LATCHED, int(self.faults)
         match frame.type:
             case MessageType.STREAM:
                 request, _ = wire.unpack(wire.STREAM, frame.payload)
@@ -224,7 +226,7 @@ class Firmware:
     def _stimulus_begin(self, payload: bytes) -> tuple[Result, int]:
         request, _ = wire.unpack(wire.STIMULUS_BEGIN, payload)
         if self.state not in (State.IDLE, State.LOADED):
-            return (Result.FAULT_LATCHED if self.state is State.FAULT else Result.BAD_STATE), 0
+            return Result.BAD_STATE, 0
         if not 0 < request["samples"] <= STIMULUS_CAPACITY:
             return Result.TOO_LARGE, STIMULUS_CAPACITY
         self._stimulus = np.zeros(request["samples"], "<i2")
@@ -256,8 +258,6 @@ class Firmware:
 
     def _arm(self, payload: bytes, now_s: float) -> tuple[Result, int]:
         request, _ = wire.unpack(wire.ARM, payload)
-        if self.state is State.FAULT:
-            return Result.FAULT_LATCHED, int(self.faults)
         if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
             return Result.BAD_STATE, 0
         limits = [request[name] for name in ("max_force_n", "min_position_m", "max_position_m", "max_temperature_c")]
@@ -283,8 +283,6 @@ class Firmware:
 
     def _start(self, payload: bytes) -> tuple[Result, int]:
         request, _ = wire.unpack(wire.START, payload)
-        if self.state is State.FAULT:
-            return Result.FAULT_LATCHED, int(self.faults)
         if self.state is not State.ARMED or self._armed is None or request["token"] != self._armed.token:
             return Result.BAD_STATE, 0
         self._cursor = 0
@@ -436,13 +434,10 @@ class Firmware:
         self._outbox.append(encoded)
         self._outbox_bytes += len(encoded)
 
-    @property
-    def backlog_bytes(self) -> int:
-        """Bytes that wait to be sent."""
-        return self._outbox_bytes
-
-    def transmit(self) -> bytes:
+    def transmit(self, now_s: float) -> bytes:
         """Take everything that waits to be sent."""
+        if now_s < self.stalled_until_s:
+            return b""
         data = b"".join(self._outbox)
         self._outbox.clear()
         self._outbox_bytes = 0

@@ -38,7 +38,7 @@ class LoopbackLink:
             if not self.plugged:
                 raise LinkLostError("the connection to loopback broke: unplugged")
             self.tick()
-            data = b"" if self.now < self.firmware.stalled_until_s else self.to_host(self.firmware.transmit())
+            data = self.to_host(self.firmware.transmit(self.now))
             if data or self.now >= deadline:
                 return data
 

@@ -391,7 +391,7 @@ def test_what_arrived_before_a_mishap_is_delivered_first():
     link = instrument._link
     link.tick()
     link.tick()
-    on_the_way = [link.firmware.transmit()]
+    on_the_way = [link.firmware.transmit(link.now)]
     link.firmware.reboot()
     link.to_host = lambda data: (on_the_way.pop() if on_the_way else b"") + data
     received = 0

@@ -84,12 +84,12 @@ def test_urls_open_what_they_name():
         open_instrument("simulated://forearm?seed=x")
     with pytest.raises(InstrumentError, match="cannot open /dev/nothing-here"):
         open_instrument("/dev/nothing-here")
-    with pytest.raises(InstrumentError, match="cannot open socket://127.0.0.1:1"):
+    with pytest.raises(InstrumentError, match=r"cannot open socket://127.0.0.1:1"):
         open_instrument("socket://127.0.0.1:1")
 
 
 def test_discovery_asks_each_port_and_says_why_one_does_not_answer(tmp_path, monkeypatch):
-    monkeypatch.setattr(discovery, "user_runtime_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(discovery, "user_cache_path", lambda *_, **__: tmp_path)
     monkeypatch.setattr(discovery.list_ports, "comports", list)
     monkeypatch.setattr(discovery, "_alive", lambda pid: pid != 999)
     folder = tmp_path / "simulated"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from platformdirs import user_runtime_path
+from platformdirs import user_cache_path
 from serial.tools import list_ports
 
 from tissueid.errors import TissueIDError, UnusableInputError
@@ -72,7 +72,7 @@ def find_instruments(*, probe: bool = True, opener: Callable[[str], Instrument] 
 
 def _simulated_notes() -> list[dict[str, Any]]:
     """What running simulators left of themselves; notes of dead ones are passed over."""
-    folder = user_runtime_path("tissueid", appauthor=False) / "simulated"
+    folder = user_cache_path("tissueid", appauthor=False) / "simulated"
     notes = []
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
         try:

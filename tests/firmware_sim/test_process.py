@@ -1,0 +1,126 @@
+"""The simulated firmware as a process: a real pseudo-terminal or socket, a real clock, real mishaps."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from firmware_sim_process import firmware_process
+
+from tissueid.errors import FirmwareFaultError, LinkLostError
+from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
+
+CABLES = ["--pty", "--tcp=0"] if sys.platform != "win32" else ["--tcp=0"]
+
+
+def run_simulator(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "firmware_sim", *arguments], capture_output=True, text=True, check=False, timeout=60
+    )
+
+
+def stream(instrument, samples):
+    """Poll until ``samples`` have come; returns how many were lost."""
+    received = lost = 0
+    while received < samples:
+        block = instrument.poll(0.1)
+        received += block.size
+        lost += int(np.isnan(block["position"]).sum())
+    return lost
+
+
+@pytest.mark.parametrize("cable", CABLES)
+def test_a_minute_of_streaming_loses_nothing(cable):
+    with firmware_process(cable, "--speed", "20") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+        assert stream(instrument, 120_000) == 0
+        assert instrument.gaps == []
+        assert instrument.statistics.refused == 0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("cable", CABLES)
+def test_ten_minutes_of_streaming_lose_nothing(cable):
+    with firmware_process(cable) as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+        assert stream(instrument, 600 * 2000) == 0
+        assert instrument.statistics.refused == 0
+
+
+def start_run(instrument):
+    instrument.load(np.full(8000, 10.0))
+    instrument.arm(CLINICAL)
+    return instrument.start()
+
+
+@pytest.mark.parametrize("cable", CABLES)
+def test_a_killed_firmware_is_a_lost_link(cable):
+    with firmware_process(cable, "--speed", "2") as (url, process):
+        instrument = SerialInstrument(SerialLink(url))
+        start_run(instrument)
+        stream(instrument, 500)
+        process.kill()
+        with pytest.raises(LinkLostError):
+            stream(instrument, 100_000)
+        instrument.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "error", "words"),
+    [
+        ("reset", FirmwareFaultError, "restarted by itself"),
+        ("stall", LinkLostError, "went silent"),
+        ("unplug", LinkLostError, r"broke|went silent"),
+        ("button", FirmwareFaultError, "button was pressed"),
+    ],
+)
+def test_planned_faults_happen(tmp_path, kind, error, words):
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_text(f'speed = 4.0\n[[faults]]\nkind = "{kind}"\nafter_start_s = 0.5\n')
+    with firmware_process(CABLES[0], "--scenario", str(scenario)) as (url, _):
+        instrument = SerialInstrument(SerialLink(url))
+        start_run(instrument)
+        with pytest.raises(error, match=words):
+            stream(instrument, 100_000)
+        instrument.close()
+
+
+def test_one_host_after_another(tmp_path):
+    with firmware_process(CABLES[0], "--speed", "5") as (url, _):
+        for _ in range(2):
+            with SerialInstrument(SerialLink(url)) as instrument:
+                run = start_run(instrument)
+                assert stream(instrument, 2000) == 0
+                assert run.samples == 8000
+
+
+def test_the_plant_tells_its_own_values():
+    answer = run_simulator("--preset", "linear-demo", "--local-values", "0.012")
+    values = json.loads(answer.stdout)
+    assert answer.returncode == 0
+    assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= values.keys()
+
+
+def test_presets_are_listed():
+    assert "left-posterior-forearm" in run_simulator("--list").stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('preset = "moon"', "no preset 'moon'; there are: "),
+        ("speed = -1", "speed cannot be used"),
+        ("speed = nan", "speed cannot be used"),
+        ("colour = 3", "colour cannot be used"),
+        ('[[faults]]\nkind = "meteor"\nafter_start_s = 1', "faults.0.kind cannot be used"),
+        ("= broken", "cannot read the scenario"),
+        (None, "cannot read the scenario"),
+    ],
+)
+def test_a_bad_scenario_is_one_line_and_status_2(tmp_path, content, words):
+    path = tmp_path / "scenario.toml"
+    if content is not None:
+        path.write_text(content)
+    answer = run_simulator("--scenario", str(path))
+    assert answer.returncode == 2
+    assert words in answer.stderr
+    assert answer.stderr.count("\n") == 1
