@@ -16,9 +16,11 @@ import numpy as np
 from tissueid.acquisition import GuidedTest, SessionRecorder, recover, run_guided_test
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SimulatedInstrument
+from tissueid.stimuli.base import Stimulus
 
 WORD = struct.Struct("<qq")
 FORCE = 5.0 + np.sin(np.arange(6000) / 20.0)
+TEST = GuidedTest(Stimulus(FORCE, 2000.0, {"type": "sine"}, 0, 1.4, preload_s=0.5), "forearm")
 
 
 def host(path: Path, pipe: int) -> None:
@@ -28,7 +30,7 @@ def host(path: Path, pipe: int) -> None:
     def tell(_progress: object) -> None:
         os.write(pipe, WORD.pack(recorder.samples_appended, recorder.samples_acknowledged))
 
-    run_guided_test(instrument, GuidedTest(FORCE, 0.5, "forearm"), recorder, surface_m=0.01, progress=tell)
+    run_guided_test(instrument, TEST, recorder, surface_m=0.01, progress=tell)
     recorder.finish()
     os.write(pipe, WORD.pack(-1, -1))
 

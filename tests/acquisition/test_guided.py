@@ -18,6 +18,7 @@ from tissueid.errors import (
 )
 from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
+from tissueid.stimuli.base import Stimulus
 
 RATE = 2000.0
 
@@ -26,8 +27,8 @@ def guided(seconds=1.0, mean=4.0, swing=1.0, **changes):
     time = np.arange(round(seconds * RATE)) / RATE
     force = mean + swing * np.sin(2 * np.pi * 20 * time)
     preload = np.full(round(0.5 * RATE), mean)
-    values = dict(preload_s=0.5, site="left forearm", stimulus={"kind": "sine"}, seed=7)
-    return GuidedTest(np.concatenate((preload, force)), **(values | changes))
+    stimulus = Stimulus(np.concatenate((preload, force)), RATE, {"type": "sine"}, 7, 1.4, preload_s=0.5)
+    return GuidedTest(stimulus, "left forearm", **changes)
 
 
 @pytest.fixture(params=["firmware", "in process", "replay"])
@@ -56,7 +57,7 @@ def test_one_guided_test_from_start_to_file(instrument, tmp_path):
     assert test.samples == 3000
     assert not np.isnan(test.signals["position"]).any()
     # Motion brakes the force by back-EMF, so it follows the command without matching it.
-    assert np.corrcoef(test.signals["force"][1100:], guided().force_n[1100:])[0, 1] > 0.97
+    assert np.corrcoef(test.signals["force"][1100:], guided().stimulus.values[1100:])[0, 1] > 0.97
     assert test.surface_position_m == pytest.approx(0.010, abs=4e-4)
     order = list(dict.fromkeys(item.phase for item in phases))
     assert order[-3:] == [Phase.PRELOAD, Phase.STIMULUS, Phase.RELEASE]

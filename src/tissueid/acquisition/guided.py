@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.recorder import SessionRecorder
-from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run
+from tissueid.stimuli.base import Stimulus, to_voltage
 
 POLL_S = 0.05
 CONTACT_FORCES_N = (0.10, 0.05)
@@ -45,17 +44,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class GuidedTest:
-    """One test to be run.
+    """One test to be run: the stimulus with its preload, where, and how far it may go."""
 
-    ``force_n``, shape (n,), N at the device's sample rate, holds the preload (its first ``preload_s`` seconds)
-    and the stimulus; ``stimulus`` describes it well enough to make it again.
-    """
-
-    force_n: NDArray[np.float64]
-    preload_s: float
+    stimulus: Stimulus
     site: str
-    stimulus: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
     kind: str = "stochastic"
     configuration: str = "indentation"
     limits: Limits = CLINICAL
@@ -149,11 +141,6 @@ def find_surface(
     return surface
 
 
-def command_for(force_n: NDArray[np.float64], device: DeviceDescription) -> NDArray[np.float64]:
-    """Volts that would hold each force at standstill, shape (n,)."""
-    return force_n * device.voltage_for_force(1.0)
-
-
 def run_guided_test(
     instrument: Instrument,
     test: GuidedTest,
@@ -172,6 +159,11 @@ def run_guided_test(
         CancelledError, LimitError, InstrumentError, JournalError, UnusableInputError.
     """
     device = instrument.device
+    if test.stimulus.sample_rate_hz != device.sample_rate_hz:
+        raise UnusableInputError(
+            f"the stimulus has {test.stimulus.sample_rate_hz:g} samples a second, "
+            f"the instrument {device.sample_rate_hz:g}"
+        )
     if surface_m is None:
         surface_m = find_surface(instrument, test.limits, progress=progress, cancelled=cancelled)
     number = 0
@@ -185,16 +177,16 @@ def run_guided_test(
             configuration=test.configuration,
             site=test.site,
             sample_rate_hz=device.sample_rate_hz,
-            preload_s=test.preload_s,
+            preload_s=test.stimulus.preload_s,
             surface_position_m=surface_m,
-            stimulus=test.stimulus,
-            seed=test.seed,
+            stimulus=test.stimulus.description,
+            seed=test.stimulus.seed,
             repeat_of=test.repeat_of,
         )
 
     def take(samples: NDArray[np.void], fraction: float) -> None:
         recorder.add(samples)
-        preload = fraction * test.force_n.size < test.preload_s * device.sample_rate_hz
+        preload = fraction * test.stimulus.seconds < test.stimulus.preload_s
         progress(Progress(Phase.PRELOAD if preload else Phase.STIMULUS, fraction, samples))
 
     def close(status: str, **notes: str) -> None:
@@ -202,7 +194,7 @@ def run_guided_test(
             recorder.event("gap", first_index=gap.first_index, count=gap.count)
         recorder.end_test(status, **notes)
 
-    command = command_for(test.force_n, device)
+    command = to_voltage(test.stimulus.values, device)
     try:
         play(instrument, command, test.limits, started=started, on_samples=take, cancelled=cancelled)
     except (TissueIDError, KeyboardInterrupt) as error:

@@ -106,6 +106,17 @@ class SessionRecorder:
         self._journal.path.unlink()
         return session
 
+    def finish_or_discard(self) -> Session | None:
+        """After a failure: keep what was recorded as a session, or leave nothing when there is nothing.
+
+        Where even that fails, the journal stays for ``tissueid recover``.
+        """
+        if self.samples_appended:
+            return self.finish()
+        self._journal.close()
+        self._journal.path.unlink()
+        return None
+
     def abandon(self) -> None:
         """Close without a session; the journal stays for ``tissueid recover``."""
         self._journal.close()
