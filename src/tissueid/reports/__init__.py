@@ -1,0 +1,6 @@
+"""Reports: figures, and one self-contained HTML page for a session (docs/report.md)."""
+
+from tissueid.reports.html import report_html, write_report
+from tissueid.reports.tables import Comparison, ComparisonRow
+
+__all__ = ["Comparison", "ComparisonRow", "report_html", "write_report"]

@@ -1,0 +1,97 @@
+"""The report: one self-contained HTML page, without scripts and without anything to fetch."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from tissueid.analysis import Analysis
+from tissueid.errors import UnusableInputError
+from tissueid.reports.page import test_page
+from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
+from tissueid.wording import clean
+from tissueid.sessions import Session
+
+RESEARCH_LINE = "Research use only. Not a medical device; not for diagnosis or treatment."
+
+
+def report_html(
+    session: Session,
+    analyses: Mapping[int, Mapping[str, Analysis]],
+    *,
+    comparison: Comparison | None = None,
+    title: str | None = None,
+) -> str:
+    """The report as HTML text.
+
+    Args:
+        session: the sitting.
+        analyses: test number, then engine name. The first test is the main one; the others get a shorter section.
+        comparison: what a small-amplitude test found against a plant that knows its own values.
+        title: heading of the page; the site of the main test by default.
+
+    Raises:
+        UnusableInputError: nothing was analysed, or the session lacks one of the tests.
+    """
+    tests = [(number, engines) for number, engines in analyses.items() if engines]
+    if not tests:
+        raise UnusableInputError("there is nothing to report: no test was analysed")
+    pages = [test_page(session, number, engines, full=place == 0) for place, (number, engines) in enumerate(tests)]
+    number, engines = tests[0]
+    main = session.test(number)
+    return _template().render(
+        title=title or (main.site[:1].upper() + main.site[1:]) or "Tissue measurement",
+        research_line=RESEARCH_LINE,
+        session=session,
+        date=readable_date(session.created),
+        main=pages[0],
+        others=pages[1:],
+        comparison=None if comparison is None else comparison_table(comparison),
+        settings=settings_tables(session, main, engines),
+    )
+
+
+def write_report(
+    path: Path,
+    session: Session,
+    analyses: Mapping[int, Mapping[str, Analysis]],
+    *,
+    comparison: Comparison | None = None,
+    title: str | None = None,
+) -> None:
+    """Write the report so that ``path`` is whole or untouched; arguments and errors as :func:`report_html`.
+
+    Raises:
+        OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
+    """
+    page = report_html(session, analyses, comparison=comparison, title=title)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.write_text(page, encoding="utf-8", newline="\n")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("tissueid.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_without_control_characters,
+    )
+    environment.filters["svg"] = Markup
+    return environment.get_template("report.html.j2")
+
+
+def _without_control_characters(value: Any) -> Any:
+    return clean(value) if type(value) is str else value

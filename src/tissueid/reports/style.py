@@ -1,0 +1,187 @@
+"""How figures look, and how they become SVG that lives inside a page."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+from matplotlib import style as matplotlib_style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from tissueid.wording import clean, superscript
+
+INK = "#24292f"
+MUTED = "#6e7781"
+GRID = "#e3e6e9"
+SHADE = "#f0f1f3"
+PAPER = "#ffffff"
+BLUE = "#0067b3"
+ORANGE = "#c95100"
+GREEN = "#00785a"
+LOST = "#b3005e"
+
+SERIES = (BLUE, ORANGE, GREEN, "#7a4fa3")
+"""Engines in their order of appearance. They differ in lightness too, and each has a line style of its own."""
+POINTS = ("#4a94cf", "#dd7a33", "#2fa583", "#9a74c4")
+"""The same hues for rasterised points, of middling lightness: a raster does not follow the page from light to dark."""
+DASHES = ("-", (0, (5, 1.6)), (0, (1.4, 1.4)), (0, (6, 1.5, 1.2, 1.5)))
+
+FULL_WIDTH = 9.2
+HALF_WIDTH = 4.6
+"""Inches; a page shows about 100 pixels to the inch, so a 9-point letter is 12 pixels high."""
+
+_CSS_COLOURS = {
+    INK: "var(--fig-ink)",
+    MUTED: "var(--fig-muted)",
+    GRID: "var(--fig-grid)",
+    SHADE: "var(--fig-shade)",
+    PAPER: "var(--fig-paper)",
+    LOST: "var(--fig-lost)",
+    **{colour: f"var(--fig-series-{number})" for number, colour in enumerate(SERIES, 1)},
+}
+
+_STYLE: dict[str, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.8,
+    "axes.facecolor": PAPER,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlecolor": INK,
+    "axes.formatter.useoffset": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "text.color": INK,
+    "text.parse_math": False,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.handlelength": 2.4,
+    "figure.facecolor": PAPER,
+    "figure.constrained_layout.use": True,
+    "savefig.facecolor": "auto",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tissueid",
+    "path.simplify_threshold": 0.2,
+}
+
+_LOCK = threading.RLock()
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+@contextmanager
+def _house_style() -> Iterator[None]:
+    """Matplotlib's defaults and the house style, whatever the user's own settings; put back afterwards."""
+    with _LOCK, matplotlib_style.context(_STYLE, after_reset=True):
+        yield
+
+
+def drawing(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Draw in the house style: decorates the functions that make figures."""
+
+    @wraps(function)
+    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        with _house_style():
+            return function(*args, **kwargs)
+
+    return drawn
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of a size in inches that belongs to no window and no global list."""
+    return Figure(figsize=(width, height), dpi=100)
+
+
+# -- axes -----------------------------------------------------------------------------------------------------
+
+
+def frequency_axis(axes: Axes, low: float, high: float) -> None:
+    """A logarithmic frequency axis, Hz, with ticks at 1, 2 and 5."""
+    axes.set_xscale("log")
+    axes.set_xlim(low, high)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.set_xlabel("Frequency (Hz)")
+
+
+def log_axis(axes: Axes) -> None:
+    """A logarithmic vertical axis: plain numbers when it spans little, powers of ten when it spans much."""
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    few = high / low < 1e3
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power_label(value, plain=few)))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(NullLocator())
+
+
+def _power_label(value: float, *, plain: bool) -> str:
+    if value <= 0.0:
+        return ""
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    if plain and -4 <= exponent < 5:
+        return f"{value:g}"
+    mantissa = round(value / 10.0**exponent)
+    times = "" if mantissa == 1 else f"{mantissa}·"
+    return f"{times}10{superscript(exponent)}"
+
+
+# -- pages ----------------------------------------------------------------------------------------------------
+
+_CLUTTER = re.compile(r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>", re.DOTALL)
+_OPENING = re.compile(r'<svg [^>]*?viewBox="([^"]+)"[^>]*>')
+_REFERENCE = re.compile(r'(?:url\(|href=")#([\w.-]+)')
+_IDENTITY = re.compile(r' id="([\w.-]+)"')
+_LONG_NUMBER = re.compile(r"(-?\d+\.\d{2})\d+")
+_COORDINATES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
+_FONT = re.compile(r"font(?:-family)?: ?([\d.]+px )?'DejaVu Sans'[^;\"]*")
+
+
+def to_svg(figure: Figure, key: str, alt: str) -> str:
+    """The figure as an SVG element for an HTML page.
+
+    Identifiers start with ``key``, so that several figures share a page. Colours become CSS variables
+    (``--fig-ink`` and so on) and text stays text in the page's own letters. ``alt`` is what a screen reader says.
+    """
+    buffer = io.StringIO()
+    with _house_style(), warnings.catch_warnings():
+        # Letters that Matplotlib's own font lacks are drawn by the reader's browser, which has them.
+        warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
+        figure.savefig(buffer, format="svg", dpi=144, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = _CLUTTER.sub("", text[text.index("<svg") :])
+    text = _COORDINATES.sub(lambda found: _LONG_NUMBER.sub(r"\1", found.group()), text)
+    text = _FONT.sub(lambda found: f"font-size: {found.group(1).strip()}" if found.group(1) else "", text)
+    for colour, variable in _CSS_COLOURS.items():
+        text = text.replace(colour, variable)
+    used = set(_REFERENCE.findall(text))
+    text = _IDENTITY.sub(lambda found: f' id="{key}-{found.group(1)}"' if found.group(1) in used else "", text)
+    text = _REFERENCE.sub(lambda found: found.group().replace("#", f"#{key}-"), text)
+    label = f'role="img" aria-label="{html.escape(clean(alt))}"'
+    return _OPENING.sub(lambda found: f'<svg viewBox="{found.group(1)}" {label}>', text, count=1).strip()

@@ -1,0 +1,248 @@
+"""Tables of a report: parameters, scores, settings. Cells are text; nothing here knows HTML."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from tissueid import __version__
+from tissueid.analysis import Analysis
+from tissueid.device import DeviceDescription
+from tissueid.records import Estimate
+from tissueid.reports.signal_figures import lost_samples
+from tissueid.wording import (
+    MISSING,
+    axis_label,
+    engine_label,
+    fixed,
+    grouped,
+    named_unit,
+    named_value,
+    number,
+    people_unit,
+    plain_text,
+    plus_minus,
+    with_unit,
+)
+from tissueid.sessions import Session, Test
+
+Row = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: the first cell of a row is its header. ``head`` is empty for a list of names and values."""
+
+    caption: str
+    head: Row
+    rows: tuple[Row, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ComparisonRow:
+    """One quantity, SI: what a small-amplitude test found, what the plant has, what the large test averages to.
+
+    ``quantity`` is a parameter's name, such as ``mass_kg``, or a word.
+    """
+
+    quantity: str
+    unit: str
+    small: Estimate
+    truth: float
+    large: Estimate
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A small-amplitude test about ``position_m`` on the actuator, held against a plant that knows its own values."""
+
+    position_m: float
+    rows: tuple[ComparisonRow, ...]
+
+
+def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
+    """Every parameter of every engine with its standard deviation; None when no engine has any."""
+    names = list(dict.fromkeys(name for a in analyses.values() for name in a.model.report.parameters))
+    if not names:
+        return None
+    rows = []
+    for name in names:
+        label, si_unit = named_unit(name)
+        unit, scale = people_unit(si_unit)
+        cells = [
+            plus_minus(a.model.report.parameters[name], scale) if name in a.model.report.parameters else MISSING
+            for a in analyses.values()
+        ]
+        rows.append((label, unit, *cells))
+    return Table(
+        "Parameters",
+        ("Quantity", "Unit", *map(engine_label, analyses)),
+        tuple(rows),
+        "± is one standard deviation; a value without it has no estimate of its uncertainty.",
+    )
+
+
+def score_table(analyses: Mapping[str, Analysis]) -> Table:
+    """How well each engine does, in sample and held out, and at what cost."""
+    reports = [(name, a.model.report) for name, a in analyses.items()]
+    scheduled = any(report.vaf_scheduled_percent is not None for _, report in reports)
+    head = ["Engine", "VAF, fitted (%)", "VAF, held out (%)"]
+    head += ["VAF, held out, scheduled (%)"] if scheduled else []
+    head += ["AICc", "Parameters", "Samples fitted", "Seconds"]
+    rows = []
+    for name, report in reports:
+        cells = [engine_label(name), fixed(report.vaf_percent, 2), fixed(report.vaf_validation_percent, 2)]
+        cells += [fixed(report.vaf_scheduled_percent, 2)] if scheduled else []
+        cells += [grouped(report.aicc), grouped(report.n_parameters), grouped(report.n_samples)]
+        rows.append((*cells, fixed(report.seconds, 3)))
+    held_out = next((a.validated_on for a in analyses.values()), "")
+    return Table(
+        "Model scores",
+        tuple(head),
+        tuple(rows),
+        f"Held out: {held_out}. VAF is the variance accounted for by a simulation that sees the input alone. Among "
+        "models fitted to the same samples the lowest AICc is the best.",
+    )
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """The rows of a comparison with their errors."""
+    rows = []
+    for row in comparison.rows:
+        unit, scale = people_unit(row.unit)
+        error = row.small.value - row.truth
+        relative = 100.0 * error / row.truth if row.truth else None
+        deviations = error / row.small.std if row.small.std else None
+        cells = (
+            plus_minus(row.small, scale),
+            number(scale * row.truth),
+            with_sign(relative, 1),
+            with_sign(deviations, 1),
+        )
+        rows.append((axis_label(row.quantity, unit), *cells, plus_minus(row.large, scale)))
+    return Table(
+        f"Small-amplitude test about {number(1e3 * comparison.position_m)} mm on the actuator",
+        ("Quantity", "Small-amplitude estimate", "Plant’s own value", "Error (%)", "Error (deviations)", "Large test"),
+        tuple(rows),
+        "An error within two deviations is what the stated uncertainty allows. The large test averages over all the "
+        "depths that it visits, so it differs from the value at one depth.",
+    )
+
+
+def with_sign(value: float | None, decimals: int) -> str:
+    """A number with its sign always shown."""
+    text = fixed(value, decimals)
+    return text if text == MISSING or text.startswith("−") else f"+{text}"
+
+
+# -- what was done with which settings -------------------------------------------------------------------------
+
+
+def readable_date(created: str) -> str:
+    """An ISO date as people write it, or the text as it stands."""
+    try:
+        moment = datetime.fromisoformat(created)
+    except ValueError:
+        return created or "date not recorded"
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
+
+
+def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> tuple[Table, ...]:
+    """Everything that it takes to make the test and its analysis again."""
+    sitting: list[Row] = [
+        ("Session", session.session_id or MISSING),
+        ("Recorded", readable_date(session.created)),
+        ("Recorded with", session.software or MISSING),
+        ("Analysed with", f"tissueid {__version__}"),
+        ("Subject", session.subject.pseudonym or MISSING),
+        *(named_value(name, value) for name, value in session.subject.demographics.items()),
+    ]
+    tables = [
+        Table("Session", (), tuple(sitting)),
+        Table("Test", (), _test_rows(test)),
+        Table("Stimulus", (), _named_rows(test.stimulus, "The session does not describe the stimulus.")),
+        Table("Instrument", (), _instrument_rows(session.instrument)),
+        Table(
+            "Calibration in force",
+            (),
+            _named_rows(_readable_dates(session.instrument.calibration), "None recorded: nominal figures were used."),
+        ),
+    ]
+    for name, analysis in analyses.items():
+        report = analysis.model.report
+        rows: list[Row] = [("Held out", analysis.validated_on)]
+        rows += [named_value(option, value) for option, value in report.options.items()]
+        rows += [named_value(detail, value) for detail, value in report.details.items()]
+        tables.append(Table(f"Engine: {engine_label(name)}", (), tuple(rows)))
+    return tuple(tables)
+
+
+def _readable_dates(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: readable_date(str(value)) if name == "date" else value for name, value in settings.items()}
+
+
+def _named_rows(settings: Mapping[str, Any], otherwise: str) -> tuple[Row, ...]:
+    rows: dict[str, str] = {}
+    _flatten(settings, rows, "")
+    return tuple(rows.items()) or (("Settings", otherwise),)
+
+
+def _flatten(settings: Mapping[str, Any], rows: dict[str, str], parent: str) -> None:
+    """Settings inside settings, as far as two levels down, get rows of their own; a name used twice is told apart."""
+    for name, value in settings.items():
+        if isinstance(value, dict) and value and parent.count(":") < 2:
+            _flatten(value, rows, f"{parent}{named_unit(str(name))[0]}: ")
+            continue
+        label, text = named_value(str(name), value)
+        rows[f"{parent}{label[:1].lower()}{label[1:]}" if label in rows else label] = text
+
+
+def _instrument_rows(device: DeviceDescription) -> tuple[Row, ...]:
+    rows = []
+    for item in fields(device):
+        value = getattr(device, item.name)
+        if item.name != "calibration" and value != "":
+            rows.append(named_value(item.name, value))
+    return tuple(rows)
+
+
+def _test_rows(test: Test) -> tuple[Row, ...]:
+    lost = int(lost_samples(test).sum())
+    force = test.signals.get("force", np.zeros(0))
+    force = force[np.isfinite(force)]
+    surface = test.surface_position_m
+    rows: list[Row] = [
+        ("Number", str(test.number)),
+        ("Kind", plain_text(test.kind).replace("_", " ")),
+        ("Configuration", plain_text(test.configuration)),
+        ("Site", plain_text(test.site)),
+        ("Status", test.status),
+        ("Sample rate", with_unit(number(test.sample_rate_hz), "Hz")),
+        ("Length", f"{number(test.samples / test.sample_rate_hz)} s, {test.samples} samples"),
+        ("Preload", with_unit(number(test.preload_s), "s") if test.preload_s else "none"),
+        ("Surface of the tissue", with_unit(fixed(1e3 * surface, 2), "mm") if np.isfinite(surface) else "not recorded"),
+        ("Seed of the stimulus", str(test.seed)),
+        ("Repeats the command of", "no other test" if test.repeat_of is None else f"test {test.repeat_of}"),
+    ]
+    if force.size:
+        rows.append(("Force reached", f"{fixed(float(force.min()), 1)} to {fixed(float(force.max()), 1)} N"))
+    rows.append(("Samples not received", f"{lost} ({100 * lost / test.samples:.2f} %)" if lost else "none"))
+    rows += [named_value(name, value) for name, value in test.notes.items() if name not in ("events", "samples_lost")]
+    rows.append(("Events", "; ".join(_events(test.notes.get("events", ""))) or "none"))
+    return tuple(rows)
+
+
+def _events(recorded: str | float) -> Sequence[str]:
+    """Events as lines; the note holds a JSON list, or whatever somebody wrote there."""
+    try:
+        events = json.loads(str(recorded)) if recorded else []
+    except (ValueError, RecursionError):
+        return (str(recorded),)
+    return [plain_text(event) for event in events] if isinstance(events, list) else (plain_text(events),)

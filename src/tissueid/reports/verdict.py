@@ -1,0 +1,192 @@
+"""What a report says first: whether the measurement can be used, and the numbers that matter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tissueid.analysis import Analysis
+from tissueid.identification.engines.wiener import WienerModel
+from tissueid.reports.signal_figures import lost_samples
+from tissueid.wording import (
+    engine_label,
+    estimate,
+    fixed,
+    named_unit,
+    people_unit,
+)
+from tissueid.sessions import Test
+
+Level = Literal["good", "check", "poor"]
+
+EXPECTED_VAF_PERCENT = 70.0
+"""The least that skin gives in a sound test (Chen 2010, Table 2.1: 70 to 95 %)."""
+POOR_VAF_PERCENT = 50.0
+LARGE_UNCERTAINTY = 0.10
+"""Standard deviation over value beyond which mass, damping or stiffness is called uncertain."""
+UNSTEADY_POINTS = 10.0
+"""Points of VAF by which fitted and held-out parts may differ before the test is called unsteady."""
+LOST_SHARE = 0.01
+
+_SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
+_HEADLINES: dict[Level, str] = {
+    "good": "Good measurement",
+    "check": "Look closer before use",
+    "poor": "Do not rely on this measurement",
+}
+_LINEAR_FIRST = ("lms", "spectral")
+_KEY_PARAMETERS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain", "natural_frequency_rad_per_s")
+
+
+_Doubt = tuple[Level, str]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a test can be used, and why not; a good one has remarks at most."""
+
+    level: Level
+    headline: str
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class KeyNumber:
+    """One number of the verdict box, ready to be shown. ``std`` is "" where there is none."""
+
+    label: str
+    value: str
+    std: str
+    unit: str
+    note: str
+
+
+def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
+    """Judge a test by facts: how it ended, what was lost, how models do on data that they have not seen."""
+    doubts = _doubts(test, analyses)
+    level: Level = max((level for level, _ in doubts), key=_SEVERITY.index, default="good")
+    return Verdict(level, _HEADLINES[level], tuple(reason for _, reason in doubts))
+
+
+def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
+    """Remarks on a test, each with the best verdict that it leaves possible."""
+    found: list[_Doubt] = []
+    if test.status == "aborted":
+        found.append(("check", "The test was ended early; only what was recorded until then is analysed."))
+    if test.status == "recovered":
+        found.append(("check", "The test was recovered after its recording was interrupted."))
+    lost = int(lost_samples(test).sum())
+    if lost > LOST_SHARE * test.samples:
+        share = f"{100 * lost / test.samples:.1f} %"
+        found.append(("check", f"{lost} of {test.samples} samples ({share}) were not received."))
+    found += _poorly_explained(analyses)
+    found += _uncertain(analyses)
+    warned = [name for name, a in analyses.items() if a.model.report.warnings]
+    if warned:
+        level: Level = "check" if (linear_engine(analyses) or warned[0]) in warned else "good"
+        found.append((level, f"Warnings from {', '.join(map(engine_label, warned))}: see the list of warnings."))
+    return found
+
+
+def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
+    """What the best model on unseen data says of the test."""
+    scores = {
+        name: score
+        for name, a in analyses.items()
+        if (score := a.model.report.vaf_validation_percent) is not None and np.isfinite(score)
+    }
+    if not scores:
+        return [("poor", "No model could be tried on data that it had not seen.")]
+    name = max(scores, key=lambda engine: scores[engine])
+    unseen, seen = scores[name], analyses[name].model.report.vaf_percent
+    found: list[_Doubt] = []
+    if unseen < POOR_VAF_PERCENT:
+        found.append(("poor", f"No model accounts for more than {fixed(unseen, 0)} % of motion that it had not seen."))
+    elif unseen < EXPECTED_VAF_PERCENT:
+        usual = "skin usually gives 70 to 95 %"
+        found.append(("check", f"The best model accounts for {fixed(unseen, 0)} % of unseen motion; {usual}."))
+    both = f"({engine_label(name)}: {fixed(seen, 0)} % of the fitted motion, {fixed(unseen, 0)} % of the unseen)"
+    if unseen - seen > UNSTEADY_POINTS:
+        found.append(("check", f"The fitted part is harder to explain than the held-out part, as under drift {both}."))
+    if seen - unseen > UNSTEADY_POINTS:
+        found.append(("check", f"The models do worse on unseen motion than on what they were fitted to {both}."))
+    return found
+
+
+def _uncertain(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
+    name = linear_engine(analyses)
+    if name is None:
+        return []
+    wide = []
+    for parameter in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"):
+        found = analyses[name].model.report.parameters.get(parameter)
+        if found is not None and (found.std is None or found.std > LARGE_UNCERTAINTY * abs(found.value)):
+            wide.append(named_unit(parameter)[0].lower())
+    if not wide:
+        return []
+    return [("check", f"Uncertain by more than {100 * LARGE_UNCERTAINTY:.0f} %: {', '.join(wide)}.")]
+
+
+def linear_engine(analyses: Mapping[str, Analysis]) -> str | None:
+    """The engine whose second-order parameters lead the report: LMS, or else the first linear one that has any."""
+    ordered = [name for name in _LINEAR_FIRST if name in analyses] + list(analyses)
+    for name in ordered:
+        if analyses[name].model.report.parameters and not isinstance(analyses[name].model, WienerModel):
+            return name
+    return None
+
+
+def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
+    """Mass, damping and stiffness of the linear fit, and the scores of the linear and the Wiener model."""
+    numbers: list[KeyNumber] = []
+    linear = linear_engine(analyses)
+    wiener = next((name for name, a in analyses.items() if isinstance(a.model, WienerModel)), None)
+    source = linear or wiener
+    if source is not None:
+        parameters = analyses[source].model.report.parameters
+        ratio = parameters.get("damping_ratio")
+        for name in _KEY_PARAMETERS:
+            if name not in parameters:
+                continue
+            label, si_unit = named_unit(name)
+            unit, scale = people_unit(si_unit)
+            value, std, power = estimate(parameters[name], scale)
+            note = "" if std else "without an estimate of its uncertainty"
+            if name == "natural_frequency_rad_per_s" and ratio is not None:
+                note = f"damping ratio {fixed(ratio.value, 2)}"
+            numbers.append(KeyNumber(label, value, std, f"{power} {unit}".strip(), note))
+    for engine, label in ((linear, "Linear model"), (wiener, "Wiener model")):
+        if engine is None:
+            continue
+        report = analyses[engine].model.report
+        numbers.append(
+            KeyNumber(
+                f"{label}: unseen motion explained",
+                fixed(report.vaf_validation_percent, 1),
+                "",
+                "%" if report.vaf_validation_percent is not None else "",
+                f"{fixed(report.vaf_percent, 1)} % of the fitted motion",
+            )
+        )
+    return tuple(numbers)
+
+
+def visited(analyses: Mapping[str, Analysis], surface_position_m: float) -> str:
+    """Over which output range the numbers are averages, as a sentence; empty when nobody knows."""
+    analysis = next(iter(analyses.values()), None)
+    if analysis is None:
+        return ""
+    output = analysis.record.output[analysis.fit_part]
+    output = output[np.isfinite(output)]
+    if output.size == 0:
+        return ""
+    unit, scale = people_unit(analysis.record.output_unit)
+    low, high = (float(scale * np.quantile(output, q)) for q in (0.005, 0.995))
+    text = f"Averages over {fixed(low, 1)} to {fixed(high, 1)} {unit} of {analysis.record.output_name}"
+    if np.isfinite(surface_position_m) and analysis.record.output_name == "position":
+        surface = scale * surface_position_m
+        text += f", which is {fixed(low - surface, 1)} to {fixed(high - surface, 1)} {unit} below the surface"
+    return f"{text}."

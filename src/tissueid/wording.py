@@ -1,0 +1,231 @@
+"""Numbers, names and units as people read them. Everywhere else is SI."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tissueid.records import Estimate
+
+MISSING = "—"
+"""What stands where there is no number."""
+
+_LARGEST_INTEGER = 10**15
+_MOST_ITEMS = 12
+_LONGEST_TEXT = 1000
+_LONGEST_LABEL = 40
+_DEEPEST = 4
+
+_UNITS = {
+    "m": ("mm", 1e3),
+    "kg": ("g", 1e3),
+    "H": ("mH", 1e3),
+    "A": ("A", 1.0),
+    "degC": ("°C", 1.0),
+    "ohm": ("Ω", 1.0),
+    "m s-2": ("m/s²", 1.0),
+    "rad/s": ("Hz", 0.5 / math.pi),
+    "rad": ("°", 180.0 / math.pi),
+    "N s/m": ("N·s/m", 1.0),
+    "1": ("", 1.0),
+}
+"""SI unit: what people read, and how much of it one SI unit is. A unit that is not here is shown as it is."""
+
+_SUFFIXES = {
+    "n_s_per_m": "N s/m",
+    "n_per_m": "N/m",
+    "n_per_a": "N/A",
+    "m_per_s": "m/s",
+    "rad_per_s": "rad/s",
+    "per_n": "1/N",
+    "per_m": "1/m",
+    "percent": "%",
+    "years": "years",
+    "kg": "kg",
+    "hz": "Hz",
+    "ohm": "ohm",
+    "rad": "rad",
+    "s2": "s²",
+    "m": "m",
+    "n": "N",
+    "v": "V",
+    "a": "A",
+    "h": "H",
+    "s": "s",
+    "c": "degC",
+}
+"""Ends of names, longest first, and the SI unit that they carry."""
+
+_ASSUMED_UNITS = {"memory": "s", "window": "s", "seconds": "s", "sample_rate": "Hz"}
+"""SI units of names that do not carry theirs."""
+
+_LABELS = {
+    "natural_frequency_rad_per_s": "Natural frequency",
+    "c1_m": "Nonlinear constant C₁",
+    "c2_per_n": "Nonlinear constant C₂",
+    "c3_n": "Load beyond the measured one, C₃",
+    "c1": "C₁",
+    "c2": "C₂",
+    "c3": "C₃",
+    "seconds": "Length",
+    "vaf_linear_percent": "VAF of the linear stage alone",
+    "vaf_parametric_percent": "VAF of the second-order model",
+}
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_ACRONYMS = frozenset({"lms", "rls", "als", "dpn"})
+
+
+def engine_label(name: str) -> str:
+    """An engine's name as people write it."""
+    return name.upper() if name in _ACRONYMS else name[:1].upper() + name[1:]
+
+
+def people_unit(si_unit: str) -> tuple[str, float]:
+    """The unit that people read for an SI unit, and how many of it make one SI unit."""
+    return _UNITS.get(si_unit, (si_unit, 1.0))
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A number and its unit; the percent sign and the degree too stand apart, as SI has it."""
+    return f"{text} {unit}" if unit else text
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number to so many significant digits, never in the form 1e-05; a dash for what is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0.0:
+        return "0"
+    mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+    exponent = int(power)
+    if not -4 <= exponent < 7:
+        return f"{_signed(_trimmed(mantissa))} × 10{superscript(exponent)}"
+    decimals = digits - 1 - exponent
+    return _signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}"))
+
+
+def superscript(exponent: int) -> str:
+    """An exponent in raised digits."""
+    return str(exponent).translate(_SUPERSCRIPT)
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with so many decimals; a dash for what is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return _signed(f"{value:.{decimals}f}")
+
+
+def grouped(value: float | None) -> str:
+    """A whole number with its thousands set apart; a dash for what is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return _signed(f"{round(value):,}".replace(",", "\u202f"))
+
+
+def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
+    """A value, its deviation, and a power of ten common to both: "4740", "160", "" or "1.837", "0.017", "10⁻⁵".
+
+    The deviation has two digits and the value as many decimals. The deviation is "" where there is none.
+    """
+    if not math.isfinite(found.value):
+        return MISSING, "", ""
+    value = found.value * scale
+    std = 0.0 if found.std is None else abs(found.std * scale)
+    if not math.isfinite(std) or std == 0.0:
+        return number(value), "", ""
+    exponent = math.floor(math.log10(max(abs(value), std)))
+    power = 0 if -3 <= exponent < 6 else exponent
+    decimals = min(8, 1 - math.floor(math.log10(std)) + power)
+    shown = [_signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}") for part in (value, std)]
+    return shown[0], shown[1], f"10{superscript(power)}" if power else ""
+
+
+def plus_minus(found: Estimate, scale: float = 1.0) -> str:
+    """Value ± standard deviation, or the value alone."""
+    value, std, power = estimate(found, scale)
+    if not std:
+        return value
+    return f"({value} ± {std}) × {power}" if power else f"{value} ± {std}"
+
+
+def named_unit(name: str) -> tuple[str, str]:
+    """Split a name such as ``mass_kg`` into what it is called and its SI unit ("" when it carries none)."""
+    if name in _ASSUMED_UNITS:
+        return _LABELS.get(name, _plain(name)), _ASSUMED_UNITS[name]
+    for suffix, unit in _SUFFIXES.items():
+        if name.endswith(f"_{suffix}"):
+            return _LABELS.get(name, _plain(name.removesuffix(f"_{suffix}"))), unit
+    return _LABELS.get(name, _plain(name)), ""
+
+
+def axis_label(name: str, unit: str) -> str:
+    """What a quantity is called, with the unit that people read in brackets, if it has one."""
+    label = named_unit(name)[0]
+    label = label if len(label) <= _LONGEST_LABEL else label[:_LONGEST_LABEL] + "…"
+    return f"{label} ({unit})" if unit else label
+
+
+def named_value(name: str, value: Any, depth: int = 0) -> tuple[str, str]:
+    """A named setting of any kind as label and text. Numbers are shown in the unit that the name carries."""
+    if isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool)):
+        label, unit = named_unit(name)
+        shown, scale = people_unit(unit)
+        if scale == 1.0:
+            text = plain_text(value)
+        else:
+            text = number(value * scale, 6) if abs(value) < _LARGEST_INTEGER else plain_text(value)
+        return label, text if text == MISSING else with_unit(text, shown)
+    return _plain(name), plain_text(value, depth)
+
+
+def plain_text(value: Any, depth: int = 0) -> str:
+    """Anything that JSON can hold as one line of text; what is nested too deep, or too long, is cut off."""
+    if value is None:
+        return "not set"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int) and abs(value) >= _LARGEST_INTEGER:
+        return plain_text(str(value))
+    if isinstance(value, int):
+        return _signed(str(value))
+    if isinstance(value, float):
+        return number(value, 6)
+    if isinstance(value, dict | list | tuple) and depth >= _DEEPEST:
+        return "…"
+    if isinstance(value, dict):
+        pairs = [named_value(str(name), item, depth + 1) for name, item in list(value.items())[:_MOST_ITEMS]]
+        return "; ".join(f"{label}: {text}" for label, text in pairs) + _and_more(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(plain_text(item, depth + 1) for item in value[:_MOST_ITEMS]) + _and_more(value)
+    text = clean(str(value))
+    return (text[:_LONGEST_TEXT] + " …" if len(text) > _LONGEST_TEXT else text) or MISSING
+
+
+def clean(text: str) -> str:
+    """Text without control characters and the like, which a page must not hold: a space or a mark stands for them."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
+def _and_more(items: dict[Any, Any] | list[Any] | tuple[Any, ...]) -> str:
+    return f" … ({len(items)} in all)" if len(items) > _MOST_ITEMS else ""
+
+
+def _plain(name: str) -> str:
+    text = clean(name).replace("_", " ").strip()
+    return text[:1].upper() + text[1:] if text else "Unnamed"
+
+
+def _trimmed(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def _signed(text: str) -> str:
+    """With a minus sign in place of a hyphen, and without one before nothing but zeros."""
+    if not text.startswith("-"):
+        return text
+    return f"−{text[1:]}" if any(digit in text for digit in "123456789") else text[1:]

@@ -1,0 +1,17 @@
+from __future__ import annotations
+
+import pytest
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.analysis import Analysis, analyse_all
+from tissueid.sessions import Session
+
+
+@pytest.fixture(scope="session")
+def session() -> Session:
+    return make_session(make_test(1, seconds=2.5), make_test(2, seconds=2.0, seed=5))
+
+
+@pytest.fixture(scope="session")
+def analyses(session: Session) -> dict[int, dict[str, Analysis]]:
+    return {test.number: analyse_all(session, test=test) for test in session.tests}

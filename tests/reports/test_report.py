@@ -1,0 +1,327 @@
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from jinja2 import UndefinedError
+from reports.page_check import checked
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.analysis import Analysis, analyse, analyse_all
+from tissueid.errors import UnusableInputError
+from tissueid.records import Estimate
+from tissueid.reports import Comparison, ComparisonRow, html, page, report_html, write_report
+from tissueid.reports.diagnostics import held_out_prediction
+from tissueid.reports.signal_figures import signals_figure
+from tissueid.reports.style import to_svg
+from tissueid.reports.tables import settings_tables
+from tissueid.reports.validation_figures import prediction_figure, readable_stretch
+from tissueid.reports.verdict import judge
+from tissueid.sessions import Session, Subject
+
+Analyses = dict[int, dict[str, Analysis]]
+
+COMPARISON = Comparison(
+    0.0148,
+    (
+        ComparisonRow("mass_kg", "kg", Estimate(0.0912, 0.0011), 0.0902, Estimate(0.0870, 0.0030)),
+        ComparisonRow("Stiffness", "N/m", Estimate(4700.0), 5000.0, Estimate(4300.0, 120.0)),
+    ),
+)
+FIGURES = (
+    "Signals",
+    "Power spectra",
+    "Mean squared coherence",
+    "Distributions of input and output",
+    "Bode diagram",
+    "Impulse response",
+    "Static nonlinearity and stiffness",
+    "How the Wiener iteration settled",
+    "Measured and predicted",
+    "Measured against predicted",
+    "What the models leave over",
+)
+SECTIONS = (
+    "What was recorded",
+    "Linear description",
+    "Nonlinear description",
+    "Against unseen data",
+    "Parameters and scores",
+    "Warnings",
+    "Against the plant’s own values",
+    "What was done, with which settings",
+    "Calibration in force",
+    "Engine: Wiener",
+)
+
+
+@pytest.fixture(scope="module")
+def source(session: Session, analyses: Analyses) -> str:
+    return report_html(session, analyses, comparison=COMPARISON)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, where a test is about words."""
+    monkeypatch.setattr(page, "to_svg", lambda _figure, _key, alt: f'<svg role="img" aria-label="{alt}"></svg>')
+
+
+def without_times(text: str) -> str:
+    return re.sub(r"<td>\d+\.\d{3}</td>", "<td></td>", text)
+
+
+def test_page_has_every_section_and_stays_small(source: str, session: Session) -> None:
+    assert len(source.encode()) < 3_000_000
+    found = checked(source)
+    for heading in (*FIGURES, *SECTIONS):
+        assert heading in found.text, heading
+    assert "Left out" not in found.text
+    assert len(found.named("svg")) == len(FIGURES) + 5
+    for fact in ("TID-0042", "4 May 2026, 09:30 UTC", "Left posterior forearm", "SIM-7", session.session_id):
+        assert fact in found.text, fact
+    assert "Research use only" in found.text
+
+
+def test_numbers_are_in_peoples_units(source: str, analyses: Analyses) -> None:
+    text = checked(source).text
+    mass = analyses[1]["lms"].model.report.parameters["mass_kg"]
+    shown = re.search(r"Mass\s+([\d.]+)\s+± ([\d.]+) g", text)
+    assert shown is not None
+    assert float(shown.group(1)) == pytest.approx(1e3 * mass.value, rel=0.02)
+    assert re.search(r"Mass \(g\)\s+91.2 ± 1.1\s+90.2\s+\+1.1\s+\+0.9\s+87.0 ± 3.0", text)
+    assert re.search(r"Stiffness \(N/m\)\s+4700\s+5000\s+−6.0\s+—\s+4300 ± 120", text)
+    assert "14.8 mm on the actuator" in text
+    for label in ("Position (mm)", "Force (N)", "Frequency (Hz)", "Phase (°)", "Lag (ms)", "Magnitude (mm/N)"):
+        assert label in text, label
+
+
+def test_same_data_gives_the_same_page(session: Session) -> None:
+    first, again = (report_html(session, {2: {"lms": analyse(session, "lms", test=2)}}) for _ in range(2))
+    assert without_times(first) == without_times(again)
+
+
+def test_verdict_follows_the_facts(session: Session, analyses: Analyses) -> None:
+    test, found = session.test(1), analyses[1]
+
+    def with_scores(seen: float, unseen: float | None) -> dict[str, Analysis]:
+        changes = {"vaf_percent": seen, "vaf_validation_percent": unseen}
+        return {name: replace(a, model=a.model.with_report(**changes)) for name, a in found.items()}
+
+    assert judge(test, found).level == "good"
+    assert not judge(test, found).reasons
+    assert judge(test, with_scores(38.0, 31.0)).level == "poor"
+    assert judge(test, with_scores(38.0, None)).level == "poor"
+    assert judge(test, with_scores(38.0, float("nan"))).level == "poor"
+    assert judge(test, with_scores(65.0, 64.0)).level == "check"
+    assert "as under drift" in judge(test, with_scores(71.0, 95.0)).reasons[0]
+    assert "worse on unseen" in judge(test, with_scores(95.0, 75.0)).reasons[0]
+    for status in ("aborted", "recovered"):
+        assert judge(replace(test, status=status), found).level == "check"
+    for name, level in (("lms", "check"), ("wiener", "good")):
+        warned = replace(found[name], model=found[name].model.with_report(warnings=("mind the gap",)))
+        assert judge(test, found | {name: warned}).level == level
+        assert "Warnings from" in judge(test, found | {name: warned}).reasons[-1]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_warnings_are_listed_once_with_their_engines(session: Session, analyses: Analyses) -> None:
+    warned = {
+        name: replace(a, model=a.model.with_report(warnings=("mind the gap",))) for name, a in analyses[1].items()
+    }
+    text = checked(report_html(session, {1: warned})).text
+    assert "LMS, Spectral, Wiener: mind the gap" in text
+    assert "Look closer before use" in text
+
+
+def test_hostile_strings_stay_text() -> None:
+    evil = "</title><script>alert(1)</script><img src=x onerror=alert(2)> & \"'\x00\u202e$^$ ${7*7}{{7*7}}"
+    deep = {"deep": {"deeper": {"deepest": {"last": 1}}}}
+    whole = make_test()
+    test = replace(
+        whole,
+        signals=whole.signals | {evil: whole.signals["position"]},
+        site=evil,
+        kind=evil,
+        configuration=evil,
+        notes={"operator_note": evil, evil: evil, "events": json.dumps([{"kind": evil, "count": 3}, evil, None])},
+        stimulus={evil: {evil: [evil, float("nan"), None, deep]}, "n": 10**400, "force_n": 10**400},
+    )
+    instrument = replace(make_session().instrument, model=evil, serial_number=evil, calibration={evil: evil})
+    session = make_session(
+        test,
+        subject=Subject(evil, {evil: evil}),
+        created=evil,
+        software=evil,
+        session_id=evil,
+        instrument=instrument,
+    )
+    found = checked(report_html(session, {1: {"lms": analyse(session, "lms", output_name=evil)}}))
+    assert "alert(1)" in found.text
+    assert "{{7*7}}" in found.text
+    assert "\x00" not in found.text
+    assert "\u202e" not in found.text
+    assert not found.named("img")
+
+
+@pytest.mark.parametrize(
+    ("events", "shown"),
+    [
+        ("", "none"),
+        ("not json", "not json"),
+        ("[" * 5000, "[[["),
+        ("7", "7"),
+        ('{"kind": "gap", "count": 3}', "Kind: gap; Count: 3"),
+        ('[{"kind": "gap"}, {"kind": "fault"}]', "Kind: gap; Kind: fault"),
+        ("[NaN, null]", "—; not set"),
+    ],
+)
+def test_events_of_any_kind_are_shown(session: Session, events: str, shown: str) -> None:
+    test = replace(session.test(1), notes={"events": events, "reason": "the probe slipped"})
+    rows = dict(settings_tables(session, test, {})[1].rows)
+    assert shown in rows["Events"]
+    assert rows["Reason"] == "the probe slipped"
+
+
+def test_stimulus_within_stimulus_is_laid_flat(session: Session) -> None:
+    rows = dict(settings_tables(session, session.test(1), {})[2].rows)
+    assert rows == {"Type": "guided", "Preload": "0.3 s", "Stimulus: type": "noise", "Cutoff": "150 Hz"}
+
+
+def test_force_and_position_alone_are_enough() -> None:
+    whole = make_test(seconds=2.0)
+    test = replace(
+        whole,
+        signals={name: whole.signals[name] for name in ("force", "position")},
+        preload_s=0.0,
+        surface_position_m=float("nan"),
+        stimulus={},
+        site="",
+    )
+    session = make_session(test, subject=Subject(""))
+    found = checked(report_html(session, {1: analyse_all(session, ("lms", "spectral"))}))
+    assert "The voltage was not recorded" in found.text
+    assert "The session does not describe the stimulus" in found.text
+    assert len(found.named("svg")) == len(FIGURES) - 2
+    assert found.text.count("the Wiener engine was not run") == 2
+
+
+def test_lost_samples_are_counted_and_left_out() -> None:
+    test = make_test(seconds=2.0)
+    signals = {name: values.copy() for name, values in test.signals.items()}
+    for first in (200, 1100, 2200):
+        for name in signals.keys() - {"time"}:
+            signals[name][first : first + 25] = np.nan
+    session = make_session(replace(test, signals=signals, notes={"samples_lost": 75.0}))
+    found = checked(report_html(session, {1: analyse_all(session, ("lms", "spectral"))}))
+    assert "75 of 2300 samples were not received" in found.text
+    assert "■ not received" in found.text
+    assert "75 of 2300 samples (3.3 %) were not received." in found.text
+    assert "the Wiener engine was not run" in found.text
+
+
+def test_very_short_test_says_what_is_missing() -> None:
+    session = make_session(make_test(seconds=0.06))
+    found = checked(report_html(session, {1: {"lms": analyse(session, "lms", {"memory": 0.005})}}))
+    assert "the spectral engine was not run" in found.text
+    assert "too short" in found.text
+    assert "too few samples" in found.text
+
+
+def test_other_signals_and_forms() -> None:
+    session = make_session(make_test(seconds=2.0))
+    options = {"nonlinearity": "polynomial", "iterations": 1, "refine": False}
+    found = checked(
+        report_html(
+            session,
+            {
+                1: {
+                    "wiener": analyse(session, "wiener", options, input_name="voltage"),
+                    "spectral": analyse(session, "spectral", input_name="voltage"),
+                }
+            },
+        )
+    )
+    assert "a single pass" in found.text
+    assert "the LMS engine was not run" in found.text
+    assert "mm/V" in found.text
+
+
+def test_validation_on_another_test(session: Session) -> None:
+    analysis = analyse(session, "lms", test=1, validate=2)
+    prediction = held_out_prediction("LMS", analysis)
+    assert prediction.measured.size == len(session.test(2).record())
+    stretch = readable_stretch(prediction)
+    assert stretch.start >= prediction.memory_samples - 1 or np.isfinite(prediction.residual[stretch]).all()
+    assert prediction_figure([prediction]).axes
+
+
+def test_nothing_to_report_is_refused(session: Session, analyses: Analyses) -> None:
+    for nothing in ({}, {1: {}}):
+        with pytest.raises(UnusableInputError, match="nothing to report"):
+            report_html(session, nothing)
+    with pytest.raises(UnusableInputError, match="no test 7"):
+        report_html(session, {7: analyses[1]})
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_written_whole_or_not_at_all(
+    session: Session, analyses: Analyses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("before", encoding="utf-8")
+    only = {1: {"lms": analyses[1]["lms"]}}
+
+    def full_disk(*_: object, **__: object) -> None:
+        raise OSError("no space left")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "replace", full_disk)
+        with pytest.raises(OSError, match="no space"):
+            write_report(path, session, only)
+    assert [item.name for item in tmp_path.iterdir()] == ["report.html"]
+    assert path.read_text(encoding="utf-8") == "before"
+    write_report(path, session, only, title="Third visit <2>")
+    assert [item.name for item in tmp_path.iterdir()] == ["report.html"]
+    assert "Third visit <2>" in checked(path.read_text(encoding="utf-8")).text
+
+
+def test_template_refuses_what_it_does_not_know() -> None:
+    with pytest.raises(UndefinedError):
+        html._template().render(title="only this")
+
+
+def test_users_own_settings_neither_matter_nor_change(session: Session) -> None:
+    plain = to_svg(signals_figure(session.test(1)), "s", "signals")
+    with mpl.rc_context({"lines.linewidth": 7.0, "svg.fonttype": "path", "axes.grid": False}):
+        before = dict(mpl.rcParams)
+        assert to_svg(signals_figure(session.test(1)), "s", "signals") == plain
+        assert dict(mpl.rcParams) == before
+
+
+def test_no_window_no_port() -> None:
+    unwanted = {"matplotlib.pyplot", "PySide6", "pyqtgraph", "serial"}
+    code = f"import sys, tissueid.reports; assert not {unwanted} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_two_threads_draw_the_same_figure(session: Session) -> None:
+    drawn: list[str] = []
+
+    def draw() -> None:
+        drawn.append(to_svg(signals_figure(session.test(1)), "s", "signals"))
+
+    threads = [threading.Thread(target=draw) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(drawn) == 3
+    assert len(set(drawn)) == 1
