@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import signal
 
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
@@ -19,7 +20,7 @@ CONTACT_FORCES_N = (0.10, 0.05)
 """Net forces while the surface is sought: the weight of the coil is carried by the coil itself, but for these."""
 PLACE_S = 1.2
 _SETTLED_S = 0.2
-_STILL_M = 100e-6
+_STILL_M = 50e-6
 _STROKE_MARGIN_M = 1.0e-3
 GRAVITY_M_S2 = 9.80665
 
@@ -136,7 +137,9 @@ def find_surface(
         raise UnusableInputError(
             f"the probe is at the end of its stroke ({surface * 1e3:.1f} mm): place it on the tissue and try again"
         )
-    if float(late.std(axis=1).max()) > _STILL_M:
+    # Creep of the tissue is a slope; what shakes about it is a hand.
+    shaking = signal.detrend(late, axis=1).std(axis=1)
+    if float(shaking.max()) > _STILL_M:
         raise UnusableInputError("the probe does not keep still: hold the reference surface firmly and try again")
     return surface
 
@@ -182,6 +185,7 @@ def run_guided_test(
             stimulus=test.stimulus.description,
             seed=test.stimulus.seed,
             repeat_of=test.repeat_of,
+            notes={f"limit_{name}": value for name, value in asdict(test.limits).items()},
         )
 
     def take(samples: NDArray[np.void], fraction: float) -> None:

@@ -150,12 +150,13 @@ class _OpenTest:
             signals[name][place] = samples[name]
         signals["force"] = np.full(length, np.nan)
         signals["force"][place] = force(samples, device)
-        notes = dict(self.notes)
+        attributes = dict(self.attributes)
+        notes = attributes.pop("notes", {}) | self.notes
         if missing := int(np.isnan(signals["position"]).sum()):
             notes["samples_lost"] = missing
         if self.events:
             notes["events"] = json.dumps(self.events)
-        return Test(number=self.number, signals=signals, status=self.status, notes=notes, **self.attributes)
+        return Test(number=self.number, signals=signals, status=self.status, notes=notes, **attributes)
 
 
 def session_from_entries(entries: Iterable[tuple[Entry, bytes]]) -> Session:
