@@ -15,8 +15,8 @@ from tissueid.records import Record
 from tissueid.reports.diagnostics import Prediction, power_edge
 from tissueid.reports.model_figures import excited_band
 from tissueid.reports.signal_figures import lost_samples, skewness
-from tissueid.wording import engine_label, fixed, number, people_unit, with_unit
 from tissueid.sessions import Test
+from tissueid.wording import engine_label, fixed, number, people_unit, with_unit
 
 
 def signals(test: Test) -> str:

@@ -15,8 +15,8 @@ from tissueid.analysis import Analysis
 from tissueid.errors import UnusableInputError
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
-from tissueid.wording import clean
 from tissueid.sessions import Session
+from tissueid.wording import clean
 
 RESEARCH_LINE = "Research use only. Not a medical device; not for diagnosis or treatment."
 

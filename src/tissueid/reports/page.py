@@ -27,8 +27,8 @@ from tissueid.reports.style import to_svg
 from tissueid.reports.tables import Table, parameter_table, score_table
 from tissueid.reports.validation_figures import prediction_figure, residuals_figure, scatter_figure
 from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
-from tissueid.wording import engine_label
 from tissueid.sessions import Session, Test
+from tissueid.wording import engine_label
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from tissueid.reports.style import (
     log_axis,
     new_figure,
 )
-from tissueid.wording import axis_label, people_unit
 from tissueid.sessions import SIGNAL_UNITS, Test
+from tissueid.wording import axis_label, people_unit
 
 _COLOURS = {"voltage": SERIES[0], "force": SERIES[1], "current": SERIES[1], "position": SERIES[2]}
 """A signal keeps its colour from figure to figure."""

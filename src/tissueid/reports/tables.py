@@ -15,6 +15,7 @@ from tissueid.analysis import Analysis
 from tissueid.device import DeviceDescription
 from tissueid.records import Estimate
 from tissueid.reports.signal_figures import lost_samples
+from tissueid.sessions import Session, Test
 from tissueid.wording import (
     MISSING,
     axis_label,
@@ -29,7 +30,6 @@ from tissueid.wording import (
     plus_minus,
     with_unit,
 )
-from tissueid.sessions import Session, Test
 
 Row = tuple[str, ...]
 

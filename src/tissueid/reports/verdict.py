@@ -11,6 +11,7 @@ import numpy as np
 from tissueid.analysis import Analysis
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.reports.signal_figures import lost_samples
+from tissueid.sessions import Test
 from tissueid.wording import (
     engine_label,
     estimate,
@@ -18,7 +19,6 @@ from tissueid.wording import (
     named_unit,
     people_unit,
 )
-from tissueid.sessions import Test
 
 Level = Literal["good", "check", "poor"]
 

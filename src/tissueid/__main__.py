@@ -1,0 +1,7 @@
+"""``python -m tissueid`` is ``tissueid``."""
+
+import sys
+
+from tissueid.cli import main
+
+sys.exit(main())

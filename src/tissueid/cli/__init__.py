@@ -1,0 +1,49 @@
+"""The command line. ``main`` is the only place where errors become words and exit statuses."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+from platformdirs import user_log_path
+from typer.exceptions import Abort, TyperException
+
+from tissueid.cli.commands import app
+from tissueid.errors import TissueIDError
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit status: 0 done, 2 unusable input, 1 a defect, 130 interrupted."""
+    try:
+        status = app(args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False)
+    except TissueIDError as error:
+        return _complain(str(error), 2)
+    except TyperException as error:
+        return _complain(f"{error.format_message()} (see --help)", 2)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _complain(f"{where}{error.strerror or error}", 2)
+    except (KeyboardInterrupt, Abort):
+        status = INTERRUPTED
+    except Exception:  # noqa: BLE001 - the last stop before the user
+        return _complain(f"this is a defect of the software; please report {_keep_traceback()}", 1)
+    if status == INTERRUPTED:  # typer turns some interrupts into this status by itself
+        return _complain("interrupted; nothing is left half-written", INTERRUPTED)
+    return status if isinstance(status, int) else 0
+
+
+def _complain(message: str, status: int) -> int:
+    line = " ".join(message.split())
+    print(f"tissueid: {line}", file=sys.stderr)
+    return status
+
+
+def _keep_traceback() -> Path:
+    """Where the details went: users need not see them, whoever mends it does."""
+    path = user_log_path("tissueid", appauthor=False, ensure_exists=True) / "last-defect.txt"
+    path.write_text(traceback.format_exc(), encoding="utf-8")
+    return path

@@ -1,0 +1,139 @@
+"""The commands and their options; what each does stands in a module of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tissueid import __version__
+
+app = typer.Typer(
+    help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
+DeviceUrl = Annotated[
+    str,
+    typer.Option(
+        "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
+    ),
+]
+Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="how to identify")]
+OneTest = Annotated[int | None, typer.Option("--test", metavar="N", help="test to fit; the first stochastic one")]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"tissueid {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def open_window(
+    context: typer.Context,
+    _version_asked: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
+    ] = False,
+) -> int:
+    """Without a command: open the application."""
+    if context.invoked_subcommand is not None:
+        return 0
+    from tissueid.cli.window import open_application
+
+    return open_application()
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for session.h5, results.json, report.html")],
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="seed of stimulus and sensor noise")] = 1,
+    preset: Annotated[str, typer.Option(help="tissue; see 'tissueid-firmware-sim --list'")] = "left-posterior-forearm",
+    json_file: JsonFile = None,
+) -> None:
+    """Run one guided test on a simulated forearm, from the cable to the report. Needs no hardware."""
+    from tissueid.cli.demo import run_demo
+
+    run_demo(out, seed, preset, json_file)
+
+
+@app.command()
+def devices(
+    probe: Annotated[bool, typer.Option("--probe/--no-probe", help="shake hands with each")] = True,
+    json_file: JsonFile = None,
+) -> None:
+    """List the instruments that can be reached, simulated ones included."""
+    from tissueid.cli.devices import list_devices
+
+    list_devices(probe, json_file)
+
+
+@app.command("test")
+def run_test(
+    device: DeviceUrl,
+    site: Annotated[str, typer.Option(metavar="TEXT", help="where on the body, or which material")],
+    out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="session file to make; never overwritten")],
+    distribution: Annotated[str, typer.Option(help="gaussian or uniform")] = "gaussian",
+    min_force: Annotated[float, typer.Option(metavar="N", help="lower end of the force range")] = 0.5,
+    max_force: Annotated[float, typer.Option(metavar="N", help="upper end of the force range")] = 10.5,
+    seconds: Annotated[float, typer.Option(metavar="S", help="length of the stimulus")] = 4.0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = 1,
+    repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
+    limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
+    subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="never a name")] = "anonymous",
+    json_file: JsonFile = None,
+) -> None:
+    """Run a guided test: place, preload, stochastic stimulus, release."""
+    from tissueid.cli.test import Plan, run_tests
+
+    plan = Plan(distribution, min_force, max_force, seconds, seed, repeats, limits)
+    run_tests(device, site, out, plan, subject, json_file)
+
+
+@app.command()
+def identify(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
+    engine: Engine,
+    test: OneTest = None,
+    validate: Annotated[
+        int | None, typer.Option(metavar="N", help="test to validate on; otherwise the last quarter is held out")
+    ] = None,
+    input_name: Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")] = "force",
+    output_name: Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")] = "position",
+    memory: Annotated[float | None, typer.Option(metavar="S", help="memory length in seconds")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the engine")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Fit one engine to one saved test, and validate it on data that was not fitted."""
+    from tissueid.cli.identify import run_identify
+
+    run_identify(session, engine, test, validate, input_name, output_name, memory, option or [], json_file)
+
+
+@app.command()
+def recover(
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="the session that was to be, or its journal")],
+    json_file: JsonFile = None,
+) -> None:
+    """Finish a session whose host died: everything that had reached the disk is kept."""
+    from tissueid.cli.recover import run_recover
+
+    run_recover(path, json_file)
+
+
+@app.command()
+def report(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="HTML page to make")],
+    test: OneTest = None,
+) -> None:
+    """Make the report of one saved test: a self-contained HTML page."""
+    from tissueid.cli.report import run_report
+
+    run_report(session, out, test)

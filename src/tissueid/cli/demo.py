@@ -1,0 +1,196 @@
+"""``tissueid demo``: the main job, end to end, with a simulated instrument at the other end of a real cable."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
+from tissueid.acquisition.guided import find_surface
+from tissueid.analysis import Analysis, analyse_all
+from tissueid.calibration import ElectricalCheck, check_coil
+from tissueid.cli.identify import identify_answer, readable
+from tissueid.cli.output import console, progress_bars, table, write_json
+from tissueid.cli.test import show_progress
+from tissueid.errors import InstrumentError, UnusableInputError
+from tissueid.instrument import CLINICAL, Instrument, open_instrument
+from tissueid.records import Estimate
+from tissueid.reports import Comparison, ComparisonRow, write_report
+from tissueid.sessions import Session, Subject
+from tissueid.stimuli.base import guided
+from tissueid.stimuli.noise import Noise
+
+LARGE_N = (-5.0, 12.0)
+"""Force range of the main test. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
+LARGE_CLIPPED = 0.0455
+"""Share of samples held at the ends of that range: what a Gaussian has beyond two standard deviations."""
+SMALL_N = 0.75
+"""Half the force range of the small-amplitude test, about the main test's mean load (thesis 3.4)."""
+OUTPUTS = ("session.h5", "results.json", "report.html")
+_COMPARED = {"mass_kg": "kg", "damping_n_s_per_m": "N s/m", "stiffness_n_per_m": "N/m"}
+
+
+def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
+    """Everything from the cable to the report. The three files appear together at the end, or not at all."""
+    _check_target(out)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".demo-") as folder, progress_bars() as show:
+        work = Path(folder)
+        show("starting the simulated instrument", 0.0)
+        with firmware_process(preset, seed) as url:
+            instrument = open_instrument(url)
+            show("starting the simulated instrument", 1.0)
+            try:
+                session, check = _measure(instrument, work / OUTPUTS[0], seed, preset, show)
+            finally:
+                instrument.close()
+        show("identifying", 0.0)
+        analyses: dict[int, dict[str, Analysis]] = {}
+        for number, test in enumerate(session.tests):
+            analyses[test.number] = analyse_all(session, test=test)
+            show("identifying", (number + 1) / len(session.tests))
+        comparison = _compare(session, analyses, preset)
+        show("writing the report", 0.0)
+        results = _results(session, check, analyses, comparison, seed, preset)
+        write_json(work / OUTPUTS[1], results)
+        write_report(work / OUTPUTS[2], session, analyses, comparison=comparison)
+        for name in OUTPUTS:
+            (work / name).replace(out / name)
+        show("writing the report", 1.0)
+    _tell(out, analyses[1], comparison)
+    if json_file is not None:
+        write_json(json_file, results)
+
+
+def _check_target(out: Path) -> None:
+    """Make the folder; refuse to write over a session that no demo made.
+
+    Raises:
+        UnusableInputError: something of the user's is in the way.
+    """
+    if out.exists() and not out.is_dir():
+        raise UnusableInputError(f"{out} is not a folder")
+    out.mkdir(parents=True, exist_ok=True)
+    if not any((out / name).exists() for name in OUTPUTS):
+        return
+    made_by = None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        made_by = json.loads((out / OUTPUTS[1]).read_text(encoding="utf-8")).get("made_by")
+    if made_by != "tissueid demo":
+        raise UnusableInputError(f"{out} holds results that the demo did not make; choose another folder")
+
+
+@contextmanager
+def firmware_process(preset: str, seed: int) -> Iterator[str]:
+    """The simulated firmware as a process of its own; gives the URL of its end of the cable.
+
+    Raises:
+        UnusableInputError: no such preset.
+        InstrumentError: it did not start.
+    """
+    command = [sys.executable, "-m", "firmware_sim", "--preset", preset, "--seed", str(seed)]
+    with tempfile.TemporaryFile("w+") as complaints:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints, text=True)
+        assert process.stdout is not None
+        try:
+            url = process.stdout.readline().strip()
+            if not url:
+                status = process.wait()
+                complaints.seek(0)
+                reason = (complaints.read().strip().splitlines() or ["no reason given"])[-1]
+                error = UnusableInputError if status == 2 else InstrumentError
+                raise error(f"the simulated instrument did not start: {reason.removeprefix('tissueid-firmware-sim: ')}")
+            yield url
+        finally:
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=5)
+            process.kill()
+            process.stdout.close()
+
+
+def _measure(instrument: Instrument, path: Path, seed: int, preset: str, show: Any) -> tuple[Session, ElectricalCheck]:
+    """Coil check, placing, the main test, and a small-amplitude test about the same mean load."""
+    check = check_coil(instrument, progress=lambda fraction: show("checking the coil", fraction))
+    device = replace(instrument.device, calibration=check.as_calibration())
+    surface = find_surface(instrument, progress=show_progress(show, "placing the probe"))
+    recorder = SessionRecorder(path, device, Subject("DEMO"))
+    mean, rate = sum(LARGE_N) / 2, device.sample_rate_hz
+    noises = {
+        "main test": Noise(
+            seed=seed, force_min_n=LARGE_N[0], force_max_n=LARGE_N[1], clipped=LARGE_CLIPPED, sample_rate=rate
+        ),
+        "small-amplitude test": Noise(
+            seed=seed + 1, force_min_n=mean - SMALL_N, force_max_n=mean + SMALL_N, sample_rate=rate
+        ),
+    }
+    for label, noise in noises.items():
+        test = GuidedTest(guided(noise.build()), site=preset.replace("-", " "), limits=CLINICAL)
+        run_guided_test(instrument, test, recorder, surface_m=surface, progress=show_progress(show, label))
+    return recorder.finish(), check
+
+
+def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> Comparison:
+    """The small test's estimates beside what the plant says of itself at that depth, and the large test's."""
+    position = float(np.nanmean(session.test(2).record().output))
+    command = [sys.executable, "-m", "firmware_sim", "--preset", preset, "--local-values", repr(position)]
+    truth = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    large, small = (analyses[number]["lms"].model.report.parameters for number in (1, 2))
+    rows = tuple(
+        ComparisonRow(name, unit, small[name], truth[name], large[name])
+        for name, unit in _COMPARED.items()
+        if name in small and name in large
+    )
+    return Comparison(position, rows)
+
+
+def _results(
+    session: Session,
+    check: ElectricalCheck,
+    analyses: dict[int, dict[str, Analysis]],
+    comparison: Comparison,
+    seed: int,
+    preset: str,
+) -> dict[str, Any]:
+    return {
+        "made_by": "tissueid demo",
+        "software": session.software,
+        "session_id": session.session_id,
+        "seed": seed,
+        "preset": preset,
+        "calibration": asdict(check),
+        "tests": {
+            str(number): {engine: identify_answer(analysis) for engine, analysis in engines.items()}
+            for number, engines in analyses.items()
+        },
+        "small_amplitude": asdict(comparison),
+    }
+
+
+def _tell(out: Path, main: dict[str, Analysis], comparison: Comparison) -> None:
+    rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
+    for engine, analysis in main.items():
+        report = analysis.model.report
+        rows.add_row(
+            engine, f"{report.vaf_percent:.1f}", f"{report.vaf_validation_percent:.1f}", f"{report.seconds:.2f}"
+        )
+    console.print(rows)
+    title = f"Small-amplitude test at {comparison.position_m * 1e3:.2f} mm, against the plant's own local values"
+    rows = table(title, "quantity", "estimate", "plant", "error %", "main test's average", "unit")
+    for row in comparison.rows:
+        label, small, unit = readable(row.quantity, row.small)
+        _, plant, _ = readable(row.quantity, Estimate(row.truth))
+        _, large, _ = readable(row.quantity, row.large)
+        error = 100.0 * (row.small.value / row.truth - 1.0)
+        rows.add_row(label, small, plant, f"{error:+.1f}", large, unit)
+    console.print(rows)
+    console.print(f"open {out / OUTPUTS[2]} in a browser. Research use only.", markup=False)

@@ -1,0 +1,252 @@
+"""The commands as people and scripts meet them: answers by the contract, one line for what cannot be used."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tissueid.cli import main
+from tissueid.device import DeviceDescription
+from tissueid.sessions import Session, Test, read_session, write_session
+
+A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
+BLIND = sorted((Path(__file__).parents[3] / "shared" / "blind").glob("*.h5"))
+KEYS = {
+    "engine",
+    "options",
+    "n_samples",
+    "n_parameters",
+    "vaf_percent",
+    "vaf_validation_percent",
+    "vaf_scheduled_percent",
+    "aicc",
+    "parameters",
+    "seconds",
+    "warnings",
+}
+
+
+@pytest.fixture(scope="module")
+def session_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cli") / "session.h5"
+    arguments = ["test", "--device", "simulated://forearm?seed=4", "--site", "left forearm", "--out", str(path)]
+    assert main([*arguments, "--repeats", "2", "--seconds", "2", "--subject", "P-7"]) == 0
+    return path
+
+
+def answer(capsys, *arguments):
+    """Run a command that prints JSON; returns it parsed."""
+    assert main([*map(str, arguments), "--json", "-"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def complaint(capsys, *arguments):
+    """Run a command that must refuse; returns its one line."""
+    assert main([*map(str, arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = captured.err.strip().splitlines()
+    assert lines[-1].startswith("tissueid: ")
+    assert "Traceback" not in captured.err
+    return lines[-1]
+
+
+def test_a_test_from_the_shell(session_file):
+    session = read_session(session_file)
+    assert [test.status for test in session.tests] == ["completed", "completed"]
+    assert session.tests[1].repeat_of == 1
+    assert session.subject.pseudonym == "P-7"
+    np.testing.assert_array_equal(session.tests[0].signals["command"], session.tests[1].signals["command"])
+
+
+@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+def test_identify_answers_by_the_contract(session_file, capsys, engine):
+    result = answer(capsys, "identify", session_file, "--engine", engine)
+    assert result.keys() >= KEYS
+    assert result["engine"] == engine
+    assert 50 < result["vaf_percent"] <= 100
+    assert 50 < result["vaf_validation_percent"] <= 100
+    assert result["vaf_scheduled_percent"] is None
+    assert result["seconds"] > 0
+    for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"):
+        assert result["parameters"][name]["value"] > 0
+        assert result["parameters"][name]["std"] > 0
+
+
+def test_identify_validates_on_another_test(session_file, capsys):
+    result = answer(capsys, "identify", session_file, "--engine", "lms", "--test", 2, "--validate", 1)
+    assert (result["test"], result["validated_on"]) == (2, "test 1")
+
+
+def test_options_reach_the_engine(session_file, capsys):
+    result = answer(capsys, "identify", session_file, "--engine", "lms", "--memory", 0.06, "--option", "method=svd")
+    assert result["options"]["memory"] == 0.06
+    assert result["options"]["method"] == "svd"
+
+
+def test_json_goes_to_a_file_whole(session_file, tmp_path):
+    target = tmp_path / "answer.json"
+    assert main(["identify", str(session_file), "--engine", "lms", "--json", str(target)]) == 0
+    assert json.loads(target.read_text())["engine"] == "lms"
+    assert [path.name for path in tmp_path.iterdir()] == ["answer.json"]
+
+
+def test_people_get_a_table(session_file, capsys):
+    assert main(["identify", str(session_file), "--engine", "lms"]) == 0
+    printed = capsys.readouterr().err
+    assert "VAF on the fitted samples" in printed
+    assert "N/m" in printed
+
+
+def test_a_report_is_one_page(session_file, tmp_path):
+    page = tmp_path / "report.html"
+    assert main(["report", str(session_file), "--out", str(page)]) == 0
+    assert page.read_text(encoding="utf-8").lstrip().startswith("<!DOCTYPE html>")
+
+
+def test_devices_lists_the_simulation(capsys):
+    found = answer(capsys, "devices", "--no-probe")
+    assert "simulated://forearm" in {item["url"] for item in found}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["identify", "SESSION", "--engine", "magic"], "magic"),
+        (["identify", "SESSION", "--engine", "lms", "--test", "9"], "no test 9; it has 1, 2"),
+        (["identify", "SESSION", "--engine", "lms", "--test", "1", "--validate", "1"], "validate on another"),
+        (["identify", "SESSION", "--engine", "lms", "--input", "torque"], "no signal 'torque'"),
+        (["identify", "SESSION", "--engine", "lms", "--memory", "-1"], "memory"),
+        (["identify", "SESSION", "--engine", "lms", "--memory", "100"], "memory"),
+        (["identify", "SESSION", "--engine", "lms", "--option", "colour=red"], "colour"),
+        (["identify", "SESSION", "--engine", "lms", "--option", "colour"], "NAME=VALUE"),
+        (["identify", "SESSION"], "--engine"),
+        (["identify", "nothing.h5", "--engine", "lms"], "no such file"),
+        (["identify", "RUBBISH", "--engine", "lms"], "damaged, or not an HDF5 session"),
+        (["identify", "FOLDER", "--engine", "lms"], "is a folder"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "FOLDER/no/where.json"], "No such file"),
+        (["recover", "nothing.h5"], "nothing to recover"),
+        (["report", "SESSION", "--out", "FOLDER/no/where.html"], "no folder"),
+        (["test", "--device", "simulated://moon", "--site", "x", "--out", "FOLDER/a.h5"], "no simulated tissue"),
+        (["test", "--device", "/dev/none", "--site", "x", "--out", "FOLDER/a.h5"], "cannot open /dev/none"),
+        (["test", "--device", "simulated://forearm", "--site", "x", "--out", "SESSION"], "never overwritten"),
+        (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/no/a.h5"], "no folder"),
+        ([*A_TEST, "--max-force", "13"], "amplifier gives 48 V"),
+        ([*A_TEST, "--limits", "none"], "limits are"),
+        ([*A_TEST, "--seconds", "nan"], "seconds"),
+        ([*A_TEST, "--seconds", "1e9"], "seconds"),
+        (["demo", "--out", "RUBBISH"], "is not a folder"),
+        (["demo", "--out", "FOLDER/d", "--preset", "moon"], "no preset 'moon'"),
+        (["demo", "--out", "FOLDER/d", "--seed", "-1"], "seed"),
+        (["fly"], "fly"),
+        (["--fly"], "fly"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_said_in_one_line(session_file, tmp_path, capsys, arguments, words):
+    rubbish = tmp_path / "rubbish.h5"
+    rubbish.write_bytes(b"rubbish" * 100)
+    names = {"SESSION": str(session_file), "RUBBISH": str(rubbish), "FOLDER": str(tmp_path)}
+    for name, path in names.items():
+        arguments = [argument.replace(name, path) for argument in arguments]
+    before = session_file.read_bytes()
+    assert words in complaint(capsys, *arguments)
+    assert session_file.read_bytes() == before
+    assert not list(tmp_path.rglob("*.journal"))
+    assert not list(tmp_path.rglob("a.h5"))
+
+
+@pytest.mark.parametrize(
+    ("force", "position", "words"),
+    [
+        (np.ones(4000), np.arange(4000.0), "constant|vary"),
+        (np.full(4000, np.nan), np.full(4000, np.nan), "sample|NaN|received"),
+        (np.sin(np.arange(50.0)), np.cos(np.arange(50.0)), "memory|sample"),
+    ],
+    ids=["constant", "nothing received", "too short"],
+)
+@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+def test_records_that_carry_no_fit(tmp_path, capsys, engine, force, position, words):
+    import re
+
+    path = tmp_path / "odd.h5"
+    test = Test(number=1, kind="stochastic", signals={"force": force, "position": position}, sample_rate_hz=2000.0)
+    write_session(path, Session(DeviceDescription(), tests=(test,)))
+    assert re.search(words, complaint(capsys, "identify", path, "--engine", engine))
+
+
+def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):
+    def fail(*_args, **_kwargs):
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr("tissueid.cli.devices.find_instruments", fail)
+    monkeypatch.setattr("tissueid.cli.user_log_path", lambda *_, **__: tmp_path)
+    assert main(["devices"]) == 1
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed
+    assert "ZeroDivisionError" in (tmp_path / "last-defect.txt").read_text()
+
+
+def test_an_interrupt_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
+    def interrupt(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tissueid.cli.test.find_surface", interrupt)
+    out = tmp_path / "s.h5"
+    assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
+    assert list(tmp_path.iterdir()) == []
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_an_interrupt_in_mid_test_keeps_what_was_recorded(monkeypatch, tmp_path):
+    from tissueid.instrument import SimulatedInstrument
+
+    poll = SimulatedInstrument.poll
+    polls = iter(range(1000))
+
+    def interrupted_poll(self, timeout_s):
+        if next(polls) == 200:
+            raise KeyboardInterrupt
+        return poll(self, timeout_s)
+
+    monkeypatch.setattr(SimulatedInstrument, "poll", interrupted_poll)
+    out = tmp_path / "s.h5"
+    assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
+    test = read_session(out).test()
+    assert test.status == "aborted"
+    assert test.samples > 1000
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
+
+
+def test_help_and_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("tissueid 0.")
+    assert main(["--help"]) == 0
+    assert "Research use only" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not BLIND, reason="the independent rig's sessions are not beside the project")
+@pytest.mark.parametrize("path", BLIND, ids=lambda path: path.stem)
+@pytest.mark.parametrize("engine", ["lms", "spectral", "wiener"])
+def test_identify_answers_on_sessions_of_an_independent_rig(path, engine, capsys):
+    result = answer(capsys, "identify", path, "--engine", engine)
+    assert result.keys() >= KEYS
+    assert result["vaf_validation_percent"] > 40
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_the_demo_leaves_its_three_files(tmp_path, capsys):
+    out = tmp_path / "d"
+    result = answer(capsys, "demo", "--out", out)
+    assert sorted(path.name for path in out.iterdir()) == ["report.html", "results.json", "session.h5"]
+    assert json.loads((out / "results.json").read_text()) == result
+    linear, wiener = (result["tests"]["1"][engine] for engine in ("lms", "wiener"))
+    for figure in ("vaf_percent", "vaf_validation_percent"):
+        assert 70 <= linear[figure] <= 90
+        assert wiener[figure] > linear[figure]
+    for row in result["small_amplitude"]["rows"]:
+        assert row["small"]["value"] == pytest.approx(row["truth"], rel=0.05), row["quantity"]
+    session = read_session(out / "session.h5")
+    assert session.instrument.calibration["verdict"] == "passed"
+    assert not any("samples_lost" in test.notes for test in session.tests)
