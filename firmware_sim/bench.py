@@ -113,6 +113,6 @@ class Bench:
             "accelerometer_x": STANDARD_GRAVITY * self._along - reaction,
             "accelerometer_y": STANDARD_GRAVITY * self._across,
         }
-        return np.stack(
-            [np.broadcast_to(columns[channel.name], volts.shape) for channel in CHANNELS], axis=1
-        ).astype(np.float64)
+        return np.stack([np.broadcast_to(columns[channel.name], volts.shape) for channel in CHANNELS], axis=1).astype(
+            np.float64
+        )

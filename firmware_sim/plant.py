@@ -116,9 +116,7 @@ class Plant:
         if not self.energised:
             commands = np.zeros_like(commands)
         out = np.empty((commands.size, kernel.OUT_COLUMNS))
-        kernel.advance(
-            commands, self.state, self._plant, self._tissue, 1.0 / SAMPLE_RATE_HZ, self.substeps, out
-        )
+        kernel.advance(commands, self.state, self._plant, self._tissue, 1.0 / SAMPLE_RATE_HZ, self.substeps, out)
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:

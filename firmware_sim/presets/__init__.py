@@ -75,9 +75,7 @@ def parse_preset(name: str, text: str) -> Tissue:
     extras = reader.names("extras")
     laws = {law: reader.exponential(law) for law in _LAWS}
     branches = reader.branches()
-    figures = {
-        item: reader.figure(path) for item, path in _FIELDS.items() if reader.has(path) or item == "surface_m"
-    }
+    figures = {item: reader.figure(path) for item, path in _FIELDS.items() if reader.has(path) or item == "surface_m"}
     reader.finish()
     return Tissue(
         name=name,
@@ -96,9 +94,7 @@ def parse_preset(name: str, text: str) -> Tissue:
 @cache
 def _files() -> dict[str, Traversable]:
     return {
-        entry.name.removesuffix(".toml"): entry
-        for entry in files(__name__).iterdir()
-        if entry.name.endswith(".toml")
+        entry.name.removesuffix(".toml"): entry for entry in files(__name__).iterdir() if entry.name.endswith(".toml")
     }
 
 
