@@ -16,7 +16,7 @@ from tissueid.errors import (
     LinkLostError,
     ProtocolVersionError,
 )
-from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits
+from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument
 from tissueid.wire import Fault, Flag, State
 
 SECOND = 2000
@@ -95,6 +95,19 @@ def test_requests_survive_a_lossy_link_and_act_once(loss):
     assert link.firmware.state is State.RUNNING
     assert link.firmware._start_index == run.first_index
     assert link.firmware._stimulus.size == 4000
+
+
+def test_a_new_host_finds_a_device_that_still_streams_for_a_dead_one():
+    dead = connect()
+    dead.load(hold(10.0, 2.0))
+    dead.arm(CLINICAL)
+    dead.start()
+    link = dead._link
+    link.run_for(0.3)
+    instrument = SerialInstrument(link, clock=link.clock)
+    assert not link.firmware.energised
+    _, samples = play(instrument, hold(5.0, 0.3))
+    assert not np.isnan(samples["position"]).any()
 
 
 def test_a_repeated_start_does_not_start_again():
@@ -183,7 +196,6 @@ def test_nothing_at_the_other_end():
 
     from firmware_sim.bench import Bench
     from firmware_sim.firmware import Firmware
-    from tissueid.instrument import SerialInstrument
 
     link = LoopbackLink(Firmware(Bench()))
     link.to_host = lambda data: b""
@@ -446,7 +458,6 @@ def test_a_damaged_handshake_is_refused(spoil):
 
     from firmware_sim.bench import Bench
     from firmware_sim.firmware import Firmware
-    from tissueid.instrument import SerialInstrument
 
     link = LoopbackLink(Firmware(Bench()))
 

@@ -15,6 +15,8 @@ def list_devices(probe: bool, json_file: Path | None) -> None:
     """Print what was found, and why what did not answer did not."""
     found = find_instruments(probe=probe)
     rows = table("Instruments", "device", "what", "answers")
+    for column in rows.columns:
+        column.justify = "left"
     for item in found:
         rows.add_row(item.url, item.detail if item.answers and item.detail else item.what, _ANSWERS[item.answers])
     console.print(rows)

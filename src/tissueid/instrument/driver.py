@@ -102,6 +102,7 @@ class SerialInstrument:
         self._stopped = False
         self._command = np.zeros(0)
         self._stimulus_id = 0
+        self._gains = self._offsets = np.zeros(0)
         self._closed = False
         self._last_heard = self._last_heartbeat = clock()
         self._streaming = False
@@ -362,6 +363,8 @@ class SerialInstrument:
             self._fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(self.status.faults)}"))
 
     def _take_data(self, frame: Frame) -> None:
+        if not self._gains.size:
+            return  # still streaming for a host that died: the scales are not known yet
         if self._next_index is not None and frame.sample_index < self._next_index:
             return  # a duplicate, or late: its place is already taken
         if len(frame.payload) % wire.SAMPLE.itemsize:
