@@ -1,0 +1,85 @@
+"""Choosing an instrument: a list that can be typed into, and what is known of the one that is chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.plan import DEFAULT_URL
+from tissueid.instrument import Found
+from tissueid.instrument.discovery import IN_PROCESS
+
+
+class InstrumentChooser(QWidget):
+    """URL of an instrument, a button that looks for more, and a line about the chosen one."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._found: dict[str, Found] = {}
+        self.choice = QComboBox()
+        self.choice.setEditable(True)
+        self.choice.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+        # A completer would turn a typed /dev/ttyACM1 into a listed /dev/ttyACM10.
+        self.choice.setCompleter(None)  # type: ignore[arg-type]
+        self.choice.setAccessibleName("Instrument")
+        self.choice.setAccessibleDescription("A port, socket://HOST:PORT or simulated://TISSUE")
+        self.choice.setToolTip("A port, socket://HOST:PORT or simulated://TISSUE")
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.refresh = QPushButton("&Find")
+        self.refresh.setAccessibleName("Find instruments")
+        self.refresh.setToolTip("Ask every port whether an instrument answers")
+        self.about = QLabel()
+        self.about.setProperty("role", "field")
+        self.about.setWordWrap(True)
+        self.about.setMinimumWidth(1)
+        self.about.setTextFormat(Qt.TextFormat.PlainText)
+        row = QHBoxLayout()
+        row.setSpacing(6)
+        row.addWidget(self.choice, 1)
+        row.addWidget(self.refresh)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(3)
+        layout.addLayout(row)
+        layout.addWidget(self.about)
+        self.choice.currentTextChanged.connect(self._describe)
+
+    @property
+    def url(self) -> str:
+        """What is chosen or typed."""
+        return self.choice.currentText().strip()
+
+    def offer(self, found: Sequence[Found]) -> None:
+        """Fill the list anew; what was chosen or typed stays."""
+        kept = self.url or DEFAULT_URL
+        self._found = {item.url: item for item in found}
+        self.choice.blockSignals(True)
+        self.choice.clear()
+        self.choice.addItems(list(self._found))
+        self.choice.blockSignals(False)
+        if kept in self._found:
+            self.choice.setCurrentText(kept)
+        else:
+            self.choice.setEditText(kept)
+        self._describe()
+
+    def doubt(self, url: str) -> None:
+        """An instrument failed: that it once answered no longer says that it is ready."""
+        item = self._found.get(url)
+        if item is not None and not url.startswith(IN_PROCESS):
+            self._found[url] = replace(item, answers=None)
+            self._describe()
+
+    def _describe(self) -> None:
+        item = self._found.get(self.url)
+        if item is None:
+            self.about.setText("Typed address: tried when the test starts." if self.url else "")
+        elif item.answers:
+            self.about.setText(f"Ready: {item.detail or item.what}.")
+        elif item.answers is None:
+            self.about.setText(f"{item.what}: not asked whether it is ready.")
+        else:
+            self.about.setText(f"Does not answer: {item.detail or item.what}.")

@@ -1,0 +1,230 @@
+"""The form of one test: instrument, subject, site, limits, stimulus, and where to save."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QFileDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QSpinBox,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.chooser import InstrumentChooser
+from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
+from tissueid.instrument import PROFILES
+
+_SHORTEST_S = 0.5
+_MOST_SEED = 2**31 - 1
+
+
+class PlanForm(QWidget):
+    """Fields from which :meth:`plan` makes the plan of a test. Return in one of them sends ``filled``."""
+
+    filled = Signal()
+
+    def __init__(self, folder: Path, now: Callable[[], datetime], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.folder = folder
+        self._now = now
+        self._own_path = False
+        self.instrument = InstrumentChooser()
+        self.subject = QLineEdit(ANONYMOUS)
+        self.subject.setToolTip("A pseudonym, never a name")
+        self.site = QComboBox()
+        self.site.setEditable(True)
+        self.site.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
+        # What is typed is meant: "left forearm" is not yet its posterior side.
+        self.site.setCompleter(None)  # type: ignore[arg-type]
+        self.site.addItems(list(SITES))
+        self.site.setCurrentIndex(-1)
+        if (line := self.site.lineEdit()) is not None:
+            line.setPlaceholderText("where on the body, or which material")
+        self.limits = QComboBox()
+        for name in sorted(PROFILES):
+            self.limits.addItem(f"{name.capitalize()}: up to {PROFILES[name].max_force_n:g} N", name)
+        self.path = QLineEdit()
+        self.browse = QPushButton("C&hoose…")
+        self.browse.setAccessibleName("Choose where to save")
+
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(10)
+        _add(layout, "&Instrument", self.instrument, focus=self.instrument.choice)
+        _add(layout, "Si&te", self.site)
+        _add(layout, "Su&bject (a pseudonym, never a name)", self.subject)
+        _add(layout, "&Limits", self.limits)
+        self._add_settings(layout)
+        saving = QWidget()
+        row = QHBoxLayout(saving)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(6)
+        row.addWidget(self.path, 1)
+        row.addWidget(self.browse)
+        _add(layout, "Sa&ve to", saving, focus=self.path)
+        layout.addStretch(1)
+
+        self.limits.currentIndexChanged.connect(self._apply_limits)
+        self.path.textEdited.connect(self._take_own_path)
+        self.browse.clicked.connect(self._choose_path)
+        self.limits.setCurrentIndex(self.limits.findData("clinical"))
+        self._apply_limits()
+        self.renew_path()
+
+    def plan(self) -> Plan:
+        """The test that the fields describe; a dated file gets the time of now."""
+        if not self._own_path:
+            self.renew_path()
+        return Plan(
+            url=self.instrument.url,
+            site=self.site.currentText().strip(),
+            path=Path(self.path.text().strip()),
+            pseudonym=self.subject.text().strip() or ANONYMOUS,
+            limits=self.limits.currentData(),
+            distribution=self.distribution.currentData(),
+            min_force_n=self.min_force.value(),
+            max_force_n=self.max_force.value(),
+            seconds=self.seconds.value(),
+            seed=self.seed.value(),
+        )
+
+    def renew_path(self) -> None:
+        """Go on to a file that is not there yet, beside the last one."""
+        if self._own_path:
+            self.folder = Path(self.path.text().strip()).parent
+        self._own_path = False
+        self.path.setText(str(dated_path(self.folder, self._now())))
+        self.path.setToolTip(self.path.text())
+        self.path.setCursorPosition(len(self.path.text()))
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Take the Return that a field has no use for: it must not by itself energise a coil."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self.filled.emit()
+            return
+        super().keyPressEvent(event)
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _add_settings(self, layout: QVBoxLayout) -> None:
+        """The stimulus, folded away under a line that says what it is."""
+        self.fold = QToolButton()
+        self.fold.setText("S&ettings")
+        self.fold.setProperty("role", "fold")
+        self.fold.setCheckable(True)
+        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.fold.setAccessibleName("Settings of the stimulus")
+        self.summary = QLabel()
+        self.summary.setProperty("role", "field")
+        self.summary.setWordWrap(True)
+        self.distribution = QComboBox()
+        for name in DISTRIBUTIONS:
+            self.distribution.addItem(name.capitalize(), name)
+        self.min_force = _number(" N", 0.0, 14.5, 0.5, 0.5)
+        self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
+        self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
+        self.seed = QSpinBox()
+        self.seed.setRange(0, _MOST_SEED)
+        self.seed.setValue(1)
+        self.settings = QWidget()
+        grid = QGridLayout(self.settings)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setVerticalSpacing(6)
+        rows = (
+            ("&Distribution", self.distribution),
+            ("Lo&west force", self.min_force),
+            ("Hi&ghest force", self.max_force),
+            ("Dur&ation", self.seconds),
+            ("Seed", self.seed),
+        )
+        for row, (name, field) in enumerate(rows):
+            label = QLabel(name)
+            label.setBuddy(field)
+            field.setAccessibleName(name.replace("&", ""))
+            grid.addWidget(label, row, 0)
+            grid.addWidget(field, row, 1)
+        grid.setColumnStretch(1, 1)
+        group = QVBoxLayout()
+        group.setSpacing(4)
+        for widget in (self.fold, self.summary, self.settings):
+            group.addWidget(widget)
+        layout.addLayout(group)
+        self.fold.toggled.connect(self._unfold)
+        self.distribution.currentIndexChanged.connect(self._summarise)
+        for spin in (self.min_force, self.max_force, self.seconds, self.seed):
+            spin.valueChanged.connect(self._summarise)
+        self._unfold(False)
+        self._summarise()
+
+    # -- reacting -----------------------------------------------------------------------------------------
+
+    def _unfold(self, opened: bool) -> None:
+        self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
+        self.settings.setVisible(opened)
+
+    def _apply_limits(self) -> None:
+        """Keep force and length within what the profile allows."""
+        name = self.limits.currentData()
+        self.max_force.setMaximum(PROFILES[name].max_force_n)
+        self.min_force.setMaximum(PROFILES[name].max_force_n - self.min_force.singleStep())
+        self.seconds.setMaximum(longest_stimulus_s(name))
+
+    def _summarise(self) -> None:
+        self.summary.setText(
+            f"{self.distribution.currentText()} noise, {self.min_force.value():g} to {self.max_force.value():g} N, "
+            f"{self.seconds.value():g} s, seed {self.seed.value()}"
+        )
+
+    def _take_own_path(self) -> None:
+        self._own_path = True
+
+    def _choose_path(self) -> None:
+        dialog = QFileDialog(self, "Save the session to", str(self.folder), "Sessions (*.h5)")
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("h5")
+        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an existing session is refused, not replaced
+        dialog.selectFile(Path(self.path.text()).name)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self._choose_chosen_path)
+        dialog.open()
+
+    def _choose_chosen_path(self, path: str) -> None:
+        self._own_path = True
+        self.path.setText(path)
+        self.path.setToolTip(path)
+
+
+def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | None = None) -> None:
+    """A field under its label; the label's mnemonic goes to ``focus``, the field itself when None."""
+    label = QLabel(name)
+    label.setProperty("role", "field")
+    label.setBuddy(focus or field)
+    (focus or field).setAccessibleName(name.replace("&", ""))
+    group = QVBoxLayout()
+    group.setSpacing(3)
+    group.addWidget(label)
+    group.addWidget(field)
+    layout.addLayout(group)
+
+
+def _number(unit: str, low: float, high: float, step: float, value: float) -> QDoubleSpinBox:
+    spin = QDoubleSpinBox()
+    spin.setSuffix(unit)
+    spin.setDecimals(2)
+    spin.setRange(low, high)
+    spin.setSingleStep(step)
+    spin.setValue(value)
+    return spin

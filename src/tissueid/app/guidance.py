@@ -1,0 +1,101 @@
+"""Where a test stands and what to do next: four phases, one instruction, one bar."""
+
+from __future__ import annotations
+
+import math
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
+
+from tissueid.acquisition import Phase
+from tissueid.acquisition.guided import PLACE_S
+from tissueid.app.live import Glance
+from tissueid.app.plan import Plan
+
+IDLE = "Place the probe on the skin and hold the reference surface firmly. Then start the test."
+_NAMES = {
+    Phase.PLACE: "1  Place",
+    Phase.PRELOAD: "2  Preload",
+    Phase.STIMULUS: "3  Stimulus",
+    Phase.RELEASE: "4  Release",
+}
+_WORDS = {
+    Phase.PLACE: "Hold the reference surface firmly: the probe is finding the skin.",
+    Phase.PRELOAD: "Hold still: the probe leans in to its mean force.",
+    Phase.RELEASE: "Done. The coil is free: lift the probe off the skin.",
+}
+_STEPS = 1000
+
+
+class Guidance(QFrame):
+    """Phases, instruction and progress."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self.phase: Phase | None = None
+        self._labels: dict[Phase, QLabel] = {}
+        phases = QHBoxLayout()
+        phases.setSpacing(14)
+        for phase, name in _NAMES.items():
+            label = QLabel(name)
+            label.setProperty("role", "phase")
+            self._labels[phase] = label
+            phases.addWidget(label, 1)
+        self.instruction = QLabel()
+        self.instruction.setProperty("role", "instruction")
+        self.instruction.setWordWrap(True)
+        self.instruction.setTextFormat(Qt.TextFormat.PlainText)
+        self.instruction.setMinimumWidth(1)  # a word that is too long is cut off, and does not widen the window
+        self.bar = QProgressBar()
+        self.bar.setRange(0, _STEPS)
+        self.bar.setTextVisible(False)
+        self.bar.setAccessibleName("Progress of the test")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(14, 8, 14, 10)
+        layout.setSpacing(6)
+        layout.addLayout(phases)
+        layout.addWidget(self.instruction)
+        layout.addWidget(self.bar)
+        self.rest()
+
+    def rest(self) -> None:
+        """No test runs."""
+        self._mark(None)
+        self.bar.setValue(0)
+        self.say(IDLE)
+
+    def say(self, text: str) -> None:
+        """Change the instruction."""
+        if text != self.instruction.text():
+            self.instruction.setText(text)
+            self.instruction.setAccessibleName(text)
+
+    def follow(self, glance: Glance, plan: Plan) -> None:
+        """Show where a running test stands."""
+        phase = glance.phase
+        if phase is None:
+            return
+        self._mark(phase)
+        run_s = glance.fraction * plan.total_s
+        done_s = glance.fraction * PLACE_S if phase is Phase.PLACE else PLACE_S + run_s
+        self.bar.setValue(round(_STEPS * done_s / (PLACE_S + plan.total_s)))
+        if phase is Phase.STIMULUS:
+            self.say(f"Measuring. Hold still for {max(1, math.ceil(plan.total_s - run_s))} s.")
+        else:
+            self.say(_WORDS[phase])
+
+    def _mark(self, now: Phase | None) -> None:
+        """Set the phases before ``now`` done, and the ones after it to come."""
+        if now is self.phase and now is not None:
+            return
+        self.phase = now
+        order = list(self._labels)
+        for place, (phase, label) in enumerate(self._labels.items()):
+            state = "todo" if now is None or place > order.index(now) else "now" if phase is now else "done"
+            if now is Phase.RELEASE:
+                state = "done"
+            label.setProperty("state", state)
+            label.setAccessibleName(f"{_NAMES[phase]}: {state}")
+            label.style().unpolish(label)
+            label.style().polish(label)

@@ -1,0 +1,33 @@
+"""Work off the window's thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from PySide6.QtCore import QObject, QThread, Signal
+
+from tissueid.app.words import in_words
+
+
+class Job(QThread):
+    """One piece of work in a thread of its own. It ends with one of the two signals, in the window's thread.
+
+    Connect them to methods of QObjects only: those are called in the object's own thread.
+    """
+
+    succeeded = Signal(object)
+    failed = Signal(str)
+
+    def __init__(self, work: Callable[[], Any], parent: QObject) -> None:
+        super().__init__(parent)
+        self._work = work
+
+    def run(self) -> None:
+        """Work; Qt calls this in the new thread."""
+        try:
+            result = self._work()
+        except Exception as error:  # noqa: BLE001 - the last stop before the window, which says it in words
+            self.failed.emit(in_words(error))
+        else:
+            self.succeeded.emit(result)

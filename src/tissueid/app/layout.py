@@ -1,0 +1,158 @@
+"""Where everything stands in the main window, and in which order the tab key visits it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QKeyEvent
+from PySide6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QMainWindow,
+    QPushButton,
+    QScrollArea,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.form import PlanForm
+from tissueid.app.guidance import Guidance
+from tissueid.app.notice import Notice
+from tissueid.app.result import ResultPage
+from tissueid.app.signals import SignalPlots
+from tissueid.app.theme import Theme
+
+SIDE_WIDTH = 330
+RESEARCH_USE = "Research use only. Not a medical device."
+
+
+class BigButton(QPushButton):
+    """A button that Return presses as well as Space, once for each time that the key goes down."""
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Press; a key that is held down is not pressed again."""
+        if event.isAutoRepeat():
+            return
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self.click()
+            return
+        super().keyPressEvent(event)
+
+
+class Layout:
+    """The parts of the window."""
+
+    def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime]) -> None:
+        self.form = PlanForm(folder, now)
+        self.start = BigButton("&Start test")
+        self.start.setProperty("role", "start")
+        self.stop = BigButton("STOP – release coil")
+        self.stop.setProperty("role", "stop")
+        self.stop.setAccessibleName("STOP, release the coil")
+        self.stop.setToolTip("Escape does the same")
+        self.open = QPushButton("&Open session…")
+        self.report = QPushButton("Open &report")
+        self.notice = Notice()
+        self.guidance = Guidance()
+        self.signals = SignalPlots()
+        self.result = ResultPage()
+        self.pages = QTabWidget()
+        self.pages.setDocumentMode(True)
+        self.pages.tabBar().setDrawBase(False)
+        self.pages.addTab(self.signals, "Sig&nals")
+        self.pages.addTab(self.result, "Res&ult")
+        self.pages.setTabVisible(1, False)
+        window.setCentralWidget(self._arrange())
+        window.setMinimumSize(1000, 640)
+        window.resize(1280, 720)
+        order = [self.form.instrument.choice, self.form.instrument.refresh, self.form.site, self.form.subject]
+        order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
+        order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.start, self.stop]
+        order += [self.open, self.report, self.notice.offer, self.notice.dismiss, self.pages.tabBar(), self.result.test]
+        for before, after in pairwise(order):
+            QWidget.setTabOrder(before, after)
+        self.form.site.setFocus()
+
+    def settle(self, *, busy: bool, testing: bool, has_result: bool) -> None:
+        """Enable what makes sense: while a test runs that is STOP alone."""
+        self.form.setEnabled(not testing)
+        self.form.instrument.refresh.setEnabled(not busy)
+        self.start.setEnabled(not busy)
+        self.open.setEnabled(not busy)
+        self.report.setVisible(has_result)
+        self.report.setEnabled(not busy)
+        self.result.test.setEnabled(not busy)
+        self.notice.offer.setEnabled(not busy)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.signals.paint_with(theme)
+        self.result.paint_with(theme)
+
+    def _arrange(self) -> QWidget:
+        page = QWidget()
+        rows = QVBoxLayout(page)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.setSpacing(0)
+        rows.addWidget(self._header())
+        columns = QHBoxLayout()
+        columns.setSpacing(0)
+        columns.addWidget(self._side())
+        main = QVBoxLayout()
+        main.setContentsMargins(12, 10, 12, 10)
+        main.setSpacing(8)
+        main.addWidget(self.notice)
+        main.addWidget(self.guidance)
+        main.addWidget(self.pages, 1)
+        columns.addLayout(main, 1)
+        rows.addLayout(columns, 1)
+        return page
+
+    def _header(self) -> QWidget:
+        header = QFrame()
+        header.setProperty("role", "header")
+        title = QLabel("TissueID")
+        title.setProperty("role", "title")
+        research = QLabel(RESEARCH_USE)
+        research.setProperty("role", "research")
+        row = QHBoxLayout(header)
+        row.setContentsMargins(14, 7, 12, 7)
+        row.setSpacing(10)
+        row.addWidget(title)
+        row.addWidget(research)
+        row.addStretch(1)
+        row.addWidget(self.open)
+        row.addWidget(self.report)
+        return header
+
+    def _side(self) -> QWidget:
+        """The form, scrolled where it does not fit, above the two buttons that are always there."""
+        content = QWidget()
+        inside = QVBoxLayout(content)
+        inside.setContentsMargins(14, 10, 14, 10)
+        inside.addWidget(self.form)
+        scroll = QScrollArea()
+        scroll.setWidget(content)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        side = QFrame()
+        side.setProperty("role", "side")
+        side.setFixedWidth(SIDE_WIDTH)
+        column = QVBoxLayout(side)
+        column.setContentsMargins(0, 0, 0, 12)
+        column.setSpacing(8)
+        column.addWidget(scroll, 1)
+        for button in (self.start, self.stop):
+            row = QHBoxLayout()
+            row.setContentsMargins(14, 0, 14, 0)
+            row.addWidget(button)
+            column.addLayout(row)
+        return side

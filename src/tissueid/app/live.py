@@ -1,0 +1,86 @@
+"""The signals of a running test, between the thread that measures and the window that looks."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.acquisition import Phase, Progress
+from tissueid.acquisition.guided import PLACE_S
+from tissueid.device import DeviceDescription
+from tissueid.instrument import force
+
+CAPACITY = 1 << 16
+"""Samples held; the longest test that a profile allows at 2 kHz is 62,400."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What there is to see at one moment; arrays of shape (n,), oldest first, NaN where a sample was lost.
+
+    ``time_s`` counts from the start of the preload, as a session's does, and is negative while the probe is placed.
+    ``phase`` is None before the first sample; ``fraction`` (0 to 1) tells how much of the phase's run is played.
+    """
+
+    time_s: Array
+    force_n: Array
+    position_m: Array
+    phase: Phase | None
+    fraction: float
+
+
+class LiveSignals:
+    """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long."""
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._lock = threading.Lock()
+        self._ring = np.full((3, capacity), np.nan)  # time, force, position
+        self._added = 0
+        self._phase: Phase | None = None
+        self._fraction = 0.0
+        self._first_index: dict[bool, int] = {}
+
+    def add(self, progress: Progress, device: DeviceDescription) -> None:
+        """Take in what a guided test tells of itself."""
+        samples = progress.samples
+        with self._lock:
+            self._phase, self._fraction = progress.phase, progress.fraction
+            if not samples.size:
+                return
+            placing = progress.phase is Phase.PLACE
+            first = self._first_index.setdefault(placing, int(samples["index"][0]))
+            time_s = (samples["index"] - first) / device.sample_rate_hz - (PLACE_S if placing else 0.0)
+            rows = np.stack([time_s, force(samples, device), samples["position"]])  # (3, k)
+            capacity = self._ring.shape[1]
+            places = (self._added + np.arange(samples.size)) % capacity
+            self._ring[:, places[-capacity:]] = rows[:, -capacity:]
+            self._added += samples.size
+
+    def look(self) -> Glance:
+        """A copy of what is there."""
+        with self._lock:
+            capacity = self._ring.shape[1]
+            if self._added <= capacity:
+                rows = self._ring[:, : self._added].copy()
+            else:
+                rows = np.roll(self._ring, -(self._added % capacity), axis=1)
+            return Glance(rows[0], rows[1], rows[2], self._phase, self._fraction)
+
+
+def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:
+    """Least and greatest value in each pixel column of a plot that shows ``low_s`` to ``high_s``.
+
+    Takes time (rising) and values of shape (n,), returns at most (2 columns,) of each: all that such a plot can
+    show. A column of lost samples is NaN, so that the line is broken there. Few samples pass as they are.
+    """
+    if values.size <= 2 * columns or high_s <= low_s:
+        return time_s, values
+    column = np.floor((time_s - low_s) * (columns / (high_s - low_s)))
+    starts = np.flatnonzero(np.diff(column, prepend=column[0] - 1.0))
+    ends = np.stack([np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)], axis=1)  # (columns, 2)
+    return np.repeat(time_s[starts], 2), ends.reshape(-1)

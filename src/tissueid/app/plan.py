@@ -1,0 +1,110 @@
+"""What one test is to be: the choices of the form, and the file that it goes to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import get_args
+
+from platformdirs import user_documents_path
+
+from tissueid.errors import UnusableInputError
+from tissueid.instrument import PROFILES
+from tissueid.stimuli.base import Stimulus, guided
+from tissueid.stimuli.noise import Noise
+
+DEFAULT_URL = "simulated://forearm"
+ANONYMOUS = "anonymous"
+SITES = (
+    "left forearm, posterior",
+    "left forearm, anterior",
+    "right forearm, posterior",
+    "right forearm, anterior",
+    "left upper arm",
+    "right upper arm",
+    "left thigh",
+    "right thigh",
+    "left calf",
+    "right calf",
+    "abdomen",
+    "material sample",
+)
+"""Suggestions; any text will do."""
+DISTRIBUTIONS: tuple[str, ...] = get_args(Noise.model_fields["distribution"].annotation)
+PRELOAD_S = 0.5
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One test as the form describes it. ``limits`` names a profile."""
+
+    url: str
+    site: str
+    path: Path
+    pseudonym: str = ANONYMOUS
+    limits: str = "clinical"
+    distribution: str = "gaussian"
+    min_force_n: float = 0.5
+    max_force_n: float = 10.5
+    seconds: float = 4.0
+    seed: int = 1
+
+    def stimulus(self, sample_rate_hz: float) -> Stimulus:
+        """The stimulus with its preload.
+
+        Raises:
+            UnusableInputError: the choices do not make one.
+        """
+        options = {
+            "distribution": self.distribution,
+            "force_min_n": self.min_force_n,
+            "force_max_n": self.max_force_n,
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "sample_rate": sample_rate_hz,
+        }
+        return guided(Noise.from_options(options).build(), PRELOAD_S)
+
+    def check(self) -> None:
+        """Refuse what can be seen to be wrong before an instrument is touched.
+
+        Raises:
+            UnusableInputError: says what to fill in.
+        """
+        if not self.url:
+            raise UnusableInputError("choose an instrument, or type its address")
+        if not self.site:
+            raise UnusableInputError("fill in the site: where on the body, or which material")
+        if self.min_force_n >= self.max_force_n:
+            raise UnusableInputError(
+                f"the lowest force ({self.min_force_n:g} N) must be below the highest ({self.max_force_n:g} N)"
+            )
+        if not self.path.name:
+            raise UnusableInputError("say where to save the session")
+
+    @property
+    def total_s(self) -> float:
+        """Seconds that the stimulus and its preload last."""
+        return PRELOAD_S + self.seconds
+
+
+def longest_stimulus_s(limits: str) -> float:
+    """What a profile leaves for the stimulus once the preload is played."""
+    return PROFILES[limits].max_seconds - PRELOAD_S
+
+
+def default_folder() -> Path:
+    """Where sessions go unless somebody says otherwise."""
+    return user_documents_path() / "TissueID"
+
+
+def dated_path(folder: Path, moment: datetime) -> Path:
+    """A session file named by date and time that is not there yet, nor left unfinished."""
+    name = f"{moment:%Y-%m-%d_%H-%M-%S}"
+    number = 1
+    while True:
+        path = folder / (f"{name}.h5" if number == 1 else f"{name}_{number}.h5")
+        if not path.exists() and not path.with_name(f"{path.name}.journal").exists():
+            return path
+        number += 1

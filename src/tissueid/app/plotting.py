@@ -1,0 +1,160 @@
+"""One plot on a card: a title with its key, axes with units, curves that follow the palette."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pyqtgraph as pg
+from numpy.typing import NDArray
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QFont
+from PySide6.QtWidgets import QFrame, QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme, faint
+
+Array = NDArray[np.float64]
+
+_AXIS_WIDTH = 40
+_GRID = 70
+"""Opacity of the grid, of 255."""
+_LOG_STEPS = (1.0, 2.0, 5.0)
+_NOTHING = np.zeros(0)
+
+
+class LogAxis(pg.AxisItem):  # type: ignore[misc]
+    """An axis whose data are decimal logarithms, labelled with plain numbers at 1, 2 and 5."""
+
+    def tickValues(self, low: float, high: float, size: float) -> list[tuple[float, list[float]]]:  # noqa: N802
+        """Ticks from ``low`` to ``high``; fewer when they would crowd ``size`` pixels."""
+        decades = range(math.floor(low), math.ceil(high) + 1)
+        steps = _LOG_STEPS if size / max(high - low, 1e-9) > 90.0 else _LOG_STEPS[:1]
+        values = [decade + math.log10(step) for decade in decades for step in steps]
+        return [(1.0, [value for value in values if low <= value <= high])]
+
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:  # noqa: N802
+        """The numbers themselves."""
+        return [f"{10.0**value:.3g}" for value in values]
+
+
+class PlotCard(QFrame):
+    """A plot under a heading that carries its unit. ``key`` maps what curves are called to the role of their colour."""
+
+    def __init__(
+        self,
+        title: str,
+        x_label: str,
+        unit: str,
+        *,
+        key: dict[str, str] | None = None,
+        log_axes: bool = False,
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self._key = key or {}
+        self._pens: list[tuple[pg.PlotDataItem, str, int, int]] = []
+        self._dots: list[tuple[pg.PlotDataItem, str]] = []
+        self._bands: list[tuple[pg.FillBetweenItem, str]] = []
+        self._marks: list[pg.InfiniteLine] = []
+        axes = {side: LogAxis(side) for side in ("bottom", "left")} if log_axes else None
+        self.plot = pg.PlotWidget(axisItems=axes)
+        self.plot.setMenuEnabled(False)
+        self.plot.setMouseEnabled(x=False, y=False)
+        self.plot.hideButtons()
+        self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.plot.setAccessibleName(f"Plot: {title}, {unit}")
+        self.plot.setMinimumHeight(60)
+        self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+        self._x_label = x_label
+        self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
+        for side in ("left", "bottom"):  # drawing the grid anew takes ten times as long as a frame's curve
+            self.plot.getAxis(side).setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
+        self._heading = QLabel(f"{title} ({unit})")
+        self._heading.setProperty("role", "heading")
+        self._legend = QLabel()
+        self._legend.setProperty("role", "muted")
+        self._legend.setTextFormat(Qt.TextFormat.RichText)
+        self._legend.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self._missing = QLabel()
+        self._missing.setProperty("role", "muted")
+        self._missing.setWordWrap(True)
+        self._missing.setMinimumWidth(1)
+        self._missing.setTextFormat(Qt.TextFormat.PlainText)
+        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._missing.hide()
+        heading = QHBoxLayout()
+        heading.addWidget(self._heading)
+        heading.addWidget(self._legend, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(10, 6, 10, 6)
+        layout.setSpacing(2)
+        layout.addLayout(heading)
+        layout.addWidget(self.plot, 1)
+        layout.addWidget(self._missing, 1)
+
+    def line(self, role: str, *, width: int = 1, alpha: int = 255) -> pg.PlotDataItem:
+        """Add an empty line in the colour of a role. Long ones must be one pixel wide to be drawn fast."""
+        item = self.plot.plot(_NOTHING, _NOTHING, connect="finite")
+        self._pens.append((item, role, width, alpha))
+        return item
+
+    def dots(self, role: str, size: int = 3) -> pg.PlotDataItem:
+        """Add empty dots in the colour of a role."""
+        item = self.plot.plot(_NOTHING, _NOTHING, pen=None, symbol="o", symbolSize=size, symbolPen=None)
+        self._dots.append((item, role))
+        return item
+
+    def band(self, role: str) -> tuple[pg.PlotCurveItem, pg.PlotCurveItem]:
+        """Add an empty band; returns its lower and upper edge. The axes do not stretch to hold it."""
+        edges = pg.PlotCurveItem(_NOTHING, _NOTHING, pen=None), pg.PlotCurveItem(_NOTHING, _NOTHING, pen=None)
+        band = pg.FillBetweenItem(*edges)
+        for item in (*edges, band):
+            self.plot.addItem(item, ignoreBounds=True)
+        self._bands.append((band, role))
+        return edges
+
+    def mark(self, *, upright: bool = True, text: str = "") -> pg.InfiniteLine:
+        """Add a hidden thin line across the plot, with a text at its end if there is one."""
+        where = {"position": 0.99, "anchors": [(1.0, 1.0), (1.0, 1.0)]}
+        item = pg.InfiniteLine(angle=90 if upright else 0, label=text or None, labelOpts=where if text else None)
+        item.hide()
+        self.plot.addItem(item, ignoreBounds=True)
+        self._marks.append(item)
+        return item
+
+    def say_missing(self, text: str) -> None:
+        """Show words in place of the plot, or with no words the plot."""
+        self._missing.setText(text)
+        self._missing.setVisible(bool(text))
+        self.plot.setVisible(not text)
+        self._legend.setVisible(not text)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.plot.setBackground(theme.panel)
+        small = QFont(self.font())
+        small.setPointSizeF(max(7.0, 0.85 * small.pointSizeF()))
+        for side in ("left", "bottom"):
+            axis = self.plot.getAxis(side)
+            axis.setPen(theme.line)
+            axis.setTextPen(theme.muted)
+            axis.setTickFont(small)
+            axis.setGrid(_GRID)
+            axis.setStyle(tickLength=0, showValues=side == "left" or bool(self._x_label))
+        if self._x_label:
+            look = {"color": theme.muted, "font-size": f"{small.pointSizeF():.1f}pt"}
+            # Without ranges in which it may, pyqtgraph does not turn 0.4 s into 400 of a unit that no label names.
+            self.plot.getAxis("bottom").setLabel(self._x_label, siPrefixEnableRanges=(), **look)
+        for item, role, width, alpha in self._pens:
+            item.setPen(pg.mkPen(faint(getattr(theme, role), alpha), width=width))
+        for item, role in self._dots:
+            item.setSymbolBrush(faint(getattr(theme, role), 150))
+        for mark in self._marks:
+            mark.setPen(pg.mkPen(theme.muted, width=1, style=Qt.PenStyle.DotLine))
+            if hasattr(mark, "label"):
+                mark.label.setColor(theme.muted)
+        for band, role in self._bands:
+            band.setBrush(faint(getattr(theme, role), 60))
+        entries = [f'<span style="color:{getattr(theme, role)}">■</span> {name}' for name, role in self._key.items()]
+        self._legend.setText("&nbsp;&nbsp; ".join(entries))

@@ -1,0 +1,205 @@
+"""The result of a test: verdict, numbers with their uncertainty, and the four plots behind them."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.findings import Curves, Findings, Number
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.sessions import Test
+
+_TILES = 5
+_NOTHING = np.zeros(0)
+
+
+class ResultPage(QScrollArea):
+    """Shows findings. ``test_chosen`` carries the number of another test of the same session."""
+
+    test_chosen = Signal(int)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWidgetResizable(True)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        page = QWidget()
+        self.setWidget(page)
+        layout = QVBoxLayout(page)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(8)
+        layout.addWidget(self._make_verdict())
+        self._tiles = [_Tile() for _ in range(_TILES)]
+        for tile in self._tiles[-2:]:
+            tile.setToolTip(
+                "Variance accounted for: how much of the motion a simulation explains that sees only the force"
+            )
+        tiles = QHBoxLayout()
+        tiles.setSpacing(8)
+        for tile in self._tiles:
+            tiles.addWidget(tile, 1)
+        layout.addLayout(tiles)
+        layout.addLayout(self._make_plots(), 1)
+
+    def show_findings(self, findings: Findings) -> None:
+        """Fill the page."""
+        verdict = findings.verdict
+        for widget in (self._verdict, self.headline):
+            widget.setProperty("level", verdict.level)
+            widget.style().unpolish(widget)
+            widget.style().polish(widget)
+        self.headline.setText(verdict.headline)
+        self.reasons.setText("\n".join([*verdict.reasons, *findings.cautions]))
+        self.reasons.setVisible(bool(self.reasons.text()))
+        self.facts.setText(" ".join(text for text in (findings.ended, findings.visited) if text))
+        for place, tile in enumerate(self._tiles):
+            tile.setVisible(place < len(findings.numbers))
+            if place < len(findings.numbers):
+                tile.fill(findings.numbers[place])
+        for curves, card, filled in self._filled(findings):
+            card.say_missing(curves.missing)
+            for item, x, y in filled:
+                item.setData(x, y)
+            if curves.x.size:
+                card.plot.setXRange(float(curves.x.min()), float(curves.x.max()), padding=0.02)
+        self._offer_tests(findings.session.tests, findings.test)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in self.cards:
+            card.paint_with(theme)
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _make_verdict(self) -> QWidget:
+        self._verdict = QFrame()
+        self._verdict.setProperty("role", "verdict")
+        self.headline = QLabel()
+        self.headline.setProperty("role", "headline")
+        self.facts = QLabel()
+        self.facts.setProperty("role", "muted")
+        self.reasons = QLabel()
+        self.test = QComboBox()
+        self.test.setAccessibleName("Test of this session")
+        self.test.setMaximumWidth(260)
+        self.test.activated.connect(self._choose_test)
+        for label in (self.facts, self.reasons):
+            label.setWordWrap(True)
+            label.setMinimumWidth(1)
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        top = QHBoxLayout()
+        top.addWidget(self.headline, 1)
+        top.addWidget(self.test)
+        layout = QVBoxLayout(self._verdict)
+        layout.setContentsMargins(12, 8, 12, 8)
+        layout.setSpacing(3)
+        layout.addLayout(top)
+        layout.addWidget(self.reasons)
+        layout.addWidget(self.facts)
+        return self._verdict
+
+    def _make_plots(self) -> QGridLayout:
+        fit = {"measured": "measured", "second order": "model"}
+        self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)", key=fit)
+        self.bode = PlotCard("Bode magnitude", "Frequency (Hz)", "mm/N", key=fit, log_axes=True)
+        self.nonlinearity = PlotCard(
+            "Static nonlinearity, position",
+            "Force after the linear stage (N)",
+            "mm",
+            key={"measured": "measured", "fitted": "model"},
+        )
+        self.prediction = PlotCard(
+            "Unseen motion, position",
+            "Time after the fitted part (s)",
+            "mm",
+            key={"measured": "measured", "predicted": "model"},
+        )
+        self.impulse.setToolTip("Band: one standard deviation to either side")
+        self.bode.setToolTip("Band: 95 % confidence")
+        self.cards = (self.impulse, self.bode, self.nonlinearity, self.prediction)
+        self._bands = {card: card.band("measured") for card in (self.impulse, self.bode)}
+        self._measured = {
+            self.impulse: self.impulse.dots("measured", 4),
+            self.bode: self.bode.dots("measured", 4),
+            self.nonlinearity: self.nonlinearity.dots("measured", 2),
+            self.prediction: self.prediction.line("measured", width=4, alpha=120),
+        }
+        self._models = {card: card.line("model", width=1 if card is self.prediction else 2) for card in self.cards}
+        grid = QGridLayout()
+        grid.setSpacing(8)
+        for place, card in enumerate(self.cards):
+            card.setMinimumHeight(150)
+            grid.addWidget(card, place // 2, place % 2)
+            grid.setColumnStretch(place % 2, 1)
+            grid.setRowStretch(place // 2, 1)
+        return grid
+
+    # -- filling ------------------------------------------------------------------------------------------
+
+    def _filled(self, findings: Findings) -> list[tuple[Curves, PlotCard, list[tuple]]]:
+        """Curves, their card, and what goes into each of its items."""
+        filled = []
+        every = findings.impulse, findings.bode, findings.nonlinearity, findings.prediction
+        for curves, card in zip(every, self.cards, strict=True):
+            items = [(self._measured[card], curves.x, curves.y), (self._models[card], curves.model_x, curves.model_y)]
+            if card in self._bands:
+                for edge, values in zip(self._bands[card], (curves.low, curves.high), strict=True):
+                    items.append((edge, curves.x, _NOTHING) if values is None else (edge, curves.x, values))
+            filled.append((curves, card, items))
+        return filled
+
+    def _offer_tests(self, tests: tuple[Test, ...], shown: Test) -> None:
+        self.test.clear()
+        for test in tests:
+            self.test.addItem(f"Test {test.number}: {test.kind.replace('_', ' ')}", test.number)
+        self.test.setCurrentIndex(self.test.findData(shown.number))
+        self.test.setVisible(len(tests) > 1)
+
+    def _choose_test(self) -> None:
+        self.test_chosen.emit(self.test.currentData())
+
+
+class _Tile(QFrame):
+    """One number."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setProperty("role", "card")
+        self._label, self._value, self._rest, self._note = QLabel(), QLabel(), QLabel(), QLabel()
+        for label in (self._label, self._note):
+            label.setProperty("role", "field")
+            label.setWordWrap(True)
+        self._value.setProperty("role", "value")
+        self._rest.setProperty("role", "muted")
+        number = QHBoxLayout()
+        number.setSpacing(5)
+        number.addWidget(self._value)
+        number.addWidget(self._rest, 0, Qt.AlignmentFlag.AlignBottom)
+        number.addStretch(1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(12, 7, 8, 7)
+        layout.setSpacing(1)
+        layout.addWidget(self._label)
+        layout.addLayout(number)
+        layout.addWidget(self._note)
+        layout.addStretch(1)
+
+    def fill(self, number: Number) -> None:
+        """Show a number."""
+        self._label.setText(number.label)
+        self._value.setText(number.value)
+        self._rest.setText(number.unit)
+        self._note.setText(number.note)
+        self.setAccessibleName(f"{number.label}: {number.value} {number.unit}, {number.note}")

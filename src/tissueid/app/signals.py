@@ -1,0 +1,112 @@
+"""Force and position over time: of the running test, or of one that was recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtWidgets import QVBoxLayout, QWidget
+
+from tissueid.acquisition.guided import PLACE_S
+from tissueid.app.live import Array, Glance, decimated
+from tissueid.app.plan import PRELOAD_S, Plan
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.sessions import Test
+
+MM = 1e3
+_SLACK = 0.15
+"""Share of its span by which an axis grows beyond the data, so that it seldom has to."""
+_LEAST_SPAN = {"force": 2.0, "position": 1.0}
+
+
+class SignalPlots(QWidget):
+    """Two plots over one time axis, which is that of the session: zero is the start of the preload."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.force = PlotCard("Force", "", "N")
+        self.position = PlotCard("Position", "Time from the start of the preload (s)", "mm")
+        self.force.plot.setXLink(self.position.plot)
+        self._curves = {"force": self.force.line("measured"), "position": self.position.line("measured")}
+        self._starts = [card.mark() for card in self.cards for _ in range(2)]
+        self._surface = self.position.mark(upright=False, text="surface")
+        self._limits: dict[str, tuple[float, float]] = {}
+        self._time = (-PLACE_S, 5.0)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.force, 9)
+        layout.addWidget(self.position, 10)
+        self.clear()
+
+    @property
+    def cards(self) -> tuple[PlotCard, PlotCard]:
+        """Both plots."""
+        return self.force, self.position
+
+    def expect(self, plan: Plan) -> None:
+        """Make room for a test that is about to begin."""
+        self.clear()
+        self._show_times(-PLACE_S, plan.total_s, (0.0, PRELOAD_S))
+        self._grow("force", min(-1.0, plan.min_force_n), plan.max_force_n)
+
+    def show_live(self, glance: Glance) -> None:
+        """Draw what a running test has recorded so far."""
+        self._draw(glance.time_s, glance.force_n, MM * glance.position_m)
+
+    def show_test(self, test: Test) -> None:
+        """Draw a recorded test."""
+        self.clear()
+        unknown = np.full(test.samples, np.nan)
+        force, position = test.signals.get("force", unknown), test.signals.get("position", unknown)
+        time_s = np.arange(test.samples) / test.sample_rate_hz
+        self._show_times(0.0, test.samples / test.sample_rate_hz, (test.preload_s,) if test.preload_s else ())
+        self._draw(time_s, force, MM * position)
+        if np.isfinite(test.surface_position_m):
+            self._surface.setValue(MM * test.surface_position_m)
+            self._surface.show()
+
+    def clear(self) -> None:
+        """Empty plots."""
+        self._limits = {}
+        for curve in self._curves.values():
+            curve.setData(np.zeros(0), np.zeros(0))
+        for mark in (*self._starts, self._surface):
+            mark.hide()
+        self._show_times(-PLACE_S, PRELOAD_S + 4.0, ())
+        self._grow("force", 0.0, 10.0)
+        self._grow("position", 0.0, 30.0)
+        self._limits.clear()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in self.cards:
+            card.paint_with(theme)
+
+    def _show_times(self, low_s: float, high_s: float, marks: tuple[float, ...]) -> None:
+        self._time = (low_s, high_s)
+        self.position.plot.setXRange(low_s, high_s, padding=0.01)
+        for number, item in enumerate(self._starts):
+            place = number % 2
+            item.setVisible(place < len(marks))
+            if place < len(marks):
+                item.setValue(marks[place])
+
+    def _draw(self, time_s: Array, force_n: Array, position_mm: Array) -> None:
+        for name, values, card in (("force", force_n, self.force), ("position", position_mm, self.position)):
+            known = values[np.isfinite(values)]
+            if known.size:
+                self._grow(name, float(known.min()), float(known.max()))
+            columns = max(1, int(card.plot.getViewBox().width()))
+            self._curves[name].setData(*decimated(time_s, values, *self._time, columns))
+
+    def _grow(self, name: str, low: float, high: float) -> None:
+        """Widen an axis when the data leave it; it never shrinks during a test, so that the eye can rest."""
+        held = self._limits.get(name)
+        if held is not None and held[0] <= low and high <= held[1]:
+            return
+        if held is not None:
+            low, high = min(low, held[0]), max(high, held[1])
+        spare = _SLACK * max(high - low, _LEAST_SPAN[name])
+        self._limits[name] = low - spare, high + spare
+        card: pg.PlotWidget = getattr(self, name).plot
+        card.setYRange(low - spare, high + spare, padding=0.0)

@@ -1,0 +1,185 @@
+"""Colours and the one style sheet, for light and dark palettes alike."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from string import Template
+
+from PySide6.QtCore import QEvent, Signal
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QWidget
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours by what they are for."""
+
+    window: str
+    panel: str
+    text: str
+    muted: str
+    line: str
+    edge: str
+    field: str
+    accent: str
+    accent_text: str
+    accent_hover: str
+    stop: str
+    stop_hover: str
+    measured: str
+    model: str
+    good: str
+    check: str
+    poor: str
+
+
+LIGHT = Theme(
+    window="#f4f6f7",
+    panel="#ffffff",
+    text="#1d252b",
+    muted="#56636c",
+    line="#d5dce0",
+    edge="#b8c2c8",
+    field="#ffffff",
+    accent="#12617a",
+    accent_text="#ffffff",
+    accent_hover="#0d4f64",
+    stop="#b3261e",
+    stop_hover="#8f1d17",
+    measured="#1f6f9f",
+    model="#c25400",
+    good="#1c7a4d",
+    check="#9a6200",
+    poor="#b3261e",
+)
+DARK = Theme(
+    window="#1b2024",
+    panel="#232a2f",
+    text="#e6eaec",
+    muted="#a3afb6",
+    line="#3b454c",
+    edge="#55626b",
+    field="#2b3339",
+    accent="#2f8ca8",
+    accent_text="#ffffff",
+    accent_hover="#3ba0bf",
+    stop="#c8372d",
+    stop_hover="#dd4a3f",
+    measured="#62b3e4",
+    model="#f2a155",
+    good="#58c491",
+    check="#e0ac4a",
+    poor="#f0786e",
+)
+
+_SHEET = Template("""
+QToolTip { color: $text; background: $panel; border: 1px solid $line; padding: 3px; }
+QLabel { background: transparent; }
+QLabel[role="title"] { font-size: 15pt; font-weight: 600; }
+QLabel[role="muted"] { color: $muted; }
+QLabel[role="field"] { color: $muted; font-size: 9pt; }
+QLabel[role="heading"] { font-weight: 600; font-size: 9pt; }
+QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius: 9px; padding: 2px 10px; }
+QLabel[role="instruction"] { font-size: 14pt; }
+QLabel[role="value"] { font-size: 16pt; font-weight: 600; }
+QLabel[role="headline"] { font-size: 13pt; font-weight: 600; }
+QLabel[role="headline"][level="good"] { color: $good; }
+QLabel[role="headline"][level="check"] { color: $check; }
+QLabel[role="headline"][level="poor"] { color: $poor; }
+QFrame[role="card"] { background: $panel; border: 1px solid $line; border-radius: 6px; }
+QFrame[role="side"] { border: none; border-right: 1px solid $line; }
+QFrame[role="header"] { background: $panel; border: none; border-bottom: 1px solid $line; }
+QFrame[role="notice"] { background: $panel; border: 1px solid $line; border-left: 4px solid $accent; }
+QFrame[role="notice"][level="problem"] { border-left-color: $poor; }
+QFrame[role="verdict"] { background: $panel; border: 1px solid $line; border-left: 5px solid $line; }
+QFrame[role="verdict"][level="good"] { border-left-color: $good; }
+QFrame[role="verdict"][level="check"] { border-left-color: $check; }
+QFrame[role="verdict"][level="poor"] { border-left-color: $poor; }
+QLabel[role="phase"] { color: $muted; border: none; border-bottom: 3px solid $line; padding: 1px 2px 4px 2px; }
+QLabel[role="phase"][state="now"] { color: $text; font-weight: 600; border-bottom-color: $accent; }
+QLabel[role="phase"][state="done"] { color: $text; border-bottom-color: $good; }
+QPushButton { background: $panel; border: 1px solid $edge; border-radius: 4px; padding: 3px 12px;
+    min-height: 18px; }
+QPushButton:hover { border-color: $accent; }
+QPushButton:focus { border: 2px solid $accent; padding: 2px 11px; }
+QPushButton:disabled { color: $muted; background: $window; border-color: $line; }
+QComboBox QAbstractItemView { background: $panel; color: $text; selection-background-color: $accent;
+    selection-color: $accent_text; }
+QToolButton[role="fold"] { background: transparent; border: 1px solid transparent; padding: 2px 6px 2px 0px; }
+QToolButton[role="fold"]:focus { border: 1px solid $accent; }
+QPushButton[role="start"] { background: $accent; color: $accent_text; border: 2px solid $accent; font-size: 14pt;
+    font-weight: 600; padding: 8px; }
+QPushButton[role="start"]:hover { background: $accent_hover; border-color: $accent_hover; }
+QPushButton[role="start"]:focus { border: 2px solid $text; padding: 8px; }
+QPushButton[role="start"]:disabled { background: $window; color: $muted; border: 2px solid $line; }
+QPushButton[role="stop"] { background: $stop; color: #ffffff; border: 2px solid $stop; font-size: 13pt;
+    font-weight: 600; padding: 8px; }
+QPushButton[role="stop"]:hover { background: $stop_hover; border-color: $stop_hover; }
+QPushButton[role="stop"]:focus { border: 2px solid $text; padding: 8px; }
+QProgressBar { background: $line; border: none; border-radius: 3px; max-height: 6px; min-height: 6px; }
+QProgressBar::chunk { background: $accent; border-radius: 3px; }
+QTabWidget::pane { border: none; }
+QTabBar::tab { background: transparent; color: $muted; border: none; border-bottom: 2px solid transparent;
+    padding: 2px 14px 5px 14px; }
+QTabBar::tab:selected { color: $text; border-bottom-color: $accent; font-weight: 600; }
+QTabBar::tab:focus { color: $accent; }
+""")
+
+
+class PaletteWatch(QWidget):
+    """A hidden widget without a style sheet: one that has a sheet is not told when the system's palette changes."""
+
+    changed = Signal()
+
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Pass the change of a palette on."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            self.changed.emit()
+
+
+def theme_of(palette: QPalette) -> Theme:
+    """The theme that goes with a palette: dark when its windows are darker than its text."""
+    background = palette.color(QPalette.ColorRole.Window)
+    text = palette.color(QPalette.ColorRole.WindowText)
+    return DARK if background.lightness() < text.lightness() else LIGHT
+
+
+def palette_of(theme: Theme) -> QPalette:
+    """What the standard controls are drawn with."""
+    role = QPalette.ColorRole
+    colours = {
+        role.Window: theme.window,
+        role.WindowText: theme.text,
+        role.Base: theme.field,
+        role.AlternateBase: theme.window,
+        role.Text: theme.text,
+        role.Button: theme.panel,
+        role.ButtonText: theme.text,
+        role.BrightText: theme.accent_text,
+        role.PlaceholderText: theme.muted,
+        role.Highlight: theme.accent,
+        role.HighlightedText: theme.accent_text,
+        role.ToolTipBase: theme.panel,
+        role.ToolTipText: theme.text,
+        role.Link: theme.accent,
+    }
+    palette = QPalette(QColor(theme.panel), QColor(theme.window))
+    for name, colour in colours.items():
+        palette.setColor(name, QColor(colour))
+    for name in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(QPalette.ColorGroup.Disabled, name, QColor(theme.muted))
+    palette.setColor(QPalette.ColorGroup.Disabled, role.Base, QColor(theme.window))
+    return palette
+
+
+def style_sheet(theme: Theme) -> str:
+    """The style sheet of the whole window."""
+    return _SHEET.substitute(asdict(theme))
+
+
+def faint(colour: str, alpha: int) -> QColor:
+    """A colour let through to ``alpha`` of 255."""
+    faded = QColor(colour)
+    faded.setAlpha(alpha)
+    return faded

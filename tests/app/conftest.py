@@ -1,0 +1,74 @@
+"""Windows for tests: offscreen, unpaced, saving into a folder of their own."""
+
+from __future__ import annotations
+
+import gc
+import os
+import threading
+
+import pytest
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+from app.benches import WAIT_MS, Bench, found
+from PySide6.QtCore import QCoreApplication, QEvent
+
+from tissueid.app.main_window import MainWindow, Surroundings
+from tissueid.instrument import SimulatedInstrument
+
+
+@pytest.fixture(scope="session")
+def qapp_args():
+    return ["tissueid"]
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+@pytest.fixture
+def open_window(qtbot, tmp_path, bench):
+    """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
+    windows = []
+
+    def make(**changes):
+        around = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
+        around["show_file"] = lambda _: True
+        window = MainWindow(Surroundings(**(around | changes)))
+        windows.append(window)
+        window.show()
+        window.activateWindow()
+        qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
+        return window
+
+    gc.freeze()  # what was there before need not be searched at every end
+    gc.disable()
+    yield make
+    for window in windows:
+        window.close()
+        qtbot.waitUntil(lambda window=window: not window.isVisible(), timeout=WAIT_MS)
+        window.deleteLater()
+    windows.clear()
+    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    gc.enable()
+    gc.collect()
+    gc.unfreeze()
+
+
+@pytest.fixture
+def window(open_window):
+    return open_window()
+
+
+@pytest.fixture(scope="session")
+def saved(tmp_path_factory):
+    """A session with one completed test of 1.5 s."""
+    from tissueid.app.live import LiveSignals
+    from tissueid.app.measuring import measure
+    from tissueid.app.plan import Plan
+
+    path = tmp_path_factory.mktemp("saved") / "saved.h5"
+    plan = Plan("simulated://forearm", "left calf", path, seconds=1.5)
+    measure(plan, LiveSignals(), threading.Event(), lambda _: SimulatedInstrument(seed=5), wait=lambda _: None)
+    return path

@@ -1,0 +1,49 @@
+"""Opening and closing windows again and again: nothing is left of them."""
+
+import gc
+import sys
+import weakref
+
+import pytest
+from app.benches import WAIT_MS, found
+from PySide6.QtCore import QCoreApplication, QEvent
+from PySide6.QtWidgets import QApplication
+
+from tissueid.app.main_window import MainWindow, Surroundings
+from tissueid.app.theme import DARK, LIGHT
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+def live_and_die(qtbot, folder, saved, *, analyse):
+    window = MainWindow(Surroundings(finder=found, folder=folder, show_file=lambda _: True))
+    window.show()
+    if analyse:
+        window.open_session(saved)
+        qtbot.waitUntil(lambda: window.findings is not None and not window._jobs, timeout=WAIT_MS)
+        window.grab()
+    for theme in (DARK, LIGHT):
+        window.ui.paint_with(theme)
+    window.close()
+    window.deleteLater()
+    return weakref.ref(window)
+
+
+def test_twenty_windows_leave_nothing_behind(qtbot, tmp_path, saved):
+    counts = []
+    gc.collect()
+    gc.freeze()
+    gc.disable()  # as the application does: only this thread may delete widgets
+    try:
+        for number in range(20):
+            window = live_and_die(qtbot, tmp_path, saved, analyse=number % 9 == 0)
+            QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+            gc.collect()
+            assert window() is None
+            counts.append((len(QApplication.allWidgets()), sys.getrefcount(None)))
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    widgets, nones = zip(*counts, strict=True)
+    assert max(widgets[5:]) <= widgets[5]
+    assert abs(nones[-1] - nones[5]) < 100 * 14  # a leak, or references given back twice, is thousands a window

@@ -1,0 +1,407 @@
+"""The main window as people use it: keyboard and mouse in, files, words and a free coil out."""
+
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+from app.benches import WAIT_MS, Gate, found
+from PySide6.QtCore import Qt
+from support import connect
+
+from tissueid.acquisition import SessionRecorder, journal_path
+from tissueid.app.layout import RESEARCH_USE
+from tissueid.instrument import Run, SimulatedInstrument
+from tissueid.sessions import read_session, write_session
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+def press(qtbot, widget):
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
+
+
+def type_site(qtbot, window, site="left forearm"):
+    window.ui.form.site.setFocus()
+    qtbot.keyClicks(window.ui.form.site, site)
+
+
+def idle(window):
+    return not window._jobs and not window.testing
+
+
+def wait_for_result(qtbot, window):
+    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
+
+
+def only_session(folder):
+    (path,) = folder.glob("*.h5")
+    return path, read_session(path)
+
+
+def test_the_whole_path_by_keyboard(qtbot, window, tmp_path):
+    ui = window.ui
+    type_site(qtbot, window)
+    qtbot.keyClick(ui.form.site, Qt.Key.Key_Return)
+    assert ui.start.hasFocus()
+    assert not window.testing
+    qtbot.keyClick(ui.start, Qt.Key.Key_Return)
+    assert window.testing
+    assert ui.stop.hasFocus()
+    wait_for_result(qtbot, window)
+    path, session = only_session(tmp_path)
+    test = session.test()
+    assert (test.status, test.samples, test.site, session.subject.pseudonym) == (
+        "completed",
+        9000,
+        "left forearm",
+        "anonymous",
+    )
+    assert not journal_path(path).exists()
+    assert ui.pages.currentWidget() is ui.result
+    assert ui.result.headline.text() == "Good measurement"
+    assert "no sample lost" in ui.result.facts.text()
+    numbers = {number.label: number for number in window.findings.numbers}
+    assert 70 < float(numbers["Mass"].value) < 95
+    assert numbers["Mass"].unit.startswith("± ")
+    assert numbers["Mass"].unit.endswith(" g")
+    assert numbers["Stiffness"].unit.endswith(" N/m")
+    assert float(numbers["VAF, Wiener model"].value) > 95
+    assert path.name in ui.guidance.instruction.text()
+    assert not ui.notice.isVisible()
+    # A hand that still hammers on Return when the test is over must not begin the next one.
+    for _ in range(3):
+        qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Return)
+    assert idle(window)
+    qtbot.keyClick(window, Qt.Key.Key_S, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: window.testing, timeout=WAIT_MS)
+    wait_for_result(qtbot, window)
+    assert len(list(tmp_path.glob("*.h5"))) == 2
+
+
+def test_the_whole_path_by_mouse(qtbot, open_window, tmp_path):
+    shown = []
+    window = open_window(show_file=lambda path: shown.append(path) or False)
+    ui = window.ui
+    ui.form.site.setCurrentText("material sample")
+    press(qtbot, ui.form.fold)
+    assert ui.form.seconds.isVisible()
+    ui.form.seconds.setValue(1.0)
+    ui.form.distribution.setCurrentIndex(1)
+    assert ui.form.summary.text() == "Uniform noise, 0.5 to 10.5 N, 1 s, seed 1"
+    ui.form.subject.setText("P-017")
+    press(qtbot, ui.start)
+    wait_for_result(qtbot, window)
+    path, session = only_session(tmp_path)
+    assert session.subject.pseudonym == "P-017"
+    assert session.test().samples == 3000
+    assert session.test().stimulus["stimulus"]["distribution"] == "uniform"
+    press(qtbot, ui.report)
+    qtbot.waitUntil(lambda: bool(shown), timeout=WAIT_MS)
+    assert shown == [path.with_name(f"{path.stem}-report.html")]
+    assert "Research use only" in shown[0].read_text(encoding="utf-8")
+    assert "open it in a browser" in ui.notice.text.text()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    press(qtbot, ui.report)  # once written it is only shown again
+    assert len(shown) == 2
+    assert idle(window)
+    assert RESEARCH_USE in [label.text() for label in window.findChildren(type(ui.notice.text))]
+
+
+@pytest.mark.parametrize("how", ["button", "escape", "space"])
+def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp_path, how):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: "Measuring" in window.ui.guidance.instruction.text(), timeout=WAIT_MS)
+    assert window.ui.stop.isEnabled()
+    assert not window.ui.start.isEnabled()
+    assert not window.ui.form.isEnabled()
+    if how == "button":
+        press(qtbot, window.ui.stop)
+    else:
+        key = Qt.Key.Key_Escape if how == "escape" else Qt.Key.Key_Space
+        qtbot.keyClick(window.focusWidget(), key)
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    path, session = only_session(tmp_path)
+    assert session.test().status == "aborted"
+    assert 3000 < session.test().samples < 5000
+    assert bench.opened[0]._run is None
+    assert "Stopped" in window.ui.notice.text.text()
+    assert str(path) in window.ui.notice.text.text()
+    assert "ended early" in window.ui.result.reasons.text()
+
+
+def test_stop_while_the_probe_is_placed_leaves_no_file(qtbot, open_window, bench, tmp_path):
+    gate = Gate(passed=20)
+    window = open_window(wait=gate.wait)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
+    press(qtbot, window.ui.stop)
+    gate.opened.set()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "Nothing was recorded" in window.ui.notice.text.text()
+    assert list(tmp_path.iterdir()) == []
+    assert bench.opened[0]._run is None
+
+
+def test_stop_without_a_test_says_so(qtbot, window):
+    press(qtbot, window.ui.stop)
+    assert window.ui.notice.text.text() == "No test is running."
+    press(qtbot, window.ui.notice.dismiss)
+    assert not window.ui.notice.isVisible()
+
+
+def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(qtbot, open_window, tmp_path):
+    links = []
+
+    def opener(url):
+        if url.startswith("simulated"):
+            return SimulatedInstrument("forearm")
+        instrument = connect()
+        link = instrument._link
+        links.append(link)
+
+        def unplug_later(data):
+            link.plugged = link.now < 4.0
+            return data
+
+        link.to_host = unplug_later
+        return instrument
+
+    window = open_window(opener=opener)
+    type_site(qtbot, window)
+    chooser = window.ui.form.instrument
+    press(qtbot, chooser.refresh)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    chooser.choice.setEditText("/dev/ttyACM7")
+    assert chooser.about.text().startswith("Ready")
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+    assert not chooser.about.text().startswith("Ready")
+    assert "connection to loopback broke" in window.ui.notice.text.text()
+    path, session = only_session(tmp_path)
+    assert f"saved in {path}" in window.ui.notice.text.text()
+    assert session.test().status == "aborted"
+    assert session.test().samples > 2000
+    assert links[0].closed
+    links[0].run_for(1.0)
+    assert not links[0].firmware.energised
+    window.ui.form.instrument.choice.setEditText("simulated://forearm")
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+    assert window.findings.test.status == "completed"
+
+
+def test_closing_in_mid_test_releases_and_keeps(qtbot, open_window, bench, tmp_path):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
+    assert not window.close()
+    assert window.isVisible()
+    assert "coil" in window.ui.guidance.instruction.text()
+    gate.opened.set()
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+    assert only_session(tmp_path)[1].test().status == "aborted"
+    assert bench.opened[0]._run is None
+    assert not list(tmp_path.glob("*.journal"))
+
+
+def test_a_rubbish_session_gives_words_and_keeps_what_is_shown(qtbot, window, tmp_path, saved):
+    window.open_session(saved)
+    wait_for_result(qtbot, window)
+    rubbish = tmp_path / "rubbish.h5"
+    rubbish.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20)
+    window.open_session(rubbish)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "rubbish.h5" in window.ui.notice.text.text()
+    assert window.findings.path == saved
+    assert saved.name in window.ui.guidance.instruction.text()
+
+
+def test_a_test_too_short_to_identify_is_shown_without_numbers(qtbot, window, tmp_path, saved):
+    session = read_session(saved)
+    first = session.tests[0]
+    signals = {name: values[:1050] for name, values in first.signals.items() if name != "time"}
+    short = dataclasses.replace(first, signals=signals, status="aborted")
+    path = tmp_path / "short.h5"
+    write_session(path, dataclasses.replace(session, tests=(short,)))
+    window.open_session(path)
+    wait_for_result(qtbot, window)
+    assert window.ui.result.headline.text() == "Do not rely on this measurement"
+    assert window.findings.numbers == ()
+    assert "could be estimated" in window.findings.impulse.missing
+    assert not window.ui.result.impulse.plot.isVisible()
+
+
+def test_another_test_of_a_session_can_be_chosen(qtbot, window, tmp_path, saved):
+    session = read_session(saved)
+    second = dataclasses.replace(session.tests[0], number=2, repeat_of=1)
+    path = tmp_path / "two.h5"
+    write_session(path, dataclasses.replace(session, tests=(session.tests[0], second)))
+    window.open_session(path)
+    wait_for_result(qtbot, window)
+    assert window.ui.result.test.isVisible()
+    window.ui.result.test.setFocus()
+    qtbot.keyClick(window.ui.result.test, Qt.Key.Key_Down)
+    qtbot.waitUntil(lambda: idle(window) and window.findings.test.number == 2, timeout=WAIT_MS)
+
+
+def test_hostile_text_neither_widens_the_window_nor_becomes_markup(qtbot, window, tmp_path, saved):
+    session = read_session(saved)
+    hostile = dict(site="<b>" + "x" * 5000 + "\n" * 50, kind="k" * 500, notes={"reason": "r" * 5000}, status="aborted")
+    tests = tuple(dataclasses.replace(session.tests[0], number=number, **hostile) for number in (1, 2))
+    path = tmp_path / "hostile.h5"
+    write_session(path, dataclasses.replace(session, tests=tests))
+    window.open_session(path)
+    wait_for_result(qtbot, window)
+    assert window.ui.guidance.instruction.text().startswith("<b>xxx")
+    assert window.ui.guidance.instruction.textFormat() is Qt.TextFormat.PlainText
+    assert window.minimumSizeHint().width() <= 1000
+    assert window.ui.result.widget().minimumSizeHint().width() <= 900
+
+
+def leave_journal(folder, instrument):
+    recorder = SessionRecorder(folder / "lost.h5", instrument.device)
+    recorder.begin_test(Run(0, 4000), kind="stochastic", site="thigh", sample_rate_hz=2000.0)
+    for _ in range(50):
+        recorder.add(instrument.poll(0.0))
+    return recorder
+
+
+def test_an_unfinished_test_is_offered_and_recovered(qtbot, open_window, tmp_path):
+    leave_journal(tmp_path, SimulatedInstrument()).abandon()
+    window = open_window()
+    assert "lost.h5" in window.ui.notice.text.text()
+    press(qtbot, window.ui.notice.offer)
+    wait_for_result(qtbot, window)
+    assert "Recovered" in window.ui.notice.text.text()
+    assert window.findings.test.status == "recovered"
+    assert not (tmp_path / "lost.h5.journal").exists()
+
+
+def test_an_empty_journal_gives_words(qtbot, open_window, tmp_path):
+    SessionRecorder(tmp_path / "lost.h5", SimulatedInstrument().device).abandon()
+    window = open_window()
+    press(qtbot, window.ui.notice.offer)
+    qtbot.waitUntil(lambda: idle(window) and "no sample" in window.ui.notice.text.text(), timeout=WAIT_MS)
+
+
+def test_a_test_that_still_runs_is_not_offered(open_window, tmp_path):
+    recorder = leave_journal(tmp_path, SimulatedInstrument())
+    assert not open_window().ui.notice.isVisible()
+    recorder.abandon()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda form: form.site.setEditText(""), "fill in the site"),
+        (lambda form: form.instrument.choice.setEditText(" "), "choose an instrument"),
+        (lambda form: form.instrument.choice.setEditText("simulated://moon"), "no simulated tissue"),
+        (lambda form: form.min_force.setValue(11.0), "must be below the highest"),
+        (lambda form: _save_to(form, form.folder / "there.h5"), "never overwritten"),
+        (lambda form: _save_to(form, form.folder / "nowhere" / "s.h5"), "no folder"),
+        (lambda form: _save_to(form, ""), "say where to save"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(qtbot, open_window, tmp_path, spoil, words):
+    from tissueid.instrument import open_instrument
+
+    (tmp_path / "there.h5").write_bytes(b"")
+    window = open_window(opener=open_instrument)
+    type_site(qtbot, window)
+    spoil(window.ui.form)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert words in window.ui.notice.text.text()[:1].lower() + window.ui.notice.text.text()[1:]
+    assert window.ui.start.isEnabled()
+    assert [path.name for path in tmp_path.iterdir()] == ["there.h5"]
+
+
+def _save_to(form, path):
+    form.path.setText(str(path))
+    form._take_own_path()
+
+
+def test_a_path_of_ones_own_is_used_once(qtbot, window, tmp_path):
+    type_site(qtbot, window)
+    window.ui.form.seconds.setValue(1.0)
+    window.ui.form.path.setFocus()
+    window.ui.form.path.selectAll()
+    qtbot.keyClicks(window.ui.form.path, str(tmp_path / "mine.h5"))
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+    assert (tmp_path / "mine.h5").exists()
+    assert window.ui.form.path.text() != str(tmp_path / "mine.h5")
+
+
+def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
+    asked = []
+
+    def finder(*, probe):
+        asked.append((probe, threading.get_ident()))
+        return found(probe=probe)
+
+    window = open_window(finder=finder)
+    chooser = window.ui.form.instrument
+    assert chooser.url == "simulated://forearm"
+    chooser.choice.setEditText("socket://localhost:1234")
+    assert "Typed address" in chooser.about.text()
+    press(qtbot, chooser.refresh)
+    assert not window.ui.start.isEnabled()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert [probe for probe, _ in asked] == [False, True]
+    assert asked[0][1] == threading.get_ident() != asked[1][1]
+    assert chooser.url == "socket://localhost:1234"
+    chooser.choice.setCurrentText("/dev/ttyACM7")
+    assert chooser.about.text() == "Ready: desktop indenter, TEST-7."
+
+
+def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, open_window):
+    def finder(*, probe):
+        raise PermissionError(13, "Permission denied", "/sys/class/tty")
+
+    window = open_window(finder=finder)
+    assert "Permission denied" in window.ui.notice.text.text()
+    press(qtbot, window.ui.form.instrument.refresh)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert window.ui.form.instrument.url == "simulated://forearm"
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+
+
+def test_a_defect_is_words_and_a_file(qtbot, open_window, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
+    window = open_window(opener=lambda url: 1 / 0)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "defect of the software" in window.ui.notice.text.text()
+    assert "ZeroDivisionError" in (tmp_path / "last-defect.txt").read_text(encoding="utf-8")
+
+
+def test_live_plots_show_the_running_test(qtbot, open_window):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
+    curve = window.ui.signals._curves["force"]
+    qtbot.waitUntil(lambda: curve.getData()[0] is not None and curve.getData()[0].max() > 1.5, timeout=WAIT_MS)
+    time_s, force_n = curve.getData()
+    width = window.ui.signals.force.plot.getViewBox().width()
+    assert time_s.size <= 2 * width + 2
+    assert time_s.min() == pytest.approx(-1.2, abs=0.01)
+    assert np.nanmax(force_n) > 8.0
+    assert window.ui.guidance.phase.value == "stimulus"
+    press(qtbot, window.ui.stop)
+    gate.opened.set()
+    wait_for_result(qtbot, window)

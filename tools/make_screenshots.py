@@ -1,0 +1,98 @@
+"""Take the pictures of docs/images from the real window: run with the environment's Python, no display needed."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+from PIL import Image
+from PySide6.QtCore import QEventLoop, QTimer
+from PySide6.QtGui import QColor, QPalette
+from PySide6.QtWidgets import QApplication
+
+from tissueid.app.main_window import MainWindow, Surroundings
+from tissueid.instrument import Found
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+SIZE = (1280, 720)
+COLOURS = 96
+HELD_AT_POLL = 430
+"""Where the running test is held for its picture: a good half through its stimulus."""
+
+
+class Pace:
+    """Lets the simulation run at once to one moment, and on when it is told to."""
+
+    def __init__(self) -> None:
+        self.polls = 0
+        self.held, self.go_on = threading.Event(), threading.Event()
+
+    def wait(self, _seconds: float) -> None:
+        """Hold the test at the moment of its picture."""
+        self.polls += 1
+        if self.polls == HELD_AT_POLL:
+            self.held.set()
+            self.go_on.wait()
+
+
+def main() -> None:
+    """Run one test and take a picture before, during and after, the last in dark colours too."""
+    application = QApplication([])
+    application.setStyle("Fusion")
+    pace = Pace()
+    with tempfile.TemporaryDirectory() as folder:
+        around = Surroundings(
+            finder=lambda probe: [Found("simulated://forearm", "simulation in this process", True)],
+            folder=Path(folder) / "Documents" / "TissueID",
+            wait=pace.wait,
+            now=lambda: datetime(2026, 1, 15, 10, 30),
+        )
+        window = MainWindow(around)
+        window.resize(*SIZE)
+        window.show()
+        _take(window, "window-before")
+        window.ui.form.site.setCurrentText("left forearm, posterior")
+        window.ui.start.click()
+        _until(pace.held.is_set)
+        _take(window, "window-during")
+        pace.go_on.set()
+        _until(lambda: window.findings is not None)
+        _take(window, "window")
+        dark = QPalette(QColor("#232a2f"), QColor("#1b2024"))
+        dark.setColor(QPalette.ColorRole.WindowText, QColor("#e6eaec"))
+        application.setPalette(dark)
+        _take(window, "window-dark")
+        window.close()
+        _until(lambda: not window.isVisible())
+
+
+def _until(done: Callable[[], bool]) -> None:
+    while not done():
+        _pass(20)
+
+
+def _pass(milliseconds: int) -> None:
+    loop = QEventLoop()
+    QTimer.singleShot(milliseconds, loop.quit)
+    loop.exec()
+
+
+def _take(window: MainWindow, name: str) -> None:
+    _pass(200)  # let a frame and a change of palette come through
+    path = IMAGES / f"{name}.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    window.grab().save(str(path))
+    with Image.open(path) as image:
+        small = image.convert("RGB").quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    small.save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size // 1024} kB")
+
+
+if __name__ == "__main__":
+    main()
