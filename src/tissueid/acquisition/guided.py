@@ -8,7 +8,6 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
@@ -138,7 +137,9 @@ def find_surface(
             f"the probe is at the end of its stroke ({surface * 1e3:.1f} mm): place it on the tissue and try again"
         )
     # Creep of the tissue is a slope; what shakes about it is a hand.
-    shaking = signal.detrend(late, axis=1).std(axis=1)
+    time = np.arange(late.shape[1])
+    creep = np.polynomial.polynomial.polyfit(time, late.T, 1)  # (2, levels)
+    shaking = (late - creep[0][:, None] - creep[1][:, None] * time).std(axis=1)
     if float(shaking.max()) > _STILL_M:
         raise UnusableInputError("the probe does not keep still: hold the reference surface firmly and try again")
     return surface
