@@ -160,7 +160,8 @@ def ablation_table() -> str:
         for label, extras in sets.items():
             changed = tissue.with_extras(extras)
             linear, wiener = (
-                float(np.mean([fit(e, measured(changed, "gaussian", s))[0] for s in FEW_SEEDS])) for e in ("lms", "wiener")
+                float(np.mean([fit(e, measured(changed, "gaussian", s))[0] for s in FEW_SEEDS]))
+                for e in ("lms", "wiener")
             )
             small = fit("lms", measured(changed, "small", 2))[0]
             rows.append([name, label, f"{linear:.1f}", f"{wiener:.1f}", f"{small:.1f}"])

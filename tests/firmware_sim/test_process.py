@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from firmware_sim_process import firmware_process
 
-from tissueid.errors import FirmwareFaultError, LinkLostError
+from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError
 from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
 
 CABLES = ["--pty", "--tcp=0"] if sys.platform != "win32" else ["--tcp=0"]
@@ -82,6 +82,14 @@ def test_planned_faults_happen(tmp_path, kind, error, words):
         with pytest.raises(error, match=words):
             stream(instrument, 100_000)
         instrument.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_a_port_in_use_cannot_be_opened_twice():
+    with firmware_process("--pty") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+        with pytest.raises(InstrumentError, match="another program is using it"):
+            SerialLink(url)
+        assert stream(instrument, 200) == 0
 
 
 def test_one_host_after_another(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import time
 from typing import Protocol
 
@@ -44,7 +46,10 @@ class SerialLink:
         self.name = url
         # pyserial says OSError for some unplugs and SerialException (an OSError too) for others.
         try:
-            self._port = serial.serial_for_url(url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=1.0)
+            # Exclusive: a second program, or a search for instruments, must not read a running test's samples away.
+            self._port = serial.serial_for_url(
+                url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
+            )
             self._port.reset_input_buffer()
         except (OSError, ValueError) as error:
             raise InstrumentError(f"cannot open {url}: {_reason(error)}") from error
@@ -75,4 +80,8 @@ class SerialLink:
 def _reason(error: Exception) -> str:
     """Why, in the system's words; pyserial wraps them in its own, which name the port again."""
     number = getattr(error, "errno", None)
-    return os.strerror(number) if number else str(error).splitlines()[0].rpartition(": ")[2]
+    if number == errno.EAGAIN:
+        return "another program is using it"
+    if number:
+        return os.strerror(number)
+    return re.sub(r"^.*: |\[Errno -?\d+\] ", "", str(error).splitlines()[0])
