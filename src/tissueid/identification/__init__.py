@@ -1,0 +1,20 @@
+"""Identification: engines that turn a record into a model, and the scores that say how good it is."""
+
+from tissueid.identification.base import Engine, FitReport, Model
+from tissueid.identification.registry import engine, engine_names, get_engine
+from tissueid.identification.validation import Score, aic, aicc, vaf_percent, validate, validated
+
+__all__ = [
+    "Engine",
+    "FitReport",
+    "Model",
+    "Score",
+    "aic",
+    "aicc",
+    "engine",
+    "engine_names",
+    "get_engine",
+    "vaf_percent",
+    "validate",
+    "validated",
+]

@@ -1,0 +1,104 @@
+"""Least mean squares: a finite impulse response from correlations, and the second-order system behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.impulse_response import factor_input, kernel_std
+from tissueid.identification.preparation import prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class LmsModel(Model):
+    """A linear finite impulse response about an operating point.
+
+    ``impulse_response`` (lags,) is h of Eq. 3.2, output units per input unit and second, at ``lag_s`` (lags,);
+    ``impulse_response_std`` its standard deviations. ``second_order`` is the parametric fit.
+    """
+
+    impulse_response: Array
+    impulse_response_std: Array
+    lag_s: Array
+    input_mean: float
+    output_mean: float
+    second_order: SecondOrderFit
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        kernel = self.impulse_response / self.sample_rate_hz
+        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
+
+
+@engine
+class Lms(Engine):
+    """Least-squares finite impulse response (Chen 2010, 3.1.3), with mass, damping and stiffness.
+
+    Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input.
+    """
+
+    name: ClassVar[str] = "lms"
+
+    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
+    method: Literal["toeplitz", "svd"] = Field(
+        "toeplitz", description="Levinson's recursion, or the pseudo-inverse of the whole correlation matrix"
+    )
+    tolerance: float = Field(
+        1e-12, ge=0.0, lt=1.0, description="With svd: singular values below this share of the largest are dropped"
+    )
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> LmsModel:
+        """Fit the impulse response and the second-order system to a record, or to a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
+        """
+        prepared = prepare(record, fit_part, self.memory)
+        solved = factor_input(prepared, pseudo_inverse=self.method == "svd", tolerance=self.tolerance)
+        kernel = solved.kernel(record.output)  # (lags,)
+        modelled = prepared.output_mean + convolve_at_rest(kernel, solved.input)
+        residuals = np.where(prepared.used, record.output - modelled, np.nan)
+        std = kernel_std(solved.inverse, solved.input[prepared.part], residuals[prepared.part])
+        second_order = fit_second_order(record, prepared.used, self.hold)
+
+        lags = prepared.memory_samples
+        rate = record.sample_rate_hz
+        return LmsModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(prepared.used.sum()),
+                n_parameters=lags + 1,
+                vaf_percent=vaf_percent(record.output[prepared.used], modelled[prepared.used]),
+                aic=aic(residuals, lags + 1),
+                aicc=aicc(residuals, lags + 1),
+                parameters=second_order.parameters,
+                warnings=(*prepared.warnings, *solved.warnings, *second_order.warnings),
+                details={
+                    "condition_number": solved.condition,
+                    "vaf_parametric_percent": second_order.vaf_percent,
+                },
+            ),
+            sample_rate_hz=rate,
+            memory_samples=lags,
+            impulse_response=kernel * rate,
+            impulse_response_std=std * rate,
+            lag_s=np.arange(lags) / rate,
+            input_mean=prepared.input_mean,
+            output_mean=prepared.output_mean,
+            second_order=second_order,
+        )

@@ -1,0 +1,208 @@
+"""Spectra by Welch's method: power, coherence, and the transfer function of the best straight-line description."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import fft, signal
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import Complex, Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.validation import aic, aicc, finite_runs, vaf_percent
+from tissueid.records import Record
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Averaged spectra; every array has shape (bins,), at ``frequency_hz``.
+
+    ``input_psd`` and ``output_psd`` are one-sided densities, input and output units squared a hertz.
+    ``coherence`` is the mean squared coherence of Eq. 3.1, insignificant (5 %) below ``coherence_floor``.
+    ``averages`` is the number of independent segments that the overlapping ones are worth. ``magnitude_std`` and
+    ``phase_std_rad`` are the random errors of the transfer function, infinite where the coherence is nil.
+    """
+
+    frequency_hz: Array
+    input_psd: Array
+    output_psd: Array
+    coherence: Array
+    response: Complex
+    magnitude_std: Array
+    phase_std_rad: Array
+    averages: float
+
+    @property
+    def magnitude(self) -> Array:
+        """Output units per input unit."""
+        return np.abs(self.response)
+
+    @property
+    def phase_rad(self) -> Array:
+        """Phase, unwrapped from the lowest frequency."""
+        return np.unwrap(np.angle(self.response))
+
+    @property
+    def coherence_floor(self) -> float:
+        """Coherence that unrelated signals exceed one time in twenty (Goodman 1957)."""
+        return 1.0 - math.pow(0.05, 1.0 / max(self.averages - 1.0, 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralModel(Model):
+    """A linear system given by its transfer function H1 about an operating point.
+
+    It runs by the impulse response of H1, ``kernel`` (lags,) per sample, made from the bins whose coherence is
+    significant and where the input has power: elsewhere H1 is the ratio of two noises. ``second_order`` is the
+    parametric fit, made on the same samples in the time domain.
+    """
+
+    spectra: Spectra
+    kernel: Array
+    input_mean: float
+    output_mean: float
+    second_order: SecondOrderFit
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        return self.output_mean + convolve_at_rest(self.kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
+
+
+@engine
+class Spectral(Engine):
+    """Welch spectra, coherence and Bode diagram (Chen 2010, 3.1.2), with mass, damping and stiffness.
+
+    Assumes a linear system and a window several times longer than its memory. What the coherence lacks of one is
+    noise on the output, nonlinearity, or leakage of a window too short.
+    """
+
+    name: ClassVar[str] = "spectral"
+
+    window: float = Field(0.5, gt=0.0, le=60.0, description="Length of a segment, s")
+    overlap: float = Field(0.5, ge=0.0, le=0.9, description="Share of a segment that the next one covers again")
+    taper: Literal["hann", "hamming", "blackman", "boxcar"] = Field("hann", description="Window function")
+    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the simulated impulse response lasts, s")
+    range_db: float = Field(
+        30.0,
+        gt=0.0,
+        le=300.0,
+        description="Simulation uses frequencies whose input power is within this of its peak, dB",
+    )
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> SpectralModel:
+        """Estimate the spectra of a record, or of a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, the window shorter than the memory, or fewer than
+                two segments without a gap.
+        """
+        prepared = prepare(record, fit_part, self.memory)
+        lags = prepared.memory_samples
+        length = round(self.window * record.sample_rate_hz)
+        if length < lags:
+            raise UnusableInputError(f"the window, {self.window:g} s, is shorter than the memory, {self.memory:g} s")
+        spectra = self._spectra(prepared, length)
+        trusted = (spectra.coherence > spectra.coherence_floor) & (
+            spectra.input_psd > np.max(spectra.input_psd) * 10.0 ** (-self.range_db / 10.0)
+        )
+        kernel = fft.irfft(np.where(trusted, spectra.response, 0.0), length)[:lags]
+        modelled = prepared.output_mean + convolve_at_rest(kernel, record.input - prepared.input_mean)
+        residuals = np.where(prepared.used, record.output - modelled, np.nan)
+        second_order = fit_second_order(record, prepared.used, self.hold)
+        doubts = () if trusted.any() else ("input and output share no significant coherence at any frequency",)
+        return SpectralModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(prepared.used.sum()),
+                n_parameters=lags + 1,
+                vaf_percent=vaf_percent(record.output[prepared.used], modelled[prepared.used]),
+                aic=aic(residuals, lags + 1),
+                aicc=aicc(residuals, lags + 1),
+                parameters=second_order.parameters,
+                warnings=(*prepared.warnings, *doubts, *second_order.warnings),
+                details={
+                    "averages": spectra.averages,
+                    "mean_coherence": _power_mean(spectra.coherence, spectra.input_psd),
+                    "vaf_parametric_percent": second_order.vaf_percent,
+                },
+            ),
+            sample_rate_hz=record.sample_rate_hz,
+            memory_samples=lags,
+            spectra=spectra,
+            kernel=kernel,
+            input_mean=prepared.input_mean,
+            output_mean=prepared.output_mean,
+            second_order=second_order,
+        )
+
+    def _spectra(self, prepared: Prepared, length: int) -> Spectra:
+        """Average the periodograms of the segments (segments, length) that lie in the part and hold no gap."""
+        record = prepared.record
+        stride = max(1, round(length * (1.0 - self.overlap)))
+        starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
+        if starts.size < 2:
+            raise UnusableInputError(
+                f"{starts.size} segment of {self.window:g} s without a gap: coherence takes two, shorten the window"
+            )
+        taper = signal.get_window(self.taper, length)
+        index = starts[:, None] + np.arange(length)
+        x = fft.rfft((record.input - prepared.input_mean)[index] * taper, axis=1)  # (segments, bins)
+        y = fft.rfft((record.output - prepared.output_mean)[index] * taper, axis=1)
+        xx = np.mean(np.abs(x) ** 2, axis=0)
+        yy = np.mean(np.abs(y) ** 2, axis=0)
+        xy = np.mean(np.conj(x) * y, axis=0)
+        known = np.abs(xy) > 0.0
+        coherence = np.zeros(xx.size)
+        coherence[known] = np.minimum(1.0, np.abs(xy[known]) ** 2 / (xx[known] * yy[known]))
+        response = np.zeros(xx.size, dtype=np.complex128)
+        response[known] = xy[known] / xx[known]
+        averages = independent_averages(starts, taper)
+        relative = np.full(xx.size, np.inf)
+        relative[known] = np.sqrt((1.0 - coherence[known]) / (2.0 * averages * coherence[known]))
+        density = np.full(xx.size, 2.0 / (record.sample_rate_hz * float(taper @ taper)))
+        density[0] *= 0.5
+        if length % 2 == 0:
+            density[-1] *= 0.5
+        return Spectra(
+            frequency_hz=fft.rfftfreq(length, 1.0 / record.sample_rate_hz),
+            input_psd=xx * density,
+            output_psd=yy * density,
+            coherence=coherence,
+            response=response,
+            magnitude_std=np.where(known, np.abs(response), 1.0) * relative,
+            phase_std_rad=relative,
+            averages=averages,
+        )
+
+
+def segment_starts(clean: NDArray[np.bool_], length: int, stride: int) -> NDArray[np.intp]:
+    """First samples of the segments that hold no gap; after a gap the grid starts afresh."""
+    starts = [np.arange(first, end - length + 1, stride) for first, end in finite_runs(clean)]
+    return np.concatenate(starts).astype(np.intp)
+
+
+def independent_averages(starts: NDArray[np.intp], taper: Array) -> float:
+    """How many independent segments overlapping ones are worth, for white data (Welch 1967)."""
+    apart = np.abs(starts[:, None] - starts[None, :])  # (segments, segments)
+    correlation = signal.correlate(taper, taper)[taper.size - 1 :] / float(taper @ taper)
+    shared = np.where(apart < taper.size, correlation[np.minimum(apart, taper.size - 1)], 0.0)
+    return float(starts.size**2 / np.sum(shared**2))
+
+
+def _power_mean(values: Array, power: Array) -> float:
+    """Mean of values (bins,) weighted by the power of the input: what the coherence is where it was excited."""
+    return float(np.sum(values * power) / np.sum(power))

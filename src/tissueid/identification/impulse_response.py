@@ -1,0 +1,131 @@
+"""Finite impulse responses from a prepared record: one factored input, any number of outputs.
+
+Chen 2010, Eq. 3.2. The input side is worked once, since the Wiener iteration asks for one impulse response after
+another from the same input.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import fft, linalg
+
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import (
+    Correlator,
+    condition_number,
+    lagged_products,
+    toeplitz_inverse,
+    toeplitz_solve,
+)
+from tissueid.identification.preparation import Prepared
+
+GAP_RIDGE = 1e-5
+"""Share of the input's power added to the diagonal of R when there are gaps.
+
+The edges of a record leave traces in biased correlations that hold the impulse response still where the input has no
+power. Sums over complete windows have no such traces, and a force without power above 200 Hz would leave that part of
+the response to the noise.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseResponses:
+    """The input side of Eq. 3.2.
+
+    ``input`` (n,) is the record's less its mean. R (lags, lags) is held either by its first column, when it is
+    Toeplitz and solved as such, or by its pseudo-inverse. ``condition`` is its condition number, in the 1-norm in
+    the first case and in the 2-norm in the second.
+    """
+
+    prepared: Prepared
+    input: Array
+    correlator: Correlator
+    column: Array | None
+    pseudo_inverse: Array | None
+    condition: float
+    warnings: tuple[str, ...] = ()
+
+    def kernel(self, output: Array) -> Array:
+        """Impulse response per sample (lags,) to an output (n,), whose mean over the fitted samples is removed."""
+        prepared = self.prepared
+        if prepared.gapless:
+            y = output[prepared.part]
+            p = self.correlator.cross(y - y.mean())
+        else:
+            y = np.where(prepared.used, output - output[prepared.used].mean(), 0.0)
+            p = self.correlator.cross(y) * (y.size / prepared.used.sum())
+        return self.solve(p)
+
+    def solve(self, right: Array) -> Array:
+        """Solution h (lags,) of R h = right (lags,)."""
+        return self.inverse @ right if self.column is None else toeplitz_solve(self.column, right)
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse of R, shape (lags, lags), or its pseudo-inverse."""
+        if self.pseudo_inverse is not None:
+            return self.pseudo_inverse
+        assert self.column is not None
+        return toeplitz_inverse(self.column)
+
+
+def factor_input(prepared: Prepared, *, pseudo_inverse: bool = False, tolerance: float = 1e-12) -> ImpulseResponses:
+    """Work the input side of Eq. 3.2: biased correlations without gaps, sums over complete windows with them.
+
+    Args:
+        prepared: the record.
+        pseudo_inverse: take the pseudo-inverse of the dense matrix, as Appendix C.1.1 does, and not the recursion.
+        tolerance: for the pseudo-inverse, singular values below this share of the largest are dropped.
+    """
+    x = prepared.record.input - prepared.input_mean
+    lags = prepared.memory_samples
+    if not prepared.gapless:
+        # Only outputs with a complete window take part, so what stands in for missing inputs is never reached.
+        correlator = Correlator(np.where(np.isfinite(x), x, 0.0), lags)
+        r = lagged_products(x, prepared.used, lags)
+        if pseudo_inverse:
+            inverse, condition = _pseudo_inverse(r, tolerance)
+        else:
+            inverse, condition = _pseudo_inverse(r + GAP_RIDGE * np.trace(r) / lags * np.eye(lags), 0.0)
+        return ImpulseResponses(prepared, x, correlator, None, inverse, condition)
+    correlator = Correlator(x[prepared.part], lags)
+    column = correlator.auto()
+    warnings: tuple[str, ...] = ()
+    if not pseudo_inverse:
+        try:
+            return ImpulseResponses(prepared, x, correlator, column, None, condition_number(column))
+        except np.linalg.LinAlgError:
+            warnings = ("the input does not excite every lag of the memory: the pseudo-inverse was taken",)
+    inverse, condition = _pseudo_inverse(linalg.toeplitz(column), tolerance)
+    return ImpulseResponses(prepared, x, correlator, None, inverse, condition, warnings)
+
+
+def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:
+    """Pseudo-inverse and 2-norm condition number of a symmetric R (lags, lags) with no negative eigenvalues."""
+    values, vectors = linalg.eigh(r)
+    kept = values > tolerance * values[-1]
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    return inverse, float(values[-1] / values[0]) if values[0] > 0.0 else float("inf")
+
+
+def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
+    """Standard deviation of each lag of a kernel, shape (lags,), for noise unrelated to the input but coloured.
+
+    The covariance is inv(R) S inv(R) / n, where S is the Toeplitz matrix of the product spectrum of input x (n,)
+    and residuals (n,). NaN residuals are unknown, not zero: the sums are scaled to those that are known.
+    """
+    lags = inverse.shape[0]
+    known = np.isfinite(residuals)
+    length = fft.next_fast_len(2 * x.size, real=True)
+    x_power = np.abs(fft.rfft(np.where(np.isfinite(x), x, 0.0), length)) ** 2 / np.isfinite(x).sum()
+    error = np.where(known, residuals - np.mean(residuals[known]), 0.0)
+    error_correlation = fft.irfft(np.abs(fft.rfft(error, length)) ** 2, length) / known.sum()
+    lag = np.minimum(np.arange(length), length - np.arange(length))
+    error_power = fft.rfft(error_correlation * np.maximum(0.0, 1.0 - lag / lags), length).real
+    score_correlation = fft.irfft(x_power * error_power, length)[:lags]
+    spread = linalg.matmul_toeplitz(score_correlation, inverse)  # (lags, lags)
+    variance = np.einsum("ij,ij->j", spread, inverse) / known.sum()
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

@@ -1,0 +1,130 @@
+"""The second-order system: mass, damping, stiffness, and the thesis' three impulse-response coefficients.
+
+Chen 2010, Eqs. 3.6-3.12. The thesis writes the underdamped case; tissue can be overdamped, and here one pair of
+numbers, natural frequency and damping ratio, covers both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tissueid.identification.base import Array
+
+Complex = NDArray[np.complex128]
+Hold = Literal["band-limited", "zero-order"]
+
+_ALIASES = 6
+"""Images of the base band on either side that a held input is summed over; the rest is below one part in 1e5."""
+
+
+@dataclass(frozen=True)
+class SecondOrder:
+    """H(s) = 1 / (M s^2 + B s + K), Eq. 3.7. In SI for force to position; else in input units over output units."""
+
+    mass: float
+    damping: float
+    stiffness: float
+
+    @classmethod
+    def from_impulse_coefficients(cls, a1: float, a2: float, a3: float, sample_rate_hz: float) -> Self:
+        """Build from h(t) = A1 sin(A2 t) exp(A3 t), output per input and sample (Eqs. 3.6, 3.8-3.12)."""
+        natural_frequency = float(np.hypot(a2, a3))  # Eqs. 3.8 and 3.9 combined
+        damping_ratio = -a3 / natural_frequency
+        stiffness = natural_frequency / (a1 * np.sqrt(1.0 - damping_ratio**2) * sample_rate_hz)
+        mass = stiffness / natural_frequency**2
+        return cls(mass=mass, damping=2.0 * damping_ratio * natural_frequency * mass, stiffness=stiffness)
+
+    @property
+    def natural_frequency_rad_per_s(self) -> float:
+        """sqrt(K / M)."""
+        return float(np.sqrt(self.stiffness / self.mass))
+
+    @property
+    def damping_ratio(self) -> float:
+        """B / (2 sqrt(K M)); above one the system is overdamped."""
+        return abs(self.damping) / (2.0 * float(np.sqrt(self.stiffness * self.mass)))
+
+    @property
+    def decay_and_frequency(self) -> tuple[float, float]:
+        """Poles -a ± j b as (a, b^2) in 1/s and 1/s^2; b^2 is negative for an overdamped system."""
+        decay = self.damping / (2.0 * self.mass)
+        return decay, self.stiffness / self.mass - decay**2
+
+    def impulse_coefficients(self, sample_rate_hz: float) -> tuple[float, float, float] | None:
+        """A1, A2, A3 of Eq. 3.6 per sample; None for an overdamped system, which that form cannot write."""
+        decay, squared = self.decay_and_frequency
+        if squared <= 0.0:
+            return None
+        frequency = float(np.sqrt(squared))
+        return 1.0 / (self.mass * frequency * sample_rate_hz), frequency, -decay
+
+    def impulse_response(self, t: Array) -> Array:
+        """h(t) in output units per input unit and second, shape of t (s); zero before t = 0."""
+        decay, squared = self.decay_and_frequency
+        return np.where(t >= 0.0, free_velocity(np.maximum(t, 0.0), decay, squared) / self.mass, 0.0)
+
+    def frequency_response(self, frequency_hz: Array) -> Complex:
+        """H at the given frequencies, shape of ``frequency_hz``."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.complex128)
+        return np.asarray(1.0 / (self.mass * s**2 + self.damping * s + self.stiffness))
+
+    def simulate(self, u: Array, sample_rate_hz: float, hold: Hold = "band-limited") -> Array:
+        """Response (n,) to an input (n,) without NaN, at rest and with zero input before the first sample."""
+        decay, squared = self.decay_and_frequency
+        slowest = decay - float(np.sqrt(max(0.0, -squared)))
+        settle = min(u.size, round(12.0 * sample_rate_hz / slowest)) if slowest > 0.0 else u.size
+        length = fft.next_fast_len(u.size + max(settle, 64), real=True)
+        response, _ = sampled_response(self, length, sample_rate_hz, hold)
+        return np.asarray(fft.irfft(fft.rfft(u, length) * response, length)[: u.size], dtype=np.float64)
+
+
+def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, hold: Hold) -> tuple[Complex, Complex]:
+    """Sampled frequency response, shape (bins,), and its derivatives (3, bins) by log M, log B, log K.
+
+    ``length`` is that of the real FFT. A band-limited input passes through H(j w) itself, with no error of
+    discretisation; one held between samples also reaches the samples through the images of the base band, each
+    weighted by the hold.
+    """
+    frequency = fft.rfftfreq(length, 1.0 / sample_rate_hz)
+    images = (0,) if hold == "band-limited" else range(-_ALIASES, _ALIASES + 1)
+    response = np.zeros(frequency.size, dtype=np.complex128)
+    slopes = np.zeros((3, frequency.size), dtype=np.complex128)
+    for image in images:
+        f = frequency + image * sample_rate_hz
+        s = 2j * np.pi * f
+        h = 1.0 / (system.mass * s**2 + system.damping * s + system.stiffness)
+        weight: Complex | float = 1.0
+        if hold == "zero-order":
+            weight = np.sinc(f / sample_rate_hz) * np.exp(-1j * np.pi * f / sample_rate_hz)
+        response += weight * h
+        common = -weight * h**2
+        slopes[0] += common * system.mass * s**2
+        slopes[1] += common * system.damping * s
+        slopes[2] += common * system.stiffness
+    return response, slopes
+
+
+def free_velocity(t: Array, decay: float, squared: float) -> Array:
+    """exp(-a t) sin(b t) / b for t >= 0, with b^2 = ``squared`` of either sign: the free response to a push."""
+    if squared > 0.0:
+        b = np.sqrt(squared)
+        return np.asarray(np.exp(-decay * t) * np.sin(b * t) / b, dtype=np.float64)
+    b = np.sqrt(-squared)
+    if b == 0.0:
+        return np.asarray(t * np.exp(-decay * t), dtype=np.float64)
+    return np.asarray(-np.exp((b - decay) * t) * np.expm1(-2.0 * b * t) / (2.0 * b), dtype=np.float64)
+
+
+def free_position(t: Array, decay: float, squared: float) -> Array:
+    """Free response to an initial position of one at rest, for t >= 0; arguments as :func:`free_velocity`."""
+    if squared > 0.0:
+        even = np.exp(-decay * t) * np.cos(np.sqrt(squared) * t)
+    else:
+        b = np.sqrt(-squared)
+        even = 0.5 * (np.exp((b - decay) * t) + np.exp(-(b + decay) * t))
+    return np.asarray(even + decay * free_velocity(t, decay, squared), dtype=np.float64)

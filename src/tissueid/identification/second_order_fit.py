@@ -1,0 +1,286 @@
+"""Mass, damping and stiffness from a record, with standard deviations that hold.
+
+The thesis fits Eq. 3.6 to the estimated impulse response. That response carries the edge effects of biased
+correlations and errors that depend on each other, so its scatter does not say how far the three numbers may be
+off. Here it only starts the search: the fit itself minimises the error of the free-run simulation over the record
+(output error, Gauss-Newton), in the frequency domain where a band-limited input needs no discretisation. The
+offset and the state at the start of every uninterrupted run are fitted with it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.correlation import Correlator
+from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.second_order import (
+    Complex,
+    Hold,
+    SecondOrder,
+    free_position,
+    free_velocity,
+    sampled_response,
+)
+from tissueid.identification.validation import finite_runs, vaf_percent
+from tissueid.records import Estimate, Record
+
+_KNOWN = 0.5
+"""Relative standard deviation from which a parameter is called undetermined."""
+
+_FELT = 1e-7
+"""A parameter whose effect on the output is below this share of the strongest is not in the record at all."""
+
+_ITERATIONS = 40
+_BRIDGE = 64
+
+
+@dataclass(frozen=True)
+class SecondOrderFit:
+    """A fitted second-order system.
+
+    ``log_covariance`` (3, 3) is that of log M, log B, log K, NaN for one that the record does not hold, None when
+    the fit did not settle. ``sign`` is -1 when
+    the output falls as the input rises; the system then describes the mirrored output. ``vaf_percent`` is that of
+    the free-run simulation on the fitted samples (the parametric VAF of the thesis).
+    """
+
+    system: SecondOrder
+    sign: float
+    log_covariance: Array | None
+    vaf_percent: float
+    mechanical: bool
+    sample_rate_hz: float
+    hold: Hold
+    warnings: tuple[str, ...]
+
+    @property
+    def parameters(self) -> dict[str, Estimate]:
+        """Named estimates: mass, damping, stiffness for force (N) to position (m), a gain otherwise."""
+        system = self.system
+        named = {
+            "natural_frequency_rad_per_s": self.estimate(system.natural_frequency_rad_per_s, (-0.5, 0.0, 0.5)),
+            "damping_ratio": self.estimate(system.damping_ratio, (-0.5, 1.0, -0.5)),
+        }
+        if not self.mechanical:
+            return {"gain": self.estimate(self.sign / system.stiffness, (0.0, 0.0, -1.0))} | named
+        return {
+            "mass_kg": self.estimate(self.sign * system.mass, (1.0, 0.0, 0.0)),
+            "damping_n_s_per_m": self.estimate(self.sign * system.damping, (0.0, 1.0, 0.0)),
+            "stiffness_n_per_m": self.estimate(self.sign * system.stiffness, (0.0, 0.0, 1.0)),
+        } | named
+
+    def estimate(self, value: float, log_slopes: tuple[float, float, float]) -> Estimate:
+        """A positive function of M, B, K with its standard deviation, from its slopes by log M, log B, log K."""
+        if self.log_covariance is None:
+            return Estimate(value)
+        slopes = np.array(log_slopes)
+        there = slopes != 0.0
+        variance = float(slopes[there] @ self.log_covariance[np.ix_(there, there)] @ slopes[there])
+        return Estimate(value, abs(value) * math.sqrt(variance) if math.isfinite(variance) else None)
+
+    def simulate(self, u: Array) -> Array:
+        """Response (n,) to a zero-mean input (n,) without NaN, at rest before the first sample."""
+        return self.sign * self.system.simulate(u, self.sample_rate_hz, self.hold)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """An uninterrupted run of the input: its spectrum, and which of its samples are fitted."""
+
+    spectrum: Complex
+    length: int
+    local: NDArray[np.intp]  # positions of the fitted samples within the run
+    place: slice  # where they stand among all fitted samples
+
+
+def fit_second_order(
+    record: Record,
+    used: Mask,
+    hold: Hold = "band-limited",
+    weights: Array | None = None,
+    start: SecondOrderFit | None = None,
+) -> SecondOrderFit:
+    """Fit M, B, K to the samples of a mask by output error, and their covariance.
+
+    The covariance is the sandwich of a fit to a system that need not be of second order (White 1982), with the
+    dependence of neighbouring residuals carried along, so that it stays honest when the residual is what a
+    nonlinear tissue does beyond the line, and not white noise.
+
+    Args:
+        record: the data.
+        used: mask (n,) of the outputs to fit; each input of their memory must have been received.
+        hold: what the input does between samples. A measured force is band-limited; a command is held.
+        weights: shape (n,), multiplied into the errors before they are squared; equal when None.
+        start: where to begin; the best of a grid against the correlations when None.
+
+    Raises:
+        UnusableInputError: no second-order system answers this input at all.
+    """
+    rate = record.sample_rate_hz
+    mean_u = float(np.mean(record.input[used]))
+    mean_y = float(np.mean(record.output[used]))
+    runs, y = _runs(record, used, mean_u, mean_y)
+    system, sign = _start(record, used, mean_u, mean_y) if start is None else (start.system, start.sign)
+    y = sign * y
+    w = np.ones(y.size) if weights is None else weights[used]
+
+    theta = np.log([system.mass, system.damping, system.stiffness])
+    error, slopes = _evaluate(runs, y, w, theta, rate, hold)
+    settled = False
+    for _ in range(_ITERATIONS):
+        step = np.linalg.lstsq(slopes, error, rcond=1e-10)[0]
+        step *= min(1.0, 1.0 / max(1e-300, float(np.max(np.abs(step)))))
+        cost = float(error @ error)
+        while True:
+            tried_error, tried_slopes = _evaluate(runs, y, w, theta + step, rate, hold)
+            if float(tried_error @ tried_error) <= cost * (1.0 + 1e-12):
+                theta, error, slopes = theta + step, tried_error, tried_slopes
+                break
+            step = 0.5 * step
+            if np.max(np.abs(step)) < 1e-9:
+                break
+        if np.max(np.abs(step)) < 1e-7:
+            settled = True
+            break
+
+    mass, damping, stiffness = np.exp(theta)
+    fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
+    covariance = _sandwich(slopes, error, dependence_samples(error, rate)) if settled else None
+    warnings = []
+    if covariance is None:
+        warnings.append("the second-order fit did not settle: mass, damping and stiffness have no uncertainty")
+    else:
+        known = np.sqrt(np.diag(covariance)) < _KNOWN
+        names = [name for name, ok in zip(("mass", "damping", "stiffness"), known, strict=True) if not ok]
+        if names:
+            warnings.append(f"this record does not determine the second-order {' and '.join(names)}")
+    if sign < 0.0:
+        warnings.append("the output falls as the input rises: check the signs of the two signals")
+    return SecondOrderFit(
+        system=fitted,
+        sign=sign,
+        log_covariance=covariance,
+        vaf_percent=_free_run_vaf(record, used, fitted, sign, mean_u, hold),
+        mechanical=(record.input_unit, record.output_unit) == ("N", "m"),
+        sample_rate_hz=rate,
+        hold=hold,
+        warnings=tuple(warnings),
+    )
+
+
+def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
+    """Covariance (3, 3) of log M, log B, log K; NaN for one that leaves no trace in the output, None for failure."""
+    size = np.linalg.norm(slopes, axis=0)
+    felt = size > _FELT * np.max(size)
+    directions = slopes[:, felt] / size[felt]
+    gram = directions.T @ directions
+    if not np.all(np.isfinite(gram)) or np.linalg.cond(gram) > 1.0 / _FELT**2:
+        return None
+    influence = (directions @ np.linalg.inv(gram)) * error[:, None] / size[felt]
+    n, p = influence.shape
+    covariance = np.full((3, 3), np.nan)
+    covariance[np.ix_(felt, felt)] = long_run_covariance(influence, block) * n / (n - p)
+    return covariance
+
+
+def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[list[_Run], Array]:
+    """Cut the record into uninterrupted runs of input, each made periodic by a smooth bridge past its end.
+
+    The bridge stands for an input after the last fitted sample, which round the circle of the FFT is an input
+    before the first; it leaves nothing but a free response, and that is fitted.
+    """
+    runs = []
+    done = 0
+    for first, end in finite_runs(np.isfinite(record.input)):
+        local = np.flatnonzero(used[first:end])
+        if local.size == 0:
+            continue
+        values = record.input[first : first + local[-1] + 1] - mean_u
+        length = fft.next_fast_len(values.size + _BRIDGE, real=True)
+        blend = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, length - values.size + 1) / (length - values.size + 1))
+        bridge = values[-1] + blend * (values[0] - values[-1])
+        spectrum = fft.rfft(np.concatenate([values, bridge]))
+        runs.append(_Run(spectrum, length, local, slice(done, done + local.size)))
+        done += local.size
+    return runs, record.output[used] - mean_y
+
+
+def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: float, hold: Hold) -> tuple[Array, Array]:
+    """Weighted simulation error (m,) and slopes (m, 3) by log M, log B, log K, less offset and free responses."""
+    mass, damping, stiffness = np.exp(theta)
+    system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
+    decay, squared = system.decay_and_frequency
+    modelled = np.empty((y.size, 4))  # the response, and its three slopes
+    nuisance = np.zeros((y.size, 1 + 2 * len(runs)))
+    nuisance[:, 0] = 1.0
+    for number, run in enumerate(runs):
+        response, slopes = sampled_response(system, run.length, rate, hold)
+        passed = fft.irfft(np.vstack([response, slopes]) * run.spectrum, run.length, axis=1)  # (4, length)
+        modelled[run.place] = passed[:, run.local].T
+        t = (run.local - run.local[0]) / rate
+        nuisance[run.place, 1 + 2 * number] = free_position(t, decay, squared)
+        nuisance[run.place, 2 + 2 * number] = free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s
+    q, _ = np.linalg.qr(nuisance * weights[:, None])
+    columns = np.column_stack([y - modelled[:, 0], modelled[:, 1:]]) * weights[:, None]
+    columns -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, columns))
+    return columns[:, 0], columns[:, 1:]
+
+
+def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:
+    """Best of a grid of systems against the correlations of the longest run of input.
+
+    Each is judged by how much output it explains at its best gain: the fit of Eq. 3.6 to the impulse response, in
+    the metric of that response's own uncertainty, over a grid that no poor start can lead astray.
+    """
+    edges = finite_runs(np.isfinite(record.input))
+    first, end = max(edges, key=lambda run: int(np.count_nonzero(used[run[0] : run[1]])))
+    lags = int(min(end - first, max(8, round(0.25 * record.sample_rate_hz))))
+    correlator = Correlator(record.input[first:end] - mean_u, lags)
+    answer = np.where(used, record.output - mean_y, 0.0)[first:end]
+    auto, cross = correlator.auto(), correlator.cross(answer)
+    systems, kernels, products = _grid(lags, record.sample_rate_hz)
+    explained = np.einsum("ij,j->i", kernels, cross)  # (systems,)
+    energy = np.einsum("ij,j->i", products, auto)
+    merit = np.where(energy > 0.0, explained**2 / np.maximum(energy, 1e-300), -1.0)
+    best = int(np.argmax(merit))
+    gain = explained[best] / energy[best] if energy[best] > 0.0 else 0.0
+    if gain == 0.0 or not np.isfinite(gain):
+        raise UnusableInputError("the output does not answer the input: no second-order system can be fitted")
+    unit = systems[best]
+    scale = 1.0 / abs(gain)
+    return SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale), float(np.sign(gain))
+
+
+@lru_cache(maxsize=8)
+def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
+    """Systems of unit stiffness over natural frequency and damping ratio, with kernels h (systems, lags).
+
+    The last array (systems, lags) holds the sums of products of each kernel with itself, so that times the input's
+    correlation they make h' R h.
+    """
+    t = np.arange(lags) / rate
+    systems = [
+        SecondOrder(mass=1.0 / w**2, damping=2.0 * zeta / w, stiffness=1.0)
+        for w in 2.0 * np.pi * np.geomspace(2.0 * rate / lags / 4.0, rate / 8.0, 16)
+        for zeta in (0.05, 0.15, 0.35, 0.6, 0.9, 1.4, 2.5, 5.0)
+    ]
+    kernels = np.array([system.impulse_response(t) / rate for system in systems])
+    length = fft.next_fast_len(2 * lags, real=True)
+    products = fft.irfft(np.abs(fft.rfft(kernels, length)) ** 2, length)[:, :lags]
+    products[:, 1:] *= 2.0
+    return systems, kernels, products
+
+
+def _free_run_vaf(record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold) -> float:
+    """VAF of the system run from rest at the mean input; a gap in the input holds only unfitted samples."""
+    u = np.where(np.isfinite(record.input), record.input - mean_u, 0.0)
+    simulated = sign * system.simulate(u, record.sample_rate_hz, hold)
+    return vaf_percent(record.output[used], simulated[used])

@@ -1,0 +1,126 @@
+"""The numbers of a Wiener cascade, each with its standard deviation (Chen 2010, Eqs. 3.26-3.29)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.static_nonlinearity import Exponential, StaticNonlinearity
+from tissueid.records import Estimate, Record
+
+_FLAT = 1e-3
+"""Where the slope of g is below this share of its largest, an output says nothing of z."""
+
+_BENT = 2.0
+"""Standard deviations by which C2 must differ from zero for the curve to be called bent."""
+
+
+def fit_linear_stage(
+    record: Record, used: Mask, z: Array, nonlinearity: StaticNonlinearity, hold: Hold
+) -> SecondOrderFit:
+    """Fit a second-order system to the linear stage, from the measured output and not from z alone.
+
+    The output error is carried back through the slope of g to z, and weighted by that slope, so that the fit
+    minimises the error of the measured output to first order and its covariance is that of the measurement.
+    """
+    stage = replace(record, output=z, output_unit=record.input_unit)
+    start = fit_second_order(stage, used, hold)
+    slope = np.zeros(z.size)
+    slope[used] = np.abs(nonlinearity.slope(z[used]))
+    steep = slope > _FLAT * float(np.max(slope))
+    carried = z.copy()
+    carried[steep] += (record.output[steep] - nonlinearity(z[steep])) / nonlinearity.slope(z[steep])
+    weights = np.where(steep, slope, 0.0) / float(np.mean(slope[used]))
+    return fit_second_order(replace(stage, output=carried), used, hold, weights, start)
+
+
+def wiener_parameters(
+    nonlinearity: StaticNonlinearity,
+    covariance: Array,
+    stage: SecondOrderFit,
+    mean_input: float,
+    *,
+    scaling: float,
+    surface: float | None,
+    c3: float,
+    mechanical: bool,
+) -> dict[str, Estimate]:
+    """Named estimates of a cascade.
+
+    ``scaled_mass_s2`` and ``scaled_damping_s`` are M/K and B/K of the linear stage times ``scaling``. Mass, damping
+    and stiffness are those at the mean input (Eqs. 3.27-3.29); for signals other than N and m, a gain instead.
+
+    Args:
+        nonlinearity: g.
+        covariance: of its coefficients, shape (p, p).
+        stage: the second-order system of the linear stage.
+        mean_input: where mass, damping and stiffness are told.
+        scaling: stiffness ascribed to the linear stage.
+        surface: known offset of g, or None.
+        c3: known C3, when the offset is not known.
+        mechanical: the record is of N and m.
+    """
+    found: dict[str, Estimate] = {}
+    if isinstance(nonlinearity, Exponential):
+        in_m, per_n, in_n = ("_m", "_per_n", "_n") if mechanical else ("", "", "")
+        for place, name in enumerate((f"c1{in_m}", f"c2{per_n}", f"c3{in_n}", f"offset{in_m}")):
+            found[name] = derived(
+                nonlinearity,
+                covariance,
+                lambda g, place=place: g.thesis_constants(surface, c3)[place],  # type: ignore[misc]
+            )
+    mass = stage.estimate(scaling * stage.system.mass / stage.system.stiffness, (1.0, 0.0, -1.0))
+    damping = stage.estimate(scaling * stage.system.damping / stage.system.stiffness, (0.0, 1.0, -1.0))
+    found |= {"scaled_mass_s2": mass, "scaled_damping_s": damping}
+    here = np.array([mean_input])
+    if mechanical:
+        stiffness = derived(nonlinearity, covariance, lambda g: 1.0 / float(g.slope(here)[0]))
+        found |= {
+            "mass_kg": _product(mass, stiffness, 1.0 / scaling),
+            "damping_n_s_per_m": _product(damping, stiffness, 1.0 / scaling),
+            "stiffness_n_per_m": stiffness,
+        }
+    else:
+        found["gain"] = derived(nonlinearity, covariance, lambda g: float(g.slope(here)[0]))
+    return found | {name: stage.parameters[name] for name in ("natural_frequency_rad_per_s", "damping_ratio")}
+
+
+def straightness(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
+    """Say so when an exponential bends no more than its uncertainty: then C1 and C2 apart mean nothing."""
+    if not isinstance(nonlinearity, Exponential):
+        return []
+    bend = next(estimate for name, estimate in parameters.items() if name.startswith("c2"))
+    if bend.std is not None and abs(bend.value) > _BENT * bend.std:
+        return []
+    return ["the nonlinearity is straight within its uncertainty: C1 and C2 are not determined, only their product"]
+
+
+def derived(
+    nonlinearity: StaticNonlinearity, covariance: Array, figure: Callable[[StaticNonlinearity], float]
+) -> Estimate:
+    """A figure of g with its standard deviation to first order; no standard deviation where it is not finite."""
+    value = figure(nonlinearity)
+    slopes = np.zeros(nonlinearity.coefficients.size)
+    for k, spread in enumerate(np.sqrt(np.maximum(np.diag(covariance), 0.0))):
+        if spread > 0.0:
+            step = np.zeros(slopes.size)
+            step[k] = 0.01 * spread
+            above = figure(nonlinearity.with_coefficients(nonlinearity.coefficients + step))
+            below = figure(nonlinearity.with_coefficients(nonlinearity.coefficients - step))
+            slopes[k] = (above - below) / (2.0 * step[k])
+    variance = float(slopes @ covariance @ slopes)
+    return Estimate(value, float(np.sqrt(variance)) if np.isfinite(variance) and variance > 0.0 else None)
+
+
+def _product(first: Estimate, second: Estimate, factor: float) -> Estimate:
+    """Product of two figures whose errors are taken to be unrelated."""
+    value = first.value * second.value * factor
+    if first.std is None or second.std is None:
+        return Estimate(value)
+    relative = np.hypot(first.std / first.value, second.std / second.value)
+    return Estimate(value, abs(value) * float(relative))

@@ -1,0 +1,140 @@
+"""Joint least-squares refinement of a Wiener cascade, and the uncertainty of its static nonlinearity.
+
+The Hunter-Korenberg iteration regresses on the inverse of noisy outputs, which biases it where g bends. Here the
+simulation error of the output itself is minimised over the kernel and g together: Gauss-Newton, with g solved anew
+at each step (Golub and Pereyra 1973). The normal equations are never formed. They are solved by conjugate gradients
+in which a product is a convolution and a correlation, and the input's own correlation matrix is the preconditioner;
+what the input does not excite is left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import Correlator
+from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.impulse_response import ImpulseResponses
+from tissueid.identification.wiener_iteration import Cascade, linear_output
+
+_STEPS = 10
+_SETTLED = 1e-3
+"""Relative gain below which a step ends the search: less than the noise of a few thousand samples could tell."""
+
+_STEP_TOLERANCE, _STEP_PRODUCTS = 1e-2, 20
+_COVARIANCE_TOLERANCE, _COVARIANCE_PRODUCTS = 1e-6, 100
+
+
+class _Slopes:
+    """The slopes J (m, lags) of the simulated output by the kernel at a cascade, as products and not as a matrix.
+
+    A change of the kernel's sum can be undone by g, so only changes that keep the sum are let through.
+    """
+
+    def __init__(self, solved: ImpulseResponses, cascade: Cascade) -> None:
+        prepared = solved.prepared
+        x = solved.input
+        self.used = prepared.used
+        self.lags = prepared.memory_samples
+        z = linear_output(cascade.kernel, x, prepared.input_mean)[self.used]
+        self.by_g = cascade.nonlinearity.jacobian(z)  # (m, p)
+        self.error = prepared.record.output[self.used] - cascade.nonlinearity(z)
+        self._slope = cascade.nonlinearity.slope(z)
+        self._n = x.size
+        self._correlator = Correlator(np.where(np.isfinite(x), x, 0.0), self.lags)
+        self._solved = solved
+
+    def forward(self, kernel: Array) -> Array:
+        """J kernel, shape (m,)."""
+        response = self._correlator.convolve(kernel - kernel.mean())
+        return np.asarray(self._slope * response[self.used], dtype=np.float64)
+
+    def backward(self, values: Array) -> Array:
+        """Transpose of J times values (m,), shape (lags,)."""
+        scattered = np.zeros(self._n)
+        scattered[self.used] = self._slope * values
+        products = self._correlator.cross(scattered) * self._n
+        return np.asarray(products - products.mean(), dtype=np.float64)
+
+    def solve(self, right: Array, project: Callable[[Array], Array], tolerance: float, products: int) -> Array:
+        """Kernel (lags,) that solves J' P J kernel = right (lags,), where ``project`` applies P to a vector (m,).
+
+        Preconditioned conjugate gradients, for so many ``products`` at most, or until one more gains less than
+        ``tolerance`` of all that was gained: what the input does not excite gains nothing and is never entered.
+        """
+        kernel = np.zeros(self.lags)
+        residual = right
+        conditioned = self._precondition(residual)
+        direction = conditioned
+        size = float(np.dot(residual, conditioned))
+        gained = 0.0
+        for _ in range(products):
+            product = self.backward(project(self.forward(direction)))
+            curvature = float(np.dot(direction, product))
+            if curvature <= 0.0:
+                break
+            length = size / curvature
+            kernel = kernel + length * direction
+            gained += length * size
+            if length * size <= tolerance * gained:
+                break
+            residual = residual - length * product
+            conditioned = self._precondition(residual)
+            before, size = size, float(np.dot(residual, conditioned))
+            direction = conditioned + (size / before) * direction
+        return kernel
+
+    def _precondition(self, values: Array) -> Array:
+        answer = self._solved.solve(values)
+        return np.asarray(answer - answer.mean(), dtype=np.float64)
+
+
+def refine(solved: ImpulseResponses, cascade: Cascade) -> Cascade:
+    """Minimise the simulation error over kernel and g together; the answer is never worse than the start."""
+    prepared = solved.prepared
+    y = prepared.record.output[prepared.used]
+    for _ in range(_STEPS):
+        slopes = _Slopes(solved, cascade)
+        q, _ = np.linalg.qr(slopes.by_g)  # (m, p)
+
+        def off_g(values: Array, q: Array = q) -> Array:
+            return np.asarray(values - np.einsum("ij,j->i", q, np.einsum("ij,i->j", q, values)))
+
+        step = slopes.solve(slopes.backward(off_g(slopes.error)), off_g, _STEP_TOLERANCE, _STEP_PRODUCTS)
+        better = None
+        for share in (1.0, 0.5, 0.25, 0.125):
+            kernel = cascade.kernel + share * step
+            kernel = kernel / kernel.sum()
+            z = linear_output(kernel, solved.input, prepared.input_mean)[prepared.used]
+            nonlinearity = cascade.nonlinearity.refit(z, y)
+            rss = float(np.sum((y - nonlinearity(z)) ** 2))
+            if rss < cascade.rss:
+                better = Cascade(kernel, nonlinearity, rss)
+                break
+        if better is None:
+            break
+        gained = cascade.rss - better.rss
+        cascade = better
+        if gained <= _SETTLED * cascade.rss:
+            break
+    return cascade
+
+
+def coefficient_covariance(solved: ImpulseResponses, cascade: Cascade) -> Array:
+    """Covariance (p, p) of the coefficients of g, with the kernel unknown too and a residual of any colour.
+
+    What the kernel could explain of each coefficient's effect is taken out of it first; the rest determines it.
+    """
+    slopes = _Slopes(solved, cascade)
+    own = np.empty_like(slopes.by_g)  # (m, p)
+    for k, column in enumerate(slopes.by_g.T):
+        share = slopes.solve(
+            slopes.backward(column), lambda values: values, _COVARIANCE_TOLERANCE, _COVARIANCE_PRODUCTS
+        )
+        own[:, k] = column - slopes.forward(share)
+    influence = own @ np.linalg.pinv(own.T @ own) * slopes.error[:, None]
+    n, p = own.shape
+    block = dependence_samples(slopes.error, solved.prepared.record.sample_rate_hz)
+    return np.asarray(long_run_covariance(influence, block) * n / max(1, n - slopes.lags - p))

@@ -1,0 +1,181 @@
+"""The contract of engines, models and reports, whatever the engine."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from identification import simulated
+from pydantic import ValidationError
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification import FitReport, Model, engine_names, get_engine
+from tissueid.records import Estimate, Record
+
+CONTRACT = {
+    "engine",
+    "options",
+    "n_samples",
+    "n_parameters",
+    "vaf_percent",
+    "vaf_validation_percent",
+    "vaf_scheduled_percent",
+    "aicc",
+    "parameters",
+    "seconds",
+    "warnings",
+}
+OURS = ("lms", "spectral", "wiener")
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return simulated.wiener_record(1)
+
+
+@pytest.fixture(scope="module", params=OURS)
+def model(request: pytest.FixtureRequest, record: Record) -> Model:
+    return get_engine(request.param)().fit(record)
+
+
+def test_report_has_exactly_the_keys_of_the_contract(model: Model):
+    report = model.report.as_dict()
+    assert set(report) == CONTRACT
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+    assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= set(report["parameters"])
+    for estimate in report["parameters"].values():
+        assert set(estimate) == {"value", "std"}
+
+
+def test_what_is_not_finite_becomes_null():
+    report = FitReport(
+        engine="lms",
+        options={},
+        n_samples=3,
+        n_parameters=1,
+        vaf_percent=math.nan,
+        vaf_validation_percent=math.inf,
+        aicc=math.nan,
+        parameters={"mass_kg": Estimate(math.nan, math.inf)},
+    ).as_dict()
+    assert report["vaf_percent"] is None
+    assert report["vaf_validation_percent"] is None
+    assert report["aicc"] is None
+    assert report["seconds"] is None
+    assert report["parameters"]["mass_kg"] == {"value": None, "std": None}
+
+
+def test_simulation_sees_the_input_alone(model: Model, record: Record):
+    simulated_output = model.simulate(record.input)
+    assert simulated_output.shape == record.input.shape
+    forgotten = Record(record.input, np.full_like(record.output, 7.0), record.sample_rate_hz)
+    np.testing.assert_array_equal(model.predict(forgotten, horizon=1), simulated_output)
+    np.testing.assert_allclose(model.residuals(record), record.output - simulated_output)
+
+
+def test_an_output_error_model_predicts_alike_at_every_horizon(model: Model, record: Record):
+    np.testing.assert_array_equal(model.predict(record, horizon=1), model.predict(record, horizon=50))
+    with pytest.raises(UnusableInputError, match="horizon must be at least one sample"):
+        model.predict(record, horizon=0)
+
+
+def test_simulation_rests_at_the_operating_point_before_the_record(model: Model, record: Record):
+    u = np.full(2000, np.mean(record.input))
+    output = model.simulate(u)
+    np.testing.assert_allclose(output, output[0], rtol=0, atol=1e-9)
+    assert abs(output[0] - np.mean(record.output)) < 0.2 * np.std(record.output)
+
+
+def test_a_missing_input_leaves_its_memory_unknown_and_nothing_else(model: Model, record: Record):
+    u = record.input.copy()
+    u[3000] = np.nan
+    output = model.simulate(u)
+    unknown = np.flatnonzero(np.isnan(output))
+    np.testing.assert_array_equal(unknown, np.arange(3000, 3000 + model.memory_samples))
+    known = np.isfinite(output)
+    np.testing.assert_allclose(output[known], model.simulate(record.input)[known], atol=1e-9)
+
+
+def test_another_sample_rate_is_refused(model: Model, record: Record):
+    slower = Record(record.input, record.output, 1000.0)
+    with pytest.raises(UnusableInputError, match="fitted at 2000 Hz and cannot be run at 1000 Hz"):
+        model.residuals(slower)
+
+
+def test_models_and_engines_are_frozen(model: Model):
+    with pytest.raises(AttributeError):
+        model.memory_samples = 3  # type: ignore[misc]
+    engine = get_engine(model.report.engine)()
+    with pytest.raises(ValidationError):
+        engine.memory = 1.0  # type: ignore[attr-defined]
+    assert model.with_report(seconds=0.2).report.seconds == 0.2
+    assert model.report.seconds is None
+
+
+@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"memory": -1.0}, "option 'memory'"),
+        ({"memory": float("nan")}, "option 'memory'"),
+        ({"memry": 0.1}, "has no option 'memry': it has .*memory"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(name: str, options: dict[str, float], told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        get_engine(name).from_options(options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_options_carry_bounds_and_descriptions_for_a_form(name: str):
+    for option, schema in get_engine(name).model_json_schema()["properties"].items():
+        assert schema.get("description"), option
+        if schema.get("type") in ("number", "integer"):
+            assert {"minimum", "exclusiveMinimum"} & set(schema), option
+            assert {"maximum", "exclusiveMaximum"} & set(schema), option
+
+
+def _bad_records() -> list[tuple[str, Record, str]]:
+    noise = simulated.generator(9).standard_normal(4000)
+    missing = np.full(4000, np.nan)
+    holed = noise.copy()
+    holed[::100] = np.nan
+    return [
+        ("constant input", Record(np.ones(4000), noise, 2000.0), r"the input \(force\) is constant"),
+        ("constant output", Record(noise, np.ones(4000), 2000.0), r"the output \(position\) is constant"),
+        ("no input", Record(missing, noise, 2000.0), r"the input \(force\) holds no received sample"),
+        ("no output", Record(noise, missing, 2000.0), r"the output \(position\) holds no received sample"),
+        ("short", Record(noise[:100], noise[:100], 2000.0), "memory of 0.125 s is longer than the 0.05 s"),
+        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 250 parameters"),
+        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 250 parameters"),
+    ]
+
+
+@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _bad_records()])
+def test_records_that_carry_no_fit_are_refused_in_one_line(name: str, record: Record, told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        get_engine(name)().fit(record)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_fewer_than_three_samples_a_parameter_warns(name: str, record: Record):
+    model = get_engine(name).from_options({"window": 0.2} if name == "spectral" else {}).fit(record[:900])
+    assert any("fewer than 3 each" in warning for warning in model.report.warnings)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_part_that_is_not_there_is_refused(name: str, record: Record):
+    with pytest.raises(UnusableInputError, match="holds no received sample"):
+        get_engine(name)().fit(record, slice(9000, 9500))
+    with pytest.raises(UnusableInputError, match="contiguous"):
+        get_engine(name)().fit(record, slice(0, 8000, 2))
+
+
+def test_every_engine_of_the_contract_that_is_here_fits_a_plain_record(record: Record):
+    for name in set(engine_names()) & set(OURS):
+        assert get_engine(name)().fit(record).report.vaf_percent > 90.0

@@ -1,0 +1,120 @@
+"""Least mean squares: the thesis' equations, honest standard deviations, gaps, and held-out simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from identification import simulated
+from scipy import linalg, signal
+
+from tissueid.identification import validate, validated
+from tissueid.identification.engines.lms import Lms
+from tissueid.records import Record
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return simulated.linear_record(20)
+
+
+def broadband(*seed: int, n: int = 4000, noise: float = 0.0, pole: float = 0.0) -> tuple[Record, np.ndarray]:
+    """White force through a known kernel of 40 lags at 1 kHz; the kernel is per sample."""
+    rng = simulated.generator(*seed)
+    u = rng.standard_normal(n)
+    k = np.arange(40)
+    kernel = np.exp(-k / 8.0) * np.cos(k / 5.0)
+    e = signal.lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 500))[500:]
+    return Record(u + 2.0, signal.lfilter(kernel, [1.0], u) + noise * e + 7.0, 1000.0), kernel
+
+
+def test_impulse_response_is_eq_3_2(record: Record):
+    model = Lms().fit(record)
+    x, y = record.input - record.input.mean(), record.output - record.output.mean()
+    n, lags = len(record), 250
+    auto = np.correlate(x, x, "full")[n - 1 : n - 1 + lags] / n
+    cross = np.correlate(y, x, "full")[n - 1 : n - 1 + lags] / n
+    expected = record.sample_rate_hz * np.linalg.solve(linalg.toeplitz(auto), cross)
+    np.testing.assert_allclose(model.impulse_response, expected, atol=1e-7 * np.max(np.abs(expected)))
+    np.testing.assert_allclose(model.lag_s, np.arange(lags) / 2000.0)
+
+
+def test_the_recursion_and_the_pseudo_inverse_agree_where_r_is_well_conditioned():
+    record, kernel = broadband(21)
+    fast = Lms(memory=0.04).fit(record)
+    dense = Lms(memory=0.04, method="svd").fit(record)
+    scale = np.linalg.norm(dense.impulse_response)
+    assert np.linalg.norm(fast.impulse_response - dense.impulse_response) < 1e-10 * scale
+    np.testing.assert_allclose(fast.impulse_response / 1000.0, kernel, atol=0.05)
+    assert fast.report.details["condition_number"] >= dense.report.details["condition_number"] > 1.0
+
+
+def test_the_pseudo_inverse_drops_what_the_tolerance_says(record: Record):
+    rough = Lms(method="svd").fit(record)
+    smooth = Lms(method="svd", tolerance=1e-3).fit(record)
+    assert np.std(np.diff(smooth.impulse_response)) < np.std(np.diff(rough.impulse_response))
+    assert smooth.report.vaf_percent > 99.0
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_standard_deviation_of_each_lag_is_the_spread_of_repeats(pole: float):
+    found, told = [], []
+    for run in range(80):
+        record, _ = broadband(22, run, n=2000, noise=0.5, pole=pole)
+        model = Lms(memory=0.04).fit(record)
+        found.append(model.impulse_response)
+        told.append(model.impulse_response_std)
+    ratio = np.mean(told, axis=0) / np.std(found, axis=0, ddof=1)
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.07)
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+
+
+def test_parameters_and_both_vafs_are_reported(record: Record):
+    report = Lms().fit(record).report
+    assert report.parameters["mass_kg"].value == pytest.approx(simulated.MASS, rel=0.01)
+    assert report.parameters["damping_n_s_per_m"].value == pytest.approx(simulated.DAMPING, rel=0.01)
+    assert report.parameters["stiffness_n_per_m"].value == pytest.approx(simulated.STIFFNESS, rel=0.01)
+    assert report.vaf_percent == pytest.approx(99.98, abs=0.02)
+    assert report.details["vaf_parametric_percent"] == pytest.approx(99.99, abs=0.02)
+    assert report.n_parameters == 251
+    assert report.n_samples == 8000 - 249
+    assert report.warnings == ()
+
+
+def test_held_out_simulation(record: Record):
+    model = validated(Lms().fit(record, slice(0, 6000)), record, slice(6000, None))
+    assert model.report.n_samples == 6000 - 249
+    assert model.report.vaf_validation_percent is not None
+    assert model.report.vaf_validation_percent > 99.9
+    other = simulated.linear_record(20, 1)
+    assert validate(model, other).vaf_percent > 99.9
+
+
+def test_a_part_in_the_middle_is_fitted_alone(record: Record):
+    spoiled = Record(
+        record.input,
+        np.where(np.arange(8000) < 2000, 0.0, np.where(np.arange(8000) >= 7000, 1.0, record.output)),
+        record.sample_rate_hz,
+    )
+    model = Lms().fit(spoiled, slice(2000, 7000))
+    assert model.report.vaf_percent > 99.9
+    assert model.report.n_samples == 5000  # the inputs before the part are its memory
+
+
+def test_a_preload_does_no_harm():
+    record = simulated.linear_record(23)
+    force = np.concatenate([np.full(1000, 3.0), record.input])
+    settled = np.full(1000, 0.012)
+    rest = Record(force, np.concatenate([settled, record.output]), record.sample_rate_hz)
+    assert Lms().fit(rest).report.vaf_percent > 99.5
+
+
+def test_gaps_are_skipped_and_told(record: Record):
+    u, y = record.input.copy(), record.output.copy()
+    u[3000:3011] = np.nan
+    y[3000:3011] = np.nan
+    y[3011:3200] = 5.0  # what rests on a missing input may be anything
+    report = Lms().fit(Record(u, y, record.sample_rate_hz)).report
+    assert report.n_samples == 8000 - 249 - 11 - 249
+    assert report.vaf_percent > 99.9
+    assert any("11 of 8000 samples were not received" in warning for warning in report.warnings)
+    assert report.parameters["mass_kg"].value == pytest.approx(simulated.MASS, rel=0.01)

@@ -1,0 +1,86 @@
+"""Engines are found by declaration; a plug-in that breaks costs nobody else anything."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import pytest
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification import Engine, Model, engine_names, get_engine, registry
+from tissueid.records import Record
+
+
+class Foreign(Engine):
+    """An engine of somebody else's package."""
+
+    name: ClassVar[str] = "foreign"
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> Model:
+        raise UnusableInputError("not today")
+
+
+@dataclass
+class Plugin:
+    name: str
+    value: str
+    loaded: object
+
+    def load(self) -> object:
+        if isinstance(self.loaded, Exception):
+            raise self.loaded
+        return self.loaded
+
+
+@pytest.fixture
+def plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Plugin]]:
+    installed: list[Plugin] = []
+    engine_names()
+    monkeypatch.setattr(registry, "_engines", dict(registry._engines))
+    monkeypatch.setattr(registry, "entry_points", lambda group: installed if group == "tissueid.engines" else [])
+    registry._load.cache_clear()
+    yield installed
+    registry._load.cache_clear()
+
+
+def test_built_in_engines_are_found():
+    assert {"lms", "spectral", "wiener"} <= set(engine_names())
+    for name in engine_names():
+        assert get_engine(name).name == name
+
+
+def test_an_unknown_name_lists_those_there_are():
+    with pytest.raises(UnusableInputError, match=r"there is no engine 'lsm': choose one of .*lms.*wiener") as told:
+        get_engine("lsm")
+    assert "\n" not in str(told.value)
+
+
+def test_third_parties_add_engines_by_entry_point(plugins: list[Plugin]):
+    plugins.append(Plugin("foreign", "elsewhere:Foreign", Foreign))
+    assert get_engine("foreign") is Foreign
+
+
+def test_a_broken_plugin_is_told_and_costs_no_other(plugins: list[Plugin]):
+    plugins += [
+        Plugin("broken", "broken:Engine", ImportError("no module named 'gone'")),
+        Plugin("foreign", "elsewhere:Foreign", Foreign),
+    ]
+    with pytest.warns(UserWarning, match=r"'broken' \(broken:Engine\) was left out: no module named 'gone'"):
+        names = engine_names()
+    assert {"foreign", "lms"} <= set(names)
+
+
+def test_a_plugin_may_not_take_a_name_that_is_held(plugins: list[Plugin]):
+    impostor = type("Impostor", (Foreign,), {"name": "lms", "__module__": "elsewhere"})
+    plugins.append(Plugin("impostor", "elsewhere:Impostor", impostor))
+    with pytest.warns(UserWarning, match="two engines are called 'lms'"):
+        assert get_engine("lms") is not impostor
+
+
+def test_loading_is_silent_when_all_is_well(plugins: list[Plugin]):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "lms" in engine_names()

@@ -1,0 +1,121 @@
+"""Scores, against their formulas written out, and against brute force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from identification import simulated
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification import FitReport, Model, aic, aicc, vaf_percent, validate, validated
+from tissueid.identification.base import Array
+from tissueid.identification.validation import complete_windows, score, scored_samples
+from tissueid.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class Delay(Model):
+    """y[n] = 2 u[n - 4], and a schedule that is always right."""
+
+    def simulate(self, u: Array) -> Array:
+        return np.concatenate([np.zeros(4), 2.0 * u[:-4]])
+
+    def simulate_scheduled(self, record: Record) -> Array | None:
+        return record.output
+
+
+def delay() -> Delay:
+    report = FitReport(engine="delay", options={}, n_samples=0, n_parameters=1, vaf_percent=0.0)
+    return Delay(report=report, sample_rate_hz=100.0, memory_samples=5)
+
+
+def record(n: int = 400) -> Record:
+    u = simulated.generator(1).standard_normal(n)
+    return Record(u, np.concatenate([np.full(4, 9.0), 2.0 * u[:-4]]), 100.0)
+
+
+def test_vaf_is_eq_3_13_and_ignores_an_offset():
+    rng = simulated.generator(2)
+    y, e = rng.standard_normal(500), 0.3 * rng.standard_normal(500)
+    expected = 100.0 * (1.0 - np.std(e) ** 2 / np.std(y) ** 2)
+    assert vaf_percent(y, y - e) == pytest.approx(expected, abs=1e-12)
+    assert vaf_percent(y, y - e + 5.0) == pytest.approx(expected, abs=1e-9)
+    assert vaf_percent(y, -y) == pytest.approx(-300.0)
+
+
+def test_vaf_leaves_out_what_is_unknown():
+    y = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+    model = np.array([1.1, np.nan, 3.0, 4.1, 4.8])
+    assert vaf_percent(y, model) == vaf_percent(y[[0, 3, 4]], model[[0, 3, 4]])
+    assert np.isnan(vaf_percent(np.ones(5), np.ones(5)))
+
+
+def test_information_criteria_are_eqs_3_14_to_3_16():
+    residuals = simulated.generator(3).standard_normal(200)
+    rss, n, k = float(np.sum(residuals**2)), 200, 7
+    expected = 2 * k + n * (np.log(2 * np.pi * rss / n) + 1)
+    assert aic(residuals, k) == pytest.approx(expected)
+    assert aicc(residuals, k) == pytest.approx(expected + 2 * k * (k + 1) / (n - k - 1))
+    with_gaps = np.concatenate([residuals, np.full(50, np.nan)])
+    assert aicc(with_gaps, k) == pytest.approx(aicc(residuals, k))
+    assert np.isnan(aicc(residuals[:8], k))
+    assert aic(np.zeros(5), k) == -np.inf
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(1, 12))
+def test_complete_windows_against_brute_force(finite: list[bool], length: int):
+    mask = np.array(finite)
+    expected = [n + 1 >= length and bool(mask[n + 1 - length : n + 1].all()) for n in range(mask.size)]
+    np.testing.assert_array_equal(complete_windows(mask, length), expected)
+
+
+def test_validation_leaves_out_the_memory_after_the_start_and_after_gaps():
+    whole = record()
+    assert validate(delay(), whole).vaf_percent == pytest.approx(100.0)
+    assert validate(delay(), whole).n_samples == 396
+
+    u, y = whole.input.copy(), whole.output.copy()
+    u[100] = np.nan
+    y[200:203] = np.nan
+    y[100:105] = 50.0  # what rests on the missing input may be anything
+    holed = Record(u, y, 100.0)
+    result = validate(delay(), holed)
+    assert result.vaf_percent == pytest.approx(100.0)
+    assert result.n_samples == 396 - 5 - 3
+
+
+def test_validation_scores_the_part_and_runs_from_the_start():
+    whole = record()
+    result = validate(delay(), whole, slice(300, None))
+    assert result.n_samples == 100
+    assert result.vaf_percent == pytest.approx(100.0)
+    assert result.nrmse_percent == pytest.approx(0.0)
+    with pytest.raises(UnusableInputError, match="no sample is left to score"):
+        validate(delay(), whole, slice(0, 3))
+
+
+def test_offset_counts_in_nrmse_and_not_in_vaf():
+    whole = record()
+    result = score(whole, delay().simulate(whole.input) + 2.0, scored_samples(whole, 5))
+    assert result.vaf_percent == pytest.approx(100.0)
+    assert result.offset == pytest.approx(-2.0)
+    assert result.nrmse_percent == pytest.approx(100.0 * 2.0 / np.std(whole.output[4:]))
+
+
+def test_validated_fills_the_report_and_the_schedule_apart():
+    whole = record()
+    noisy = Record(whole.input, whole.output + simulated.generator(4).standard_normal(400), 100.0)
+    report = validated(delay(), noisy, slice(200, None)).report
+    assert report.vaf_validation_percent == pytest.approx(validate(delay(), noisy, slice(200, None)).vaf_percent)
+    assert report.vaf_validation_percent < 95.0
+    assert report.vaf_scheduled_percent == pytest.approx(100.0)
+
+
+def test_another_rate_is_refused():
+    whole = record()
+    with pytest.raises(UnusableInputError, match="cannot be run at 200 Hz"):
+        validate(delay(), Record(whole.input, whole.output, 200.0))

@@ -1,0 +1,199 @@
+"""The Wiener engine, on the thesis' own simulated system and on finer ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from identification import simulated
+from scipy import stats
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification import validated
+from tissueid.identification.engines.lms import Lms
+from tissueid.identification.engines.wiener import Wiener
+from tissueid.identification.static_nonlinearity import Exponential
+from tissueid.records import Record
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return simulated.wiener_record(50)
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "steps"),
+    [
+        pytest.param(1.0, -0.1, 1, id="as the thesis has it"),
+        pytest.param(1.0, -0.1, 20, id="finely integrated"),
+        pytest.param(5.0, 2.0, 20, id="finely integrated, strongly bent"),
+    ],
+)
+@pytest.mark.parametrize("refined", [False, True], ids=["iterated", "refined"])
+def test_constants_of_the_thesis_system(gain: float, offset: float, steps: int, refined: bool):
+    record = simulated.thesis_wiener(1, gain=gain, offset=offset, steps=steps)
+    model = Wiener(hold="zero-order", refine=refined, scaling=1000.0).fit(record)
+    parameters = model.report.parameters
+    assert parameters["c1_m"].value == pytest.approx(0.007, rel=0.003)
+    assert parameters["c2_per_n"].value == pytest.approx(0.2, rel=0.003)
+    assert parameters["offset_m"].value == pytest.approx(0.0, abs=1e-5)
+    if steps > 1:  # one Euler step a sample is another linear system than the equations it stands for
+        assert parameters["scaled_mass_s2"].value == pytest.approx(0.06, rel=0.01)
+        assert parameters["scaled_damping_s"].value == pytest.approx(20.0, rel=0.01)
+        assert model.second_order.system.damping_ratio > 1.2
+    assert model.report.vaf_percent > 99.999
+    assert model.report.vaf_percent > Lms().fit(record).report.vaf_percent
+
+
+@pytest.mark.parametrize("form", ["exponential", "polynomial", "spline"])
+def test_every_form_beats_the_line_on_held_out_samples(record: Record, form: str):
+    line = validated(Lms().fit(record, slice(0, 6000)), record, slice(6000, None)).report
+    model = Wiener.from_options({"nonlinearity": form}).fit(record, slice(0, 6000))
+    bent = validated(model, record, slice(6000, None)).report
+    assert line.vaf_validation_percent is not None
+    assert bent.vaf_validation_percent is not None
+    assert bent.vaf_validation_percent > line.vaf_validation_percent + 1.0
+    assert bent.vaf_validation_percent > 99.5
+    stiffness = np.exp(simulated.C2 * model.input_mean) / (simulated.C1 * simulated.C2)
+    assert bent.parameters["stiffness_n_per_m"].value == pytest.approx(stiffness, rel=0.02)
+    assert bent.parameters["mass_kg"].value == pytest.approx(simulated.SCALED_MASS * stiffness, rel=0.03)
+    assert bent.parameters["damping_n_s_per_m"].value == pytest.approx(simulated.SCALED_DAMPING * stiffness, rel=0.03)
+
+
+def test_constants_under_noise_and_what_the_refinement_is_for(record: Record):
+    refined = Wiener().fit(record).report
+    assert refined.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.01)
+    assert refined.parameters["c2_per_n"].value == pytest.approx(simulated.C2, rel=0.02)
+    assert refined.parameters["offset_m"].value == pytest.approx(simulated.SURFACE, rel=0.01)
+    assert refined.parameters["scaled_mass_s2"].value == pytest.approx(simulated.SCALED_MASS, rel=0.01)
+    assert refined.parameters["scaled_damping_s"].value == pytest.approx(simulated.SCALED_DAMPING, rel=0.01)
+    iterated = Wiener(refine=False).fit(record).report
+    assert refined.vaf_percent > iterated.vaf_percent
+    assert iterated.vaf_percent > refined.details["vaf_linear_percent"]
+
+
+def test_refinement_makes_the_constants_better():
+    errors: dict[bool, list[float]] = {True: [], False: []}
+    for run in range(16):
+        record = simulated.wiener_record(51, run, snr_db=20.0)
+        for refine, found in errors.items():
+            estimate = Wiener(refine=refine).fit(record).report.parameters["c2_per_n"]
+            found.append(estimate.value / simulated.C2 - 1.0)
+    print(np.sqrt(np.mean(np.square(errors[True]))), np.sqrt(np.mean(np.square(errors[False]))))
+    assert np.mean(np.square(errors[True])) < np.mean(np.square(errors[False]))
+
+
+def _coverage(runs: int) -> tuple[list[str], np.ndarray]:
+    truth = {
+        "c1_m": simulated.C1,
+        "c2_per_n": simulated.C2,
+        "offset_m": simulated.SURFACE,
+        "scaled_mass_s2": simulated.SCALED_MASS,
+        "scaled_damping_s": simulated.SCALED_DAMPING,
+    }
+    inside = np.zeros(len(truth) + 1)
+    for run in range(runs):
+        model = Wiener(iterations=2).fit(simulated.wiener_record(52, run))
+        stiffness = np.exp(simulated.C2 * model.input_mean) / (simulated.C1 * simulated.C2)
+        for place, (name, value) in enumerate((truth | {"stiffness_n_per_m": stiffness}).items()):
+            estimate = model.report.parameters[name]
+            assert estimate.std is not None
+            inside[place] += abs(estimate.value - value) < 1.96 * estimate.std
+    return [*truth, "stiffness_n_per_m"], inside / runs
+
+
+def test_intervals_hold_the_truth():
+    runs = 40
+    names, covered = _coverage(runs)
+    low, _ = np.array(stats.binom.interval(0.999, runs, 0.93)) / runs
+    assert np.all(covered >= low), dict(zip(names, covered, strict=True))
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_coverage_over_300_runs():
+    names, covered = _coverage(300)
+    print("\n", dict(zip(names, covered, strict=True)))
+    assert np.all((covered > 0.90) & (covered < 0.98))
+
+
+def test_z_is_in_absolute_newtons_and_g_in_metres(record: Record):
+    model = Wiener().fit(record)
+    assert model.kernel.sum() == pytest.approx(1.0)
+    load = model.linear_output(record.input)[500:]
+    assert np.mean(load) == pytest.approx(4.0, abs=0.1)
+    np.testing.assert_allclose(model.nonlinearity(load), model.simulate(record.input)[500:])
+
+
+def test_history_tells_every_pass_and_the_best_is_kept(record: Record):
+    model = Wiener(iterations=4, refine=False).fit(record)
+    assert [entry.iteration for entry in model.history] == [1, 2, 3, 4]
+    best = max(model.history, key=lambda entry: entry.nonlinear_vaf_percent)
+    assert model.chosen == best.iteration == model.report.details["chosen_iteration"]
+    assert model.report.vaf_percent == pytest.approx(best.nonlinear_vaf_percent)
+    assert model.history[0].linear_vaf_percent < model.history[1].linear_vaf_percent
+    assert set(best.parameters) == {"scaled_mass_s2", "scaled_damping_s", "c1", "c2", "c3", "offset"}
+
+
+def test_a_known_surface_gives_c3(record: Record):
+    lifted = Record(record.input - 0.59, record.output, record.sample_rate_hz)  # a load that the coil does not feel
+    parameters = Wiener(surface_position_m=simulated.SURFACE).fit(lifted).report.parameters
+    assert parameters["c3_n"].value == pytest.approx(0.59, abs=0.06)
+    assert parameters["c3_n"].std is not None
+    assert parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.01)
+    assert parameters["offset_m"].std is None
+    known = Wiener(c3_n=0.59).fit(lifted).report.parameters
+    assert known["offset_m"].value == pytest.approx(simulated.SURFACE, rel=0.01)
+    assert known["c3_n"].std is None
+
+
+def test_a_straight_system_says_that_its_constants_are_not_determined():
+    report = Wiener().fit(simulated.linear_record(53)).report
+    assert any("straight within its uncertainty" in warning for warning in report.warnings)
+    assert report.parameters["stiffness_n_per_m"].value == pytest.approx(simulated.STIFFNESS, rel=0.01)
+    assert report.parameters["mass_kg"].value == pytest.approx(simulated.MASS, rel=0.01)
+
+
+def test_a_curve_that_turns_back_is_told_and_still_answered():
+    record = simulated.linear_record(54, snr_db=60.0)
+    load = (record.output - 0.012) / np.std(record.output)
+    folded = Record(record.input, 1e-3 * (load + 0.8 * load**2), record.sample_rate_hz)
+    report = Wiener(nonlinearity="polynomial", degree=2).fit(folded).report
+    assert any("turns back" in warning for warning in report.warnings)
+    assert report.vaf_percent > Lms().fit(folded).report.vaf_percent + 10.0
+
+
+def test_divergence_is_told_and_the_best_pass_kept():
+    rng = simulated.generator(55)
+    u = rng.standard_normal(4000)
+    even = Record(u, np.convolve(u, np.exp(-np.arange(60) / 10.0))[:4000] ** 2, 2000.0)
+    model = Wiener(memory=0.05).fit(even)
+    assert any("diverged" in warning or "turns back" in warning for warning in model.report.warnings)
+    best = max(entry.nonlinear_vaf_percent for entry in model.history)
+    assert model.report.vaf_percent >= best - 1e-9
+
+
+def test_a_system_without_steady_gain_is_refused():
+    rng = simulated.generator(56)
+    u = rng.standard_normal(4000)
+    y = np.convolve(u, [1.0, -1.0])[:4000] + 0.1 * rng.standard_normal(4000)
+    with pytest.raises(UnusableInputError, match="no steady-state gain to normalise it by"):
+        Wiener(memory=0.02).fit(Record(u, y, 2000.0))
+
+
+def test_gaps_are_skipped(record: Record):
+    u, y = record.input.copy(), record.output.copy()
+    u[3000:3007] = np.nan
+    y[3000:3007] = np.nan
+    y[3007:3200] = 0.0
+    report = Wiener().fit(Record(u, y, record.sample_rate_hz)).report
+    assert report.n_samples == 8000 - 249 - 7 - 249
+    assert report.vaf_percent > 99.5
+    assert report.parameters["c1_m"].value == pytest.approx(simulated.C1, rel=0.01)
+
+
+def test_other_units_get_plain_names(record: Record):
+    volts = Record(record.input, record.output, record.sample_rate_hz, "command", "position", "V", "m")
+    parameters = Wiener().fit(volts).report.parameters
+    assert {"c1", "c2", "c3", "offset", "gain", "scaled_mass_s2"} <= set(parameters)
+    assert "mass_kg" not in parameters
+    assert isinstance(Wiener().fit(volts).nonlinearity, Exponential)
