@@ -1,0 +1,10 @@
+"""Speed as ratios, measured side by side in one run: ``python -m benchmarks [name ...]``. One file, one benchmark.
+
+Linear algebra runs on one thread, set here before numpy is loaded: on a shared machine two threads wait for each
+other, and a ratio would measure that.
+"""
+
+import os
+
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")

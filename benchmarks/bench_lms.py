@@ -1,0 +1,37 @@
+"""Impulse response of 250 lags from 8,000 samples, with the conditioning of R: recursion against pseudo-inverse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from benchmarks import plain, records
+from benchmarks.base import Comparison
+from tissueid.identification.impulse_response import factor_input
+from tissueid.identification.preparation import prepare
+
+LAGS = 250
+
+
+def comparisons() -> Iterable[Comparison]:
+    record = records.broadband()
+
+    def product() -> np.ndarray:
+        return factor_input(prepare(record, None, LAGS / record.sample_rate_hz)).kernel(record.output)
+
+    def plainly() -> np.ndarray:
+        return plain.impulse_response(record.input, record.output, LAGS)[0]
+
+    _, condition = plain.impulse_response(record.input, record.output, LAGS)
+    yield Comparison(
+        title="LMS impulse response",
+        setting=f"{LAGS} lags, {len(record)} samples, cond R = {condition:.0f}",
+        product=product,
+        plain=plainly,
+        agreement=lambda ours, theirs: float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs)),
+        tolerance=1e-8,
+        floor=20.0,
+        blocks=8,
+        runs_in_block=10,
+    )

@@ -1,0 +1,113 @@
+"""Finding kinds of stimulus, preloads, rebuilding, and volts for newtons."""
+
+from __future__ import annotations
+
+import json
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import LimitError, UnusableInputError
+from tissueid.stimuli import Stimulus, StimulusKind, base, get_stimulus, guided, rebuild, stimulus_names, to_voltage
+from tissueid.stimuli.noise import Noise
+
+
+class Silence(StimulusKind):
+    """A stimulus of somebody else's package."""
+
+    name: ClassVar[str] = "silence"
+
+    def build(self) -> Stimulus:
+        return Stimulus(np.zeros(10), 100.0, self.describe(), seed=0, crest_factor=1.0)
+
+
+class Broken:
+    name = "broken"
+    value = "broken:Kind"
+
+    def load(self) -> object:
+        raise ImportError("gone")
+
+
+class Working:
+    name = "silence"
+    value = "elsewhere:Silence"
+
+    def load(self) -> object:
+        return Silence
+
+
+def test_kinds_are_found_and_an_unknown_one_lists_them():
+    assert "noise" in stimulus_names()
+    assert get_stimulus("noise") is Noise
+    with pytest.raises(UnusableInputError, match=r"there is no stimulus 'nois': choose one of .*noise"):
+        get_stimulus("nois")
+
+
+def test_third_parties_add_kinds_and_a_broken_one_costs_nobody(monkeypatch: pytest.MonkeyPatch):
+    stimulus_names()
+    monkeypatch.setattr(base, "_kinds", dict(base._kinds))
+    monkeypatch.setattr(base, "entry_points", lambda group: [Broken(), Working()])
+    base._load.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match=r"'broken' \(broken:Kind\) was left out: gone"):
+            assert {"noise", "silence"} <= set(stimulus_names())
+    finally:
+        base._load.cache_clear()
+        monkeypatch.undo()
+        stimulus_names()
+
+
+def test_guided_rises_without_a_step_and_holds_the_mean_load():
+    played = Noise(seed=1).build()
+    whole = guided(played, preload_s=0.5)
+    mean = played.values.mean()
+    assert len(whole) == 1000 + 8000
+    assert whole.preload_s == 0.5
+    assert whole.seconds == pytest.approx(4.5)
+    assert whole.values[0] == 0.0
+    np.testing.assert_allclose(whole.values[100:1000], mean)
+    np.testing.assert_array_equal(whole.values[1000:], played.values)
+    rise = np.diff(whole.values[:1000])
+    assert np.all(rise >= 0.0)
+    assert rise.max() < 0.05 * mean
+    assert np.max(np.abs(np.diff(whole.values))) <= np.max(np.abs(np.diff(played.values))) + 1e-9
+    assert whole.crest_factor == played.crest_factor
+
+
+def test_a_preload_shorter_than_its_rise_is_refused():
+    with pytest.raises(UnusableInputError, match=r"at least its rise of 0\.05 s, not 0\.01 s"):
+        guided(Noise().build(), preload_s=0.01)
+
+
+def test_a_description_survives_json_and_builds_the_same_again():
+    whole = guided(Noise(seed=9, distribution="uniform").build(), preload_s=0.3)
+    again = rebuild(json.loads(json.dumps(whole.description)))
+    np.testing.assert_array_equal(again.values, whole.values)
+    assert again.preload_s == whole.preload_s
+    assert again.seed == 9
+
+
+@pytest.mark.parametrize(
+    ("description", "told"),
+    [
+        ({}, "does not say its type"),
+        ({"type": "nothing"}, "there is no stimulus 'nothing'"),
+        ({"type": "noise", "cutoff_hz": "high"}, "option 'cutoff_hz'"),
+        ({"type": "guided"}, "does not say its type"),
+    ],
+)
+def test_descriptions_that_do_not_hold_are_refused(description: dict[str, object], told: str):
+    with pytest.raises(UnusableInputError, match=told):
+        rebuild(description)
+
+
+def test_volts_for_newtons_and_the_limit_of_the_amplifier():
+    device = DeviceDescription()
+    force = np.array([0.0, 3.0, -6.0])
+    np.testing.assert_allclose(to_voltage(force, device), [device.voltage_for_force(f) for f in force])
+    with pytest.raises(LimitError, match="asks for 60 V and the amplifier gives 48 V"):
+        to_voltage(np.array([15.0]), device)
+    assert to_voltage(np.array([]), device).size == 0

@@ -1,0 +1,102 @@
+"""Band-limited noise: what it promises of range, distribution, spectrum, and of being the same again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal, stats
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli import rebuild
+from tissueid.stimuli.noise import Noise
+
+DISTRIBUTIONS = ("gaussian", "uniform")
+
+
+def share_above(values: np.ndarray, hz: float) -> float:
+    frequency, power = signal.welch(values, 2000.0, nperseg=1000)
+    return float(power[frequency > hz].sum() / power.sum())
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**63 - 1), low=st.floats(-5.0, 5.0), span=st.floats(0.1, 20.0))
+def test_range_is_used_and_never_left(distribution: str, seed: int, low: float, span: float):
+    noise = Noise.from_options(
+        {"distribution": distribution, "seconds": 0.5, "seed": seed, "force_min_n": low, "force_max_n": low + span}
+    ).build()
+    assert noise.values.shape == (1000,)
+    assert noise.values.min() >= low - 1e-9
+    assert noise.values.max() <= low + span + 1e-9
+    assert np.ptp(noise.values) > 0.8 * span
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_the_same_seed_gives_the_same_samples_and_another_does_not(distribution: str):
+    first, again, other = (Noise.from_options({"distribution": distribution, "seed": s}).build() for s in (5, 5, 6))
+    np.testing.assert_array_equal(first.values, again.values)
+    assert abs(np.corrcoef(first.values, other.values)[0, 1]) < 0.2
+    np.testing.assert_array_equal(rebuild(first.description).values, first.values)
+    assert first.description["seed"] == first.seed == 5
+    assert first.description["type"] == "noise"
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_power_stays_below_the_cut_off(distribution: str):
+    for seed in range(5):
+        values = Noise.from_options({"distribution": distribution, "seed": seed}).build().values
+        assert share_above(values, 400.0) < 2e-4
+        assert share_above(values, 220.0) < 0.02
+        frequency, power = signal.welch(values, 2000.0, nperseg=200)
+        band = power[(frequency > 15.0) & (frequency < 165.0)]
+        assert band.max() / band.min() < 2.5  # white up to the cut-off, within the scatter of the estimate
+
+
+def test_gaussian_holds_no_more_than_the_stated_share_at_the_limits():
+    for share in (0.0, 0.0027, 0.02):
+        values = Noise(seed=3, clipped=share, force_min_n=1.0, force_max_n=7.0).build().values
+        held = np.mean((values <= 1.0) | (values >= 7.0))
+        assert held <= share + 1.0 / values.size
+        assert held >= share - 2.0 / values.size
+    values = Noise(seed=3, seconds=20.0).build().values
+    assert abs(stats.kurtosis(values)) < 0.2
+    assert abs(stats.skew(values)) < 0.1
+
+
+def test_default_share_is_three_standard_deviations():
+    noise = Noise(seed=4, seconds=60.0).build()
+    assert noise.crest_factor == pytest.approx(3.0, rel=0.06)
+
+
+def test_uniform_is_uniform_to_the_last_sample():
+    noise = Noise(distribution="uniform", seed=2, force_min_n=-1.0, force_max_n=3.0).build()
+    np.testing.assert_allclose(np.sort(noise.values), np.linspace(-1.0, 3.0, 8000), atol=1e-12)
+    assert noise.crest_factor == pytest.approx(np.sqrt(3.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_the_first_sample_lies_within_one_step_of_the_mean(distribution: str):
+    for seed in range(5):
+        values = Noise.from_options({"distribution": distribution, "seed": seed}).build().values
+        largest_step = np.max(np.abs(np.diff(values)))
+        assert abs(values[0] - values.mean()) <= largest_step + 0.1 * np.std(values)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"cutoff_hz": 1000.0}, r"a cut-off of 1000 Hz needs more than 2000 samples a second"),
+        ({"cutoff_hz": 1500.0}, r"a cut-off of 1500 Hz needs more than 3000 samples a second"),
+        ({"force_min_n": 8.0}, r"the least force \(8 N\) must be below the greatest \(8 N\)"),
+        ({"seconds": 0.001}, "too short for noise"),
+        ({"seconds": -1.0}, "option 'seconds'"),
+        ({"order": 0}, "option 'order'"),
+        ({"colour": "pink"}, "option 'colour'"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, float], told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        Noise.from_options(options)
+    assert "\n" not in str(refused.value)
