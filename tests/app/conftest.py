@@ -69,6 +69,6 @@ def saved(tmp_path_factory):
     from tissueid.app.plan import Plan
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
-    plan = Plan("simulated://forearm", "left calf", path, seconds=1.5)
+    plan = Plan(url="simulated://forearm", site="left calf", path=path, seconds=1.5)
     measure(plan, LiveSignals(), threading.Event(), lambda _: SimulatedInstrument(seed=5), wait=lambda _: None)
     return path

@@ -149,8 +149,8 @@ def _bad_records() -> list[tuple[str, Record, str]]:
         ("no input", Record(missing, noise, 2000.0), r"the input \(force\) holds no received sample"),
         ("no output", Record(noise, missing, 2000.0), r"the output \(position\) holds no received sample"),
         ("short", Record(noise[:100], noise[:100], 2000.0), "memory of 0.125 s is longer than the 0.05 s"),
-        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 250 parameters"),
-        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 250 parameters"),
+        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 25[02] parameters"),
+        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 25[02] parameters"),
     ]
 
 

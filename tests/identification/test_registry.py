@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -36,14 +35,13 @@ class Plugin:
 
 
 @pytest.fixture
-def plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Plugin]]:
+def plugins(monkeypatch: pytest.MonkeyPatch) -> list[Plugin]:
     installed: list[Plugin] = []
     engine_names()
-    monkeypatch.setattr(registry, "_engines", dict(registry._engines))
-    monkeypatch.setattr(registry, "entry_points", lambda group: installed if group == "tissueid.engines" else [])
-    registry._load.cache_clear()
-    yield installed
-    registry._load.cache_clear()
+    monkeypatch.setattr(registry._engines, "_members", dict(registry._engines._members))
+    monkeypatch.setattr(registry._engines, "_loaded", False)
+    monkeypatch.setattr("tissueid.plugins.entry_points", lambda group: {"tissueid.engines": installed}.get(group, []))
+    return installed
 
 
 def test_built_in_engines_are_found():
@@ -76,7 +74,7 @@ def test_a_broken_plugin_is_told_and_costs_no_other(plugins: list[Plugin]):
 def test_a_plugin_may_not_take_a_name_that_is_held(plugins: list[Plugin]):
     impostor = type("Impostor", (Foreign,), {"name": "lms", "__module__": "elsewhere"})
     plugins.append(Plugin("impostor", "elsewhere:Impostor", impostor))
-    with pytest.warns(UserWarning, match="two engines are called 'lms'"):
+    with pytest.warns(UserWarning, match="of the kind engine are called 'lms'"):
         assert get_engine("lms") is not impostor
 
 

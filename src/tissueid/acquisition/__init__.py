@@ -1,12 +1,15 @@
 """Running a test: the journal that survives a dead host, the guided procedure, recovery."""
 
+from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
 from tissueid.acquisition.guided import GuidedTest, Phase, Progress, play, run_guided_test
 from tissueid.acquisition.journal import JournalError, journal_path
 from tissueid.acquisition.recorder import SessionRecorder, recover
 
 __all__ = [
+    "PRELOAD_S",
     "GuidedTest",
     "JournalError",
+    "NoiseChoice",
     "Phase",
     "Progress",
     "SessionRecorder",

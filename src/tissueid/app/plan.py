@@ -9,9 +9,9 @@ from typing import get_args
 
 from platformdirs import user_documents_path
 
+from tissueid.acquisition import PRELOAD_S, NoiseChoice
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES
-from tissueid.stimuli.base import Stimulus, guided
 from tissueid.stimuli.noise import Noise
 
 DEFAULT_URL = "simulated://forearm"
@@ -32,11 +32,10 @@ SITES = (
 )
 """Suggestions; any text will do."""
 DISTRIBUTIONS: tuple[str, ...] = get_args(Noise.model_fields["distribution"].annotation)
-PRELOAD_S = 0.5
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, kw_only=True)
+class Plan(NoiseChoice):
     """One test as the form describes it. ``limits`` names a profile."""
 
     url: str
@@ -44,27 +43,6 @@ class Plan:
     path: Path
     pseudonym: str = ANONYMOUS
     limits: str = "clinical"
-    distribution: str = "gaussian"
-    min_force_n: float = 0.5
-    max_force_n: float = 10.5
-    seconds: float = 4.0
-    seed: int = 1
-
-    def stimulus(self, sample_rate_hz: float) -> Stimulus:
-        """The stimulus with its preload.
-
-        Raises:
-            UnusableInputError: the choices do not make one.
-        """
-        options = {
-            "distribution": self.distribution,
-            "force_min_n": self.min_force_n,
-            "force_max_n": self.max_force_n,
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "sample_rate": sample_rate_hz,
-        }
-        return guided(Noise.from_options(options).build(), PRELOAD_S)
 
     def check(self) -> None:
         """Refuse what can be seen to be wrong before an instrument is touched.

@@ -88,10 +88,13 @@ def run_test(
     json_file: JsonFile = None,
 ) -> None:
     """Run a guided test: place, preload, stochastic stimulus, release."""
-    from tissueid.cli.test import Plan, run_tests
+    from tissueid.acquisition import NoiseChoice
+    from tissueid.cli.test import run_tests
 
-    plan = Plan(distribution, min_force, max_force, seconds, seed, repeats, limits)
-    run_tests(device, site, out, plan, subject, json_file)
+    choice = NoiseChoice(
+        distribution=distribution, min_force_n=min_force, max_force_n=max_force, seconds=seconds, seed=seed
+    )
+    run_tests(device, site, out, choice, repeats, limits, subject, json_file)
 
 
 @app.command()

@@ -3,45 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
-from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, NoiseChoice, Progress, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.cli.output import console, progress_bars, write_json
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import PROFILES, open_instrument
 from tissueid.sessions import Session, Subject
-from tissueid.stimuli.base import Stimulus, get_stimulus, guided
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What the options of ``tissueid test`` ask for."""
-
-    distribution: str
-    min_force_n: float
-    max_force_n: float
-    seconds: float
-    seed: int
-    repeats: int
-    limits: str
-
-    def stimulus(self, sample_rate_hz: float) -> Stimulus:
-        """The stimulus with its preload.
-
-        Raises:
-            UnusableInputError: the options do not make one.
-        """
-        options = {
-            "distribution": self.distribution,
-            "force_min_n": self.min_force_n,
-            "force_max_n": self.max_force_n,
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "sample_rate": sample_rate_hz,
-        }
-        return guided(get_stimulus("noise").from_options(options).build())
 
 
 def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[Progress], None]:
@@ -49,21 +18,30 @@ def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[P
     return lambda progress: show(label, progress.fraction)
 
 
-def run_tests(url: str, site: str, out: Path, plan: Plan, pseudonym: str, json_file: Path | None) -> None:
+def run_tests(
+    url: str,
+    site: str,
+    out: Path,
+    choice: NoiseChoice,
+    repeats: int,
+    limits_name: str,
+    pseudonym: str,
+    json_file: Path | None,
+) -> None:
     """Place once, then run the test as often as asked, all into one session."""
-    if plan.limits not in PROFILES:
-        raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {plan.limits!r}")
-    limits = PROFILES[plan.limits]
+    if limits_name not in PROFILES:
+        raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {limits_name!r}")
+    limits = PROFILES[limits_name]
     instrument = open_instrument(url)
     try:
-        stimulus = plan.stimulus(instrument.device.sample_rate_hz)
+        stimulus = choice.stimulus(instrument.device.sample_rate_hz)
         recorder = SessionRecorder(out, instrument.device, Subject(pseudonym))
         try:
             with progress_bars() as show:
                 surface = find_surface(instrument, limits, progress=show_progress(show, "placing the probe"))
-                for repeat in range(plan.repeats):
+                for repeat in range(repeats):
                     test = GuidedTest(stimulus, site, limits=limits, repeat_of=1 if repeat else None)
-                    label = f"test {repeat + 1} of {plan.repeats}"
+                    label = f"test {repeat + 1} of {repeats}"
                     run_guided_test(instrument, test, recorder, surface_m=surface, progress=show_progress(show, label))
         except (TissueIDError, KeyboardInterrupt):
             _keep(recorder)

@@ -10,6 +10,7 @@ offset and the state at the start of every uninterrupted run are fitted with it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -39,6 +40,7 @@ _FELT = 1e-7
 """A parameter whose effect on the output is below this share of the strongest is not in the record at all."""
 
 _ITERATIONS = 40
+_SETTLED_STEP, _SMALLEST_STEP = 1e-7, 1e-9
 _BRIDGE = 64
 
 
@@ -133,24 +135,7 @@ def fit_second_order(
     w = np.ones(y.size) if weights is None else weights[used]
 
     theta = np.log([system.mass, system.damping, system.stiffness])
-    error, slopes = _evaluate(runs, y, w, theta, rate, hold)
-    settled = False
-    for _ in range(_ITERATIONS):
-        step = np.linalg.lstsq(slopes, error, rcond=1e-10)[0]
-        step *= min(1.0, 1.0 / max(1e-300, float(np.max(np.abs(step)))))
-        cost = float(error @ error)
-        while True:
-            tried_error, tried_slopes = _evaluate(runs, y, w, theta + step, rate, hold)
-            if float(tried_error @ tried_error) <= cost * (1.0 + 1e-12):
-                theta, error, slopes = theta + step, tried_error, tried_slopes
-                break
-            step = 0.5 * step
-            if np.max(np.abs(step)) < 1e-9:
-                break
-        if np.max(np.abs(step)) < 1e-7:
-            settled = True
-            break
-
+    theta, error, slopes, settled = _minimise(lambda trial: _evaluate(runs, y, w, trial, rate, hold), theta)
     mass, damping, stiffness = np.exp(theta)
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     covariance = _sandwich(slopes, error, dependence_samples(error, rate)) if settled else None
@@ -174,6 +159,28 @@ def fit_second_order(
         hold=hold,
         warnings=tuple(warnings),
     )
+
+
+def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) -> tuple[Array, Array, Array, bool]:
+    """Gauss-Newton with halved steps, from ``theta`` (p,); steps are held to a factor e, for theta is logarithmic.
+
+    ``evaluate`` gives the error (m,) and minus its derivatives (m, p). Returns the minimum, both there, and whether
+    the steps died out.
+    """
+    error, slopes = evaluate(theta)
+    for _ in range(_ITERATIONS):
+        step = np.linalg.lstsq(slopes, error, rcond=1e-10)[0]
+        step /= max(1.0, float(np.max(np.abs(step))))
+        bound = float(error @ error) * (1.0 + 1e-12)
+        while np.max(np.abs(step)) >= _SMALLEST_STEP:
+            tried_error, tried_slopes = evaluate(theta + step)
+            if float(tried_error @ tried_error) <= bound:
+                theta, error, slopes = theta + step, tried_error, tried_slopes
+                break
+            step = 0.5 * step
+        if np.max(np.abs(step)) < _SETTLED_STEP:
+            return theta, error, slopes, True
+    return theta, error, slopes, False
 
 
 def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:

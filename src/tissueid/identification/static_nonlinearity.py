@@ -193,6 +193,11 @@ class MonotoneSpline(StaticNonlinearity):
         return fit_spline(z, y, self.coefficients.size - 3)
 
 
+def coefficient_count(form: Form, degree: int) -> int:
+    """Return how many coefficients g of a form and degree has."""
+    return {"exponential": 3, "polynomial": degree + 1, "spline": degree + 3}[form]
+
+
 def fit_nonlinearity(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity:
     """Fit g to z (n,) and y (n,).
 

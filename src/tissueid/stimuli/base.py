@@ -7,14 +7,9 @@ again, sample for sample.
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import entry_points
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -23,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
+from tissueid.plugins import Registry
 
-ENTRY_POINT_GROUP = "tissueid.stimuli"
 GUIDED = "guided"
 RISE_S = 0.05
 """Time, s, over which a guided stimulus rises to the mean load."""
@@ -87,7 +82,7 @@ class StimulusKind(BaseModel, ABC):
 
 
 _Kind = TypeVar("_Kind", bound=type[StimulusKind])
-_kinds: dict[str, type[StimulusKind]] = {}
+_kinds: Registry[StimulusKind] = Registry("stimulus", StimulusKind, "tissueid.stimuli", "tissueid.stimuli")  # type: ignore[type-abstract]
 
 
 def stimulus(declared: _Kind) -> _Kind:
@@ -96,9 +91,7 @@ def stimulus(declared: _Kind) -> _Kind:
     Raises:
         ValueError: another class already has that name.
     """
-    held = _kinds.setdefault(declared.name, declared)
-    if (held.__module__, held.__qualname__) != (declared.__module__, declared.__qualname__):
-        raise ValueError(f"two stimuli are called {declared.name!r}: {held.__module__} and {declared.__module__}")
+    _kinds.register(declared)
     return declared
 
 
@@ -108,31 +101,12 @@ def get_stimulus(name: str) -> type[StimulusKind]:
     Raises:
         UnusableInputError: there is none of that name; the line lists those that there are.
     """
-    _load()
-    if name not in _kinds:
-        raise UnusableInputError(f"there is no stimulus {name!r}: choose one of {', '.join(stimulus_names())}")
-    return _kinds[name]
+    return _kinds.get(name)
 
 
 def stimulus_names() -> tuple[str, ...]:
     """Return the names of all kinds of stimulus, in alphabetical order."""
-    _load()
-    return tuple(sorted(_kinds))
-
-
-@cache
-def _load() -> None:
-    from tissueid import stimuli
-
-    for module in pkgutil.iter_modules(stimuli.__path__):
-        importlib.import_module(f"{stimuli.__name__}.{module.name}")
-    for plugin in entry_points(group=ENTRY_POINT_GROUP):
-        try:
-            loaded = plugin.load()
-            if isinstance(loaded, type) and issubclass(loaded, StimulusKind):
-                stimulus(loaded)
-        except Exception as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
-            warnings.warn(f"the stimulus plug-in {plugin.name!r} ({plugin.value}) was left out: {error}", stacklevel=2)
+    return _kinds.names()
 
 
 def rebuild(description: Mapping[str, Any]) -> Stimulus:

@@ -10,11 +10,11 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.impulse_response import ImpulseResponses, factor_input
-from tissueid.identification.preparation import prepare
+from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity
+from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.wiener_iteration import Cascade, Pass, hunter_korenberg, linear_output
 from tissueid.identification.wiener_parameters import fit_linear_stage, straightness, wiener_parameters
@@ -109,7 +109,9 @@ class Wiener(Engine):
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or a linear stage
                 without a steady-state gain to normalise by.
         """
-        prepared = prepare(record, fit_part, self.memory)
+        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the kernel's sum is one
+        prepared = prepare(record, fit_part, self.memory, n_parameters)
         solved = factor_input(prepared)
         passes = hunter_korenberg(solved, self.nonlinearity, self.degree, self.iterations)
         chosen = min(range(len(passes)), key=lambda k: passes[k].cascade.rss)
@@ -136,7 +138,6 @@ class Wiener(Engine):
         )
         warnings += straightness(cascade.nonlinearity, parameters)
         parametric = prepared.input_mean + second_order.simulate(np.where(np.isfinite(solved.input), solved.input, 0.0))
-        n_parameters = prepared.memory_samples - 1 + cascade.nonlinearity.coefficients.size
         return WienerModel(
             report=FitReport(
                 engine=self.name,
@@ -156,7 +157,7 @@ class Wiener(Engine):
                 },
             ),
             sample_rate_hz=record.sample_rate_hz,
-            memory_samples=prepared.memory_samples,
+            memory_samples=lags,
             kernel=cascade.kernel,
             input_mean=prepared.input_mean,
             nonlinearity=cascade.nonlinearity,
