@@ -32,7 +32,7 @@ bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks
 
 soak: env ## the long runs: streaming, frame fuzzing, kills
-	@$(BIN)/python -m pytest -m soak -n 0 --timeout 3600 -o addopts="-v -p no:cacheprovider"
+	@$(BIN)/python -m pytest -m soak --timeout 3600 -o addopts="-v -p no:cacheprovider --import-mode=importlib"
 
 run: env ## open the application
 	@$(BIN)/tissueid
