@@ -92,7 +92,7 @@ def test_kernel_with_gaps_is_the_least_squares_answer_on_the_complete_windows():
     np.testing.assert_allclose(dense.kernel(y), plain, atol=1e-10)
     assert dense.condition == pytest.approx(np.linalg.cond(regressors.T @ regressors), rel=1e-6)
 
-    ridge = np.sqrt(impulse_response.GAP_RIDGE * np.mean(np.sum(regressors**2, axis=0))) * np.eye(lags)
+    ridge = np.sqrt(impulse_response.RIDGE * np.mean(np.sum(regressors**2, axis=0))) * np.eye(lags)
     held, *_ = np.linalg.lstsq(np.vstack([regressors, ridge]), np.concatenate([target, np.zeros(lags)]), rcond=None)
     np.testing.assert_allclose(solved.kernel(y), held, atol=1e-10)
     np.testing.assert_allclose(held, plain, atol=1e-4)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import fft, linalg
+from scipy import fft, linalg, signal
 
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import (
@@ -22,12 +22,12 @@ from tissueid.identification.correlation import (
 )
 from tissueid.identification.preparation import Prepared
 
-GAP_RIDGE = 1e-5
-"""Share of the input's power added to the diagonal of R when there are gaps.
+RIDGE = 1e-5
+"""Share of the input's power added to the diagonal of R, except for the plain biased correlations.
 
 The edges of a record leave traces in biased correlations that hold the impulse response still where the input has no
-power. Sums over complete windows have no such traces, and a force without power above 200 Hz would leave that part of
-the response to the noise.
+power. Sums over complete windows, and signals that fade at their ends, have no such traces, and a force without power
+above 200 Hz would leave that part of the response to the noise.
 """
 
 
@@ -35,7 +35,8 @@ the response to the noise.
 class ImpulseResponses:
     """The input side of Eq. 3.2.
 
-    ``input`` (n,) is the record's less its mean. R (lags, lags) is held either by its first column, when it is
+    ``input`` (n,) is the record's less its mean; ``fade`` (fitted samples,) is the window that input and output were
+    multiplied with before they were correlated. R (lags, lags) is held either by its first column, when it is
     Toeplitz and solved as such, or by its pseudo-inverse. ``condition`` is its condition number, in the 1-norm in
     the first case and in the 2-norm in the second.
     """
@@ -43,6 +44,7 @@ class ImpulseResponses:
     prepared: Prepared
     input: Array
     correlator: Correlator
+    fade: Array
     column: Array | None
     pseudo_inverse: Array | None
     condition: float
@@ -53,7 +55,7 @@ class ImpulseResponses:
         prepared = self.prepared
         if prepared.gapless:
             y = output[prepared.part]
-            p = self.correlator.cross(y - y.mean())
+            p = self.correlator.cross((y - y.mean()) * self.fade)
         else:
             y = np.where(prepared.used, output - output[prepared.used].mean(), 0.0)
             p = self.correlator.cross(y) * (y.size / prepared.used.sum())
@@ -72,35 +74,45 @@ class ImpulseResponses:
         return toeplitz_inverse(self.column)
 
 
-def factor_input(prepared: Prepared, *, pseudo_inverse: bool = False, tolerance: float = 1e-12) -> ImpulseResponses:
+def factor_input(
+    prepared: Prepared, *, pseudo_inverse: bool = False, tolerance: float = 1e-12, taper: float = 0.0
+) -> ImpulseResponses:
     """Work the input side of Eq. 3.2: biased correlations without gaps, sums over complete windows with them.
 
     Args:
         prepared: the record.
         pseudo_inverse: take the pseudo-inverse of the dense matrix, as Appendix C.1.1 does, and not the recursion.
         tolerance: for the pseudo-inverse, singular values below this share of the largest are dropped.
+        taper: share of the fitted samples, half at each end, over which both signals fade in and out. A record that is
+            cut off in mid-motion has an edge with power at every frequency; where the input has none, that edge is all
+            that is left to be divided by, and a lag or two of the response can stand far off the others.
     """
     x = prepared.record.input - prepared.input_mean
     lags = prepared.memory_samples
     if not prepared.gapless:
         # Only outputs with a complete window take part, so what stands in for missing inputs is never reached.
         correlator = Correlator(np.where(np.isfinite(x), x, 0.0), lags)
+        fade = np.ones(0)
         r = lagged_products(x, prepared.used, lags)
         if pseudo_inverse:
             inverse, condition = _pseudo_inverse(r, tolerance)
         else:
-            inverse, condition = _pseudo_inverse(r + GAP_RIDGE * np.trace(r) / lags * np.eye(lags), 0.0)
-        return ImpulseResponses(prepared, x, correlator, None, inverse, condition)
-    correlator = Correlator(x[prepared.part], lags)
+            inverse, condition = _pseudo_inverse(r + RIDGE * np.trace(r) / lags * np.eye(lags), 0.0)
+        return ImpulseResponses(prepared, x, correlator, fade, None, inverse, condition)
+    inside = x[prepared.part]
+    fade = signal.windows.tukey(inside.size, taper)
+    correlator = Correlator(inside * fade, lags)
     column = correlator.auto()
+    if taper > 0.0:
+        column[0] *= 1.0 + RIDGE
     warnings: tuple[str, ...] = ()
     if not pseudo_inverse:
         try:
-            return ImpulseResponses(prepared, x, correlator, column, None, condition_number(column))
+            return ImpulseResponses(prepared, x, correlator, fade, column, None, condition_number(column))
         except np.linalg.LinAlgError:
             warnings = ("the input does not excite every lag of the memory: the pseudo-inverse was taken",)
     inverse, condition = _pseudo_inverse(linalg.toeplitz(column), tolerance)
-    return ImpulseResponses(prepared, x, correlator, None, inverse, condition, warnings)
+    return ImpulseResponses(prepared, x, correlator, fade, None, inverse, condition, warnings)
 
 
 def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:

@@ -56,6 +56,9 @@ class Lms(Engine):
     tolerance: float = Field(
         1e-12, ge=0.0, lt=1.0, description="With svd: singular values below this share of the largest are dropped"
     )
+    taper: float = Field(
+        0.05, ge=0.0, le=1.0, description="Share of the samples over which both signals fade in and out (C.1.1)"
+    )
     hold: Hold = Field(
         "band-limited",
         description="What the input does between samples: a measured force is band-limited, a command is held",
@@ -68,7 +71,7 @@ class Lms(Engine):
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
         prepared = prepare(record, fit_part, self.memory)
-        solved = factor_input(prepared, pseudo_inverse=self.method == "svd", tolerance=self.tolerance)
+        solved = factor_input(prepared, pseudo_inverse=self.method == "svd", tolerance=self.tolerance, taper=self.taper)
         kernel = solved.kernel(record.output)  # (lags,)
         modelled = prepared.output_mean + convolve_at_rest(kernel, solved.input)
         residuals = np.where(prepared.used, record.output - modelled, np.nan)

@@ -21,6 +21,9 @@ from tissueid.identification.wiener_parameters import fit_linear_stage, straight
 from tissueid.identification.wiener_refinement import coefficient_covariance, refine
 from tissueid.records import Record
 
+_TAPER = 0.05
+"""As the default of ``lms``: a record cut off in mid-motion must not leave its edge in the kernel."""
+
 _LOST_POINTS = 1.0
 """Percentage points of VAF that the last iterate may lose on the best before it is called divergence."""
 
@@ -112,7 +115,7 @@ class Wiener(Engine):
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
         n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the kernel's sum is one
         prepared = prepare(record, fit_part, self.memory, n_parameters)
-        solved = factor_input(prepared)
+        solved = factor_input(prepared, taper=_TAPER)
         passes = hunter_korenberg(solved, self.nonlinearity, self.degree, self.iterations)
         chosen = min(range(len(passes)), key=lambda k: passes[k].cascade.rss)
         cascade = passes[chosen].cascade
