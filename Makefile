@@ -16,7 +16,7 @@ env: $(STAMP) ## build the environment in .venv from pinned versions
 $(STAMP): pyproject.toml constraints.txt tools/build_env.sh
 	@bash tools/build_env.sh $(VENV)
 
-demo: env ## run one guided test on a simulated forearm and open the report's place
+demo: env ## run one guided test on a simulated forearm; leaves demo/report.html
 	@$(BIN)/tissueid demo --out demo
 
 test: lint ## every check and test
@@ -31,7 +31,7 @@ lint: env
 bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks
 
-soak: env ## the long runs: streaming, frame fuzzing, kills
+soak: env ## the long runs, half an hour: streaming, damaged frames, killed hosts, coverage of intervals
 	@$(BIN)/python -m pytest -m soak --timeout 3600 -o addopts="-v -p no:cacheprovider --import-mode=importlib"
 
 run: env ## open the application

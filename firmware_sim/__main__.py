@@ -19,6 +19,13 @@ from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
 
 
+def _port(text: str) -> int:
+    number = int(text)
+    if not 0 <= number <= 65535:
+        raise ValueError
+    return number
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="tissueid-firmware-sim",
@@ -26,7 +33,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="serve on a pseudo-terminal (default where there are any)")
-    where.add_argument("--tcp", type=int, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 takes a free port")
+    where.add_argument("--tcp", type=_port, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 takes a free port")
     parser.add_argument("--scenario", type=Path, metavar="FILE", help="TOML file: preset, seed, speed, faults")
     parser.add_argument("--preset", help="tissue under the probe; see --list")
     parser.add_argument("--seed", type=int, help="seed of the sensor noise")

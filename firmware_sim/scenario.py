@@ -49,7 +49,8 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
         try:
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ValueError(f"cannot read the scenario {path}: {error}") from error
+            reason = getattr(error, "strerror", None) or ("not text" if isinstance(error, UnicodeError) else error)
+            raise ValueError(f"cannot read the scenario {path}: {reason}") from error
     values |= {name: value for name, value in overrides.items() if value is not None}
     try:
         scenario = Scenario.model_validate(values)

@@ -89,7 +89,9 @@ class TcpPort:
         ready, writable, _ = select.select(waiting, writing, [], timeout_s)
         if self._listener in ready:
             newcomer, _ = self._listener.accept()
-            self._hang_up()
+            if self._host is not None:
+                newcomer.close()  # a cable has one other end, and it is taken
+                return b"", 0
             newcomer.setblocking(False)
             newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._host = newcomer

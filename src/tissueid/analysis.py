@@ -51,6 +51,8 @@ def analyse(
     Raises:
         UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
     """
+    if input_name == output_name:
+        raise UnusableInputError(f"input and output are the same signal, {input_name!r}")
     specification = get_engine(engine).from_options(options or {})
     fitted = session.test(test)
     record = fitted.record(input_name, output_name)

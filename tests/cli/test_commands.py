@@ -1,6 +1,8 @@
 """The commands as people and scripts meet them: answers by the contract, one line for what cannot be used."""
 
 import json
+import os
+import signal
 import sys
 from pathlib import Path
 
@@ -95,7 +97,7 @@ def test_json_goes_to_a_file_whole(session_file, tmp_path):
 
 def test_people_get_a_table(session_file, capsys):
     assert main(["identify", str(session_file), "--engine", "lms"]) == 0
-    printed = capsys.readouterr().err
+    printed = capsys.readouterr().out
     assert "VAF on the fitted samples" in printed
     assert "N/m" in printed
 
@@ -126,17 +128,34 @@ def test_devices_lists_the_simulation(capsys):
         (["identify", "nothing.h5", "--engine", "lms"], "no such file"),
         (["identify", "RUBBISH", "--engine", "lms"], "damaged, or not an HDF5 session"),
         (["identify", "FOLDER", "--engine", "lms"], "is a folder"),
-        (["identify", "SESSION", "--engine", "lms", "--json", "FOLDER/no/where.json"], "No such file"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "FOLDER/no/where.json"], "no folder"),
         (["recover", "nothing.h5"], "nothing to recover"),
         (["report", "SESSION", "--out", "FOLDER/no/where.html"], "no folder"),
         (["test", "--device", "simulated://moon", "--site", "x", "--out", "FOLDER/a.h5"], "no simulated tissue"),
         (["test", "--device", "/dev/none", "--site", "x", "--out", "FOLDER/a.h5"], "cannot open /dev/none"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "SESSION"], "never overwritten"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/no/a.h5"], "no folder"),
-        ([*A_TEST, "--max-force", "13"], "amplifier gives 48 V"),
+        ([*A_TEST, "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
         ([*A_TEST, "--limits", "none"], "limits are"),
         ([*A_TEST, "--seconds", "nan"], "seconds"),
         ([*A_TEST, "--seconds", "1e9"], "seconds"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "SESSION"], "holds something else"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "RUBBISH"], "holds something else"),
+        (["identify", "SESSION", "--engine", "lms", "--memory", "0.1", "--option", "memory=0.1"], "given twice"),
+        (["identify", "SESSION", "--engine", "lms", "--input", "position"], "the same signal"),
+        (["report", "SESSION", "--out", "SESSION"], "holds something else"),
+        (["report", "SESSION", "--out", "FOLDER"], "is a folder"),
+        ([*A_TEST, "--json", "SESSION"], "holds something else"),
+        ([*A_TEST, "--json", "FOLDER/a.h5"], "cannot be the same file"),
+        ([*A_TEST, "--seconds", "29.6"], "lasts 30.1 s; the limit is 30 s"),
+        ([*A_TEST, "--min-force", "-13"], "reaches 13.0 N; the limit is 12 N"),
+        ([*A_TEST, "--subject", " "], "the subject must be one line"),
+        (["test", "--device", "simulated://forearm", "--site", "a\x1bb", "--out", "FOLDER/a.h5"], "the site must be"),
+        (["test", "--device", "simulated://forearm?sed=3", "--site", "x", "--out", "FOLDER/a.h5"], "asks for sed"),
+        (["test", "--device", "socket://127.0.0.1", "--site", "x", "--out", "FOLDER/a.h5"], "socket://HOST:PORT"),
+        (["test", "--device", "/dev/null", "--site", "x", "--out", "FOLDER/a.h5"], "not a serial port"),
+        (["test", "--device", "", "--site", "x", "--out", "FOLDER/a.h5"], "say which instrument"),
+        (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER"], "is a folder"),
         (["demo", "--out", "RUBBISH"], "is not a folder"),
         (["demo", "--out", "FOLDER/d", "--preset", "moon"], "no preset 'moon'"),
         (["demo", "--out", "FOLDER/d", "--seed", "-1"], "seed"),
@@ -199,7 +218,18 @@ def test_an_interrupt_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     assert "interrupted" in capsys.readouterr().err
 
 
-def test_an_interrupt_in_mid_test_keeps_what_was_recorded(monkeypatch, tmp_path):
+def ctrl_c():
+    raise KeyboardInterrupt
+
+
+def request_to_end():
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    "ending", [ctrl_c, pytest.param(request_to_end, marks=pytest.mark.skipif(sys.platform == "win32", reason="POSIX"))]
+)
+def test_an_interrupt_in_mid_test_keeps_what_was_recorded(monkeypatch, tmp_path, ending):
     from tissueid.instrument import SimulatedInstrument
 
     poll = SimulatedInstrument.poll
@@ -207,7 +237,7 @@ def test_an_interrupt_in_mid_test_keeps_what_was_recorded(monkeypatch, tmp_path)
 
     def interrupted_poll(self, timeout_s):
         if next(polls) == 200:
-            raise KeyboardInterrupt
+            ending()
         return poll(self, timeout_s)
 
     monkeypatch.setattr(SimulatedInstrument, "poll", interrupted_poll)

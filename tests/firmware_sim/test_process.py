@@ -92,6 +92,19 @@ def test_a_port_in_use_cannot_be_opened_twice():
         assert stream(instrument, 200) == 0
 
 
+def test_a_second_host_on_a_socket_is_turned_away():
+    with firmware_process("--tcp=0") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
+        with pytest.raises(LinkLostError):
+            SerialInstrument(SerialLink(url))
+        assert stream(instrument, 2000) == 0
+
+
+def test_an_impossible_port_is_one_line():
+    answer = run_simulator("--tcp", "99999")
+    assert answer.returncode == 2
+    assert "Traceback" not in answer.stderr
+
+
 def test_one_host_after_another(tmp_path):
     with firmware_process(CABLES[0], "--speed", "5") as (url, _):
         for _ in range(2):

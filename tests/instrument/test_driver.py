@@ -108,6 +108,7 @@ def test_a_new_host_finds_a_device_that_still_streams_for_a_dead_one():
     assert not link.firmware.energised
     _, samples = play(instrument, hold(5.0, 0.3))
     assert not np.isnan(samples["position"]).any()
+    assert instrument.gaps == []
 
 
 def test_a_repeated_start_does_not_start_again():

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.recorder import SessionRecorder
-from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
-from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run
+from tissueid.device import DeviceDescription
+from tissueid.errors import CancelledError, LimitError, TissueIDError, UnusableInputError
+from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run, check_stimulus
 from tissueid.stimuli.base import Stimulus, to_voltage
 
 POLL_S = 0.05
@@ -145,6 +146,26 @@ def find_surface(
     return surface
 
 
+def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float64]:
+    """The command of a test, shape (n,), V; refused before anybody is touched when it could not be played.
+
+    Raises:
+        LimitError: too strong, too long, or beyond the amplifier.
+        UnusableInputError: another sample rate than the device's.
+    """
+    if test.stimulus.sample_rate_hz != device.sample_rate_hz:
+        raise UnusableInputError(
+            f"the stimulus has {test.stimulus.sample_rate_hz:g} samples a second, "
+            f"the instrument {device.sample_rate_hz:g}"
+        )
+    peak = float(np.abs(test.stimulus.values).max())
+    if peak > test.limits.max_force_n:
+        raise LimitError(f"the stimulus reaches {peak:.1f} N; the limit is {test.limits.max_force_n:g} N")
+    command = to_voltage(test.stimulus.values, device)
+    check_stimulus(command, device, test.limits)
+    return command
+
+
 def run_guided_test(
     instrument: Instrument,
     test: GuidedTest,
@@ -163,11 +184,7 @@ def run_guided_test(
         CancelledError, LimitError, InstrumentError, JournalError, UnusableInputError.
     """
     device = instrument.device
-    if test.stimulus.sample_rate_hz != device.sample_rate_hz:
-        raise UnusableInputError(
-            f"the stimulus has {test.stimulus.sample_rate_hz:g} samples a second, "
-            f"the instrument {device.sample_rate_hz:g}"
-        )
+    command = check_test(test, device)
     if surface_m is None:
         surface_m = find_surface(instrument, test.limits, progress=progress, cancelled=cancelled)
     number = 0
@@ -199,7 +216,6 @@ def run_guided_test(
             recorder.event("gap", first_index=gap.first_index, count=gap.count)
         recorder.end_test(status, **notes)
 
-    command = to_voltage(test.stimulus.values, device)
     try:
         play(instrument, command, test.limits, started=started, on_samples=take, cancelled=cancelled)
     except (TissueIDError, KeyboardInterrupt) as error:

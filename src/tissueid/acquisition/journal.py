@@ -136,7 +136,10 @@ class Journal:
         """Raise what the writing thread met, if anything."""
         if self._error is not None:
             reason = self._error.strerror or str(self._error)
-            raise JournalError(f"cannot write {self.path}: {reason}. What was recorded before is kept")
+            raise JournalError(
+                f"cannot write {self.path}: {reason}. What was recorded before is kept in it; once that is mended, "
+                "'tissueid recover' makes the session from it"
+            )
 
     def sync(self) -> None:
         """Wait until everything appended so far is on the disk."""

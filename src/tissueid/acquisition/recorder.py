@@ -42,6 +42,8 @@ class SessionRecorder:
     def __init__(
         self, path: Path, device: DeviceDescription, subject: Subject | None = None, *, sync_s: float = SYNC_S
     ) -> None:
+        if path.is_dir():
+            raise SessionFormatError(f"{path} is a folder; name a session file")
         if path.exists():
             raise SessionFormatError(f"{path} is there already; sessions are never overwritten")
         if not path.parent.is_dir():

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from platformdirs import user_log_path
@@ -19,7 +22,10 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit status: 0 done, 2 unusable input, 1 a defect, 130 interrupted."""
     try:
-        status = app(args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False)
+        with _endings_as_interrupts():
+            status = app(
+                args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False
+            )
     except TissueIDError as error:
         return _complain(str(error), 2)
     except TyperException as error:
@@ -32,8 +38,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception:  # noqa: BLE001 - the last stop before the user
         return _complain(f"this is a defect of the software; please report {_keep_traceback()}", 1)
     if status == INTERRUPTED:  # typer turns some interrupts into this status by itself
-        return _complain("interrupted; nothing is left half-written", INTERRUPTED)
+        return _complain("interrupted; what was recorded is kept, nothing is left half-written", INTERRUPTED)
     return status if isinstance(status, int) else 0
+
+
+@contextmanager
+def _endings_as_interrupts() -> Iterator[None]:
+    """A closed terminal and a request to end are met like Ctrl+C: the coil is released, the recording kept."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _complain(message: str, status: int) -> int:

@@ -23,7 +23,7 @@ DeviceUrl = Annotated[
         "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
     ),
 ]
-Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="how to identify")]
+Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="lms, spectral, wiener, or one of a plug-in")]
 OneTest = Annotated[int | None, typer.Option("--test", metavar="N", help="test to fit; the first stochastic one")]
 
 
@@ -78,9 +78,11 @@ def run_test(
     site: Annotated[str, typer.Option(metavar="TEXT", help="where on the body, or which material")],
     out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="session file to make; never overwritten")],
     distribution: Annotated[str, typer.Option(help="gaussian or uniform")] = "gaussian",
-    min_force: Annotated[float, typer.Option(metavar="N", help="lower end of the force range")] = 0.5,
-    max_force: Annotated[float, typer.Option(metavar="N", help="upper end of the force range")] = 10.5,
-    seconds: Annotated[float, typer.Option(metavar="S", help="length of the stimulus")] = 4.0,
+    min_force: Annotated[float, typer.Option(metavar="NEWTON", help="lower end of the force range")] = 0.5,
+    max_force: Annotated[float, typer.Option(metavar="NEWTON", help="upper end of the force range")] = 10.5,
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="length of the noise; 0.5 s of preload come first")
+    ] = 4.0,
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = 1,
     repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
@@ -107,7 +109,7 @@ def identify(
     ] = None,
     input_name: Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")] = "force",
     output_name: Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")] = "position",
-    memory: Annotated[float | None, typer.Option(metavar="S", help="memory length in seconds")] = None,
+    memory: Annotated[float | None, typer.Option(metavar="SECONDS", help="memory length")] = None,
     option: Annotated[
         list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the engine")
     ] = None,

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.analysis import Analysis, analyse_all
 from tissueid.calibration import ElectricalCheck, check_coil
 from tissueid.cli.identify import identify_answer, readable
-from tissueid.cli.output import console, progress_bars, table, write_json
+from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
 from tissueid.cli.test import show_progress
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, open_instrument
@@ -30,7 +31,7 @@ from tissueid.sessions import Session, Subject
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.noise import Noise
 
-LARGE_N = (-5.0, 12.0)
+LARGE_N = (-5.0, 11.8)
 """Force range of the main test. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
 LARGE_CLIPPED = 0.0455
 """Share of samples held at the ends of that range: what a Gaussian has beyond two standard deviations."""
@@ -43,6 +44,7 @@ _COMPARED = {"mass_kg": "kg", "damping_n_s_per_m": "N s/m", "stiffness_n_per_m":
 def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
     """Everything from the cable to the report. The three files appear together at the end, or not at all."""
     _check_target(out)
+    check_json(json_file)
     with tempfile.TemporaryDirectory(dir=out, prefix=".demo-") as folder, progress_bars() as show:
         work = Path(folder)
         show("starting the simulated instrument", 0.0)
@@ -66,7 +68,7 @@ def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
         for name in OUTPUTS:
             (work / name).replace(out / name)
         show("writing the report", 1.0)
-    _tell(out, analyses[1], comparison)
+    _tell(out, analyses[1], comparison, people_read(json_file))
     if json_file is not None:
         write_json(json_file, results)
 
@@ -176,7 +178,7 @@ def _results(
     }
 
 
-def _tell(out: Path, main: dict[str, Analysis], comparison: Comparison) -> None:
+def _tell(out: Path, main: dict[str, Analysis], comparison: Comparison, console: Console) -> None:
     rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
     for engine, analysis in main.items():
         report = analysis.model.report

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from tissueid.analysis import Analysis, analyse
-from tissueid.cli.output import console, table, write_json
+from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
@@ -27,8 +29,11 @@ def run_identify(
     json_file: Path | None,
 ) -> None:
     """Fit, validate, print, and write the JSON of the contract."""
+    check_json(json_file)
     chosen = parse_options(options)
     if memory is not None:
+        if "memory" in chosen:
+            raise UnusableInputError("the memory is given twice")
         chosen["memory"] = memory
     analysis = analyse(
         read_session(path),
@@ -39,7 +44,7 @@ def run_identify(
         input_name=input_name,
         output_name=output_name,
     )
-    print_analysis(analysis)
+    print_analysis(analysis, people_read(json_file))
     if json_file is not None:
         write_json(json_file, identify_answer(analysis))
 
@@ -74,7 +79,7 @@ def readable(name: str, found: Estimate) -> tuple[str, str, str]:
     return label, plus_minus(found, scale), unit
 
 
-def print_analysis(analysis: Analysis) -> None:
+def print_analysis(analysis: Analysis, out: Console) -> None:
     """One engine's answer as a table."""
     report = analysis.model.report
     rows = table(f"{report.engine} on test {analysis.test}", "quantity", "value", "unit")
@@ -89,6 +94,6 @@ def print_analysis(analysis: Analysis) -> None:
         rows.add_row(*readable(name, estimate))
     if report.seconds is not None:
         rows.add_row("computed in", f"{report.seconds:.3f}", "s")
-    console.print(rows)
+    out.print(rows)
     for warning in report.warnings:
-        console.print(f"warning: {warning}", markup=False)
+        out.print(f"warning: {warning}", markup=False)

@@ -15,19 +15,59 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from tissueid.errors import UnusableInputError
+
 console = Console(stderr=True, highlight=False)
 
 
+def people_read(json_file: Path | None) -> Console:
+    """Where tables go: standard output, unless that is kept for JSON."""
+    return console if str(json_file) == "-" else Console(highlight=False)
+
+
+def check_output(target: Path | None, begins: tuple[str, ...]) -> None:
+    """Refuse, before any work, a file that cannot be written or that holds something else.
+
+    ``begins`` are the first characters of the kind of file that may be written anew.
+
+    Raises:
+        UnusableInputError: no such folder, a folder itself, or a file that is not of that kind.
+    """
+    if target is None or str(target) == "-":
+        return
+    if target.is_dir():
+        raise UnusableInputError(f"{target} is a folder; name a file")
+    if not target.parent.is_dir():
+        raise UnusableInputError(f"there is no folder {target.parent}")
+    if target.exists():
+        with target.open("rb") as file:
+            head = file.read(512).lstrip()
+        if head and not head.startswith(tuple(text.encode() for text in begins)):
+            raise UnusableInputError(f"{target} is there already and holds something else; it is not written over")
+
+
+def check_json(target: Path | None) -> None:
+    """As ``check_output``, for an answer in JSON."""
+    check_output(target, ("{", "["))
+
+
 def write_json(target: Path, value: Any) -> None:
-    """Write JSON whole or not at all; ``-`` is standard output. NaN becomes null."""
+    """Write JSON whole or not at all; ``-`` is standard output. NaN becomes null.
+
+    Raises:
+        UnusableInputError: the file cannot be written.
+    """
     text = json.dumps(_finite(value), indent=2, allow_nan=False) + "\n"
     if str(target) == "-":
         sys.stdout.write(text)
         return
+    check_json(target)
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         partial.write_text(text, encoding="utf-8")
         partial.replace(target)
+    except OSError as error:
+        raise UnusableInputError(f"cannot write {target}: {error.strerror}") from error
     finally:
         partial.unlink(missing_ok=True)
 

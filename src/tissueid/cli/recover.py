@@ -5,17 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.acquisition import recover
-from tissueid.cli.output import console, write_json
+from tissueid.cli.output import check_json, people_read, write_json
 
 
 def run_recover(path: Path, json_file: Path | None) -> None:
     """Recover, and say what was saved."""
+    check_json(json_file)
     session_file, session = recover(path)
-    console.print(f"{session_file} holds {len(session.tests)} test(s):", markup=False)
+    out = people_read(json_file)
+    out.print(f"{session_file} holds {len(session.tests)} test(s):", markup=False)
     answer = []
     for test in session.tests:
         seconds = test.samples / test.sample_rate_hz
-        console.print(f"  test {test.number}: {test.status}, {test.samples} samples ({seconds:.2f} s)", markup=False)
+        out.print(f"  test {test.number}: {test.status}, {test.samples} samples ({seconds:.2f} s)", markup=False)
         answer.append({"test": test.number, "status": test.status, "samples": test.samples})
     if json_file is not None:
         write_json(json_file, {"session": str(session_file), "tests": answer})

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.analysis import analyse_all
-from tissueid.cli.output import console
+from tissueid.cli.output import check_output, people_read
 from tissueid.errors import UnusableInputError
 from tissueid.reports import write_report
 from tissueid.sessions import read_session
@@ -13,9 +13,12 @@ from tissueid.sessions import read_session
 
 def run_report(path: Path, out: Path, test: int | None) -> None:
     """Analyse one test with the standard engines and write its page."""
-    if not out.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {out.parent}")
+    check_output(out, ("<!DOCTYPE html",))
     session = read_session(path)
     chosen = session.test(test)
-    write_report(out, session, {chosen.number: analyse_all(session, test=chosen)})
-    console.print(f"report: {out}", markup=False)
+    analyses = analyse_all(session, test=chosen)
+    try:
+        write_report(out, session, {chosen.number: analyses})
+    except OSError as error:
+        raise UnusableInputError(f"cannot write {out}: {error.strerror}") from error
+    people_read(None).print(f"report: {out}", markup=False)

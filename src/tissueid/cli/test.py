@@ -6,11 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tissueid.acquisition import GuidedTest, NoiseChoice, Progress, SessionRecorder, run_guided_test
-from tissueid.acquisition.guided import find_surface
-from tissueid.cli.output import console, progress_bars, write_json
+from tissueid.acquisition.guided import check_test, find_surface
+from tissueid.cli.output import check_json, console, progress_bars, write_json
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import PROFILES, open_instrument
 from tissueid.sessions import Session, Subject
+
+MAX_TEXT = 200
 
 
 def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[Progress], None]:
@@ -32,9 +34,16 @@ def run_tests(
     if limits_name not in PROFILES:
         raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {limits_name!r}")
     limits = PROFILES[limits_name]
+    for what, text in (("site", site), ("subject", pseudonym)):
+        if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
+            raise UnusableInputError(f"the {what} must be one line of 1 to {MAX_TEXT} printable characters")
+    check_json(json_file)
+    if json_file is not None and json_file.absolute() == out.absolute():
+        raise UnusableInputError("the session and the JSON cannot be the same file")
     instrument = open_instrument(url)
     try:
         stimulus = choice.stimulus(instrument.device.sample_rate_hz)
+        check_test(GuidedTest(stimulus, site, limits=limits), instrument.device)
         recorder = SessionRecorder(out, instrument.device, Subject(pseudonym))
         try:
             with progress_bars() as show:

@@ -31,6 +31,10 @@ above 200 Hz would leave that part of the response to the noise.
 """
 
 
+_AT_REST = 0.1
+"""Share of its peak under which a kernel counts as over."""
+
+
 @dataclass(frozen=True, eq=False)
 class ImpulseResponses:
     """The input side of Eq. 3.2.
@@ -121,6 +125,17 @@ def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:
     kept = values > tolerance * values[-1]
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     return inverse, float(values[-1] / values[0]) if values[0] > 0.0 else float("inf")
+
+
+def doubt_memory(kernel: Array) -> tuple[str, ...]:
+    """A warning when a kernel (lags,) has not come to rest towards its end: the memory is shorter than the response.
+
+    The very last lags are left out: they also carry what lies beyond the memory.
+    """
+    late = kernel[int(0.8 * kernel.size) : int(0.95 * kernel.size)]
+    if late.size < 3 or abs(float(np.mean(late))) <= _AT_REST * float(np.max(np.abs(kernel))):
+        return ()
+    return ("the response is not over within the memory: lengthen it, or the parameters cannot be trusted",)
 
 
 def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:

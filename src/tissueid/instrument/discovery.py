@@ -41,10 +41,15 @@ def open_instrument(url: str) -> Instrument:
     """
     if url.startswith(IN_PROCESS):
         parts = urlsplit(url)
-        seed = parse_qs(parts.query).get("seed", ["0"])[0]
+        query = parse_qs(parts.query)
+        if unknown := set(query) - {"seed"}:
+            raise UnusableInputError(f"{url} asks for {', '.join(sorted(unknown))}; there is only seed")
+        seed = query.get("seed", ["0"])[0]
         if not seed.isdigit():
             raise UnusableInputError(f"the seed in {url} must be a whole number")
         return SimulatedInstrument(parts.netloc or "forearm", seed=int(seed))
+    if not url.strip():
+        raise UnusableInputError("say which instrument; 'tissueid devices' lists them")
     return SerialInstrument(SerialLink(url))
 
 

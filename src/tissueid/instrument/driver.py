@@ -111,6 +111,9 @@ class SerialInstrument:
             self._request(MessageType.CLEAR_FAULTS)
             self._request(MessageType.RELEASE)
             self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
+            # What a host before us left behind is not ours to miss.
+            self._next_index, self.gaps = None, []
+            self._ready.clear()
             self._streaming = True
         except BaseException:
             link.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -15,6 +16,13 @@ from tissueid.errors import InstrumentError, LinkLostError
 BAUD_RATE = 921_600
 """Twice what 2 kHz of eight 16-bit channels needs; a USB or pseudo-terminal link ignores it."""
 
+
+try:
+    import termios
+except ImportError:  # Windows
+    _PORT_ERRORS: tuple[type[Exception], ...] = (OSError, ValueError)
+else:
+    _PORT_ERRORS = (OSError, ValueError, termios.error)
 
 _SLICE_S = 0.01
 """One data frame's worth: a read gathers what arrives in this time, on ports and sockets alike."""
@@ -51,7 +59,7 @@ class SerialLink:
                 url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
             )
             self._port.reset_input_buffer()
-        except (OSError, ValueError) as error:
+        except _PORT_ERRORS as error:
             raise InstrumentError(f"cannot open {url}: {_reason(error)}") from error
 
     def read(self, timeout_s: float) -> bytes:  # noqa: D102
@@ -71,10 +79,12 @@ class SerialLink:
             raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
 
     def close(self) -> None:  # noqa: D102
-        try:
+        # pyserial forgets a socket whose other end hung up first.
+        forgotten = getattr(self._port, "_socket", None)
+        with contextlib.suppress(OSError):  # an unplugged port cannot be closed
             self._port.close()
-        except OSError:
-            return  # an unplugged port cannot be closed twice
+        if forgotten is not None:
+            forgotten.close()
 
 
 def _reason(error: Exception) -> str:
@@ -84,4 +94,10 @@ def _reason(error: Exception) -> str:
         return "another program is using it"
     if number:
         return os.strerror(number)
+    if not isinstance(error, OSError | ValueError) or "configure port" in str(error):
+        return "it is not a serial port"
+    if "not supported between" in str(error):
+        return "an address has the form socket://HOST:PORT"
+    if "returned no data" in str(error):
+        return "the other end is gone"
     return re.sub(r"^.*: |\[Errno -?\d+\] ", "", str(error).splitlines()[0])

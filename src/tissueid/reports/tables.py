@@ -84,7 +84,8 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         "Parameters",
         ("Quantity", "Unit", *map(engine_label, analyses)),
         tuple(rows),
-        "± is one standard deviation; a value without it has no estimate of its uncertainty.",
+        "± is one standard deviation; a value without it has no estimate of its uncertainty. LMS and Spectral share "
+        "one second-order fit to the record: their mass, damping and stiffness are one answer, not two.",
     )
 
 

@@ -30,6 +30,9 @@ LARGE_UNCERTAINTY = 0.10
 UNSTEADY_POINTS = 10.0
 """Points of VAF by which fitted and held-out parts may differ before the test is called unsteady."""
 LOST_SHARE = 0.01
+LIFTED_SHARE = 0.001
+SURFACE_KNOWN_TO_M = 0.3e-3
+"""How far the surface found at placing may be off."""
 
 _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
 _HEADLINES: dict[Level, str] = {
@@ -82,6 +85,7 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     if lost > LOST_SHARE * test.samples:
         share = f"{100 * lost / test.samples:.1f} %"
         found.append(("check", f"{lost} of {test.samples} samples ({share}) were not received."))
+    found += _lifted_off(test)
     found += _poorly_explained(analyses)
     found += _uncertain(analyses)
     warned = [name for name, a in analyses.items() if a.model.report.warnings]
@@ -89,6 +93,18 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
         level: Level = "check" if (linear_engine(analyses) or warned[0]) in warned else "good"
         found.append((level, f"Warnings from {', '.join(map(engine_label, warned))}: see the list of warnings."))
     return found
+
+
+def _lifted_off(test: Test) -> list[_Doubt]:
+    """What the position says of contact, where the surface is known."""
+    if "position" not in test.signals or not np.isfinite(test.surface_position_m):
+        return []
+    position = test.signals["position"][round(test.preload_s * test.sample_rate_hz) :]
+    position = position[np.isfinite(position)]
+    above = float(np.mean(position < test.surface_position_m - SURFACE_KNOWN_TO_M)) if position.size else 0.0
+    if above <= LIFTED_SHARE:
+        return []
+    return [("check", f"The probe stood above the surface for {100 * above:.1f} % of the time: it left the tissue.")]
 
 
 def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:

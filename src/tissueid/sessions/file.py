@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -46,8 +47,13 @@ def write_session(path: Path, session: Session, *, overwrite: bool = False) -> N
         raise SessionFormatError(f"there is no folder {path.parent}")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with h5py.File(partial, "w", libver="v110") as file:
-            _write(file, session)
+        try:
+            with h5py.File(partial, "w", libver="v110") as file:
+                _write(file, session)
+        except (OSError, RuntimeError) as error:  # h5py wraps a full disk in a text of its own
+            number = re.search(r"errno = (\d+)", str(error))
+            reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
+            raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
         with partial.open("rb+") as raw:
             os.fsync(raw.fileno())
         _verify(partial, session)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import factor_input, kernel_std
+from tissueid.identification.impulse_response import doubt_memory, factor_input, kernel_std
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
@@ -90,7 +90,7 @@ class Lms(Engine):
                 aic=aic(residuals, lags + 1),
                 aicc=aicc(residuals, lags + 1),
                 parameters=second_order.parameters,
-                warnings=(*prepared.warnings, *solved.warnings, *second_order.warnings),
+                warnings=(*prepared.warnings, *solved.warnings, *doubt_memory(kernel), *second_order.warnings),
                 details={
                     "condition_number": solved.condition,
                     "vaf_parametric_percent": second_order.vaf_percent,

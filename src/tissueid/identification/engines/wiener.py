@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
-from tissueid.identification.impulse_response import ImpulseResponses, factor_input
+from tissueid.identification.impulse_response import ImpulseResponses, doubt_memory, factor_input
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
@@ -151,7 +151,7 @@ class Wiener(Engine):
                 aic=aic(residuals, n_parameters),
                 aicc=aicc(residuals, n_parameters),
                 parameters=parameters,
-                warnings=tuple(warnings),
+                warnings=(*warnings, *doubt_memory(cascade.kernel)),
                 details={
                     "condition_number": solved.condition,
                     "vaf_linear_percent": passes[0].linear_vaf_percent,
