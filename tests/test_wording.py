@@ -64,7 +64,7 @@ def test_names_carry_their_units() -> None:
     assert named_value("natural_frequency_rad_per_s", 226.0)[1].startswith("35.96")
     assert named_value("current_offset_a", float("nan")) == ("Current offset", MISSING)
     assert named_value("refine", True) == ("Refine", "yes")
-    assert named_value("surface_position_m", None) == ("Surface position m", "not set")
+    assert named_value("surface_position_m", None) == ("Surface of the tissue", "not set")
     assert named_value("", 3)[1] == "3"
 
 

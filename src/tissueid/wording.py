@@ -42,6 +42,7 @@ _SUFFIXES = {
     "percent": "%",
     "years": "years",
     "kg": "kg",
+    "db": "dB",
     "hz": "Hz",
     "ohm": "ohm",
     "rad": "rad",
@@ -68,6 +69,8 @@ _LABELS = {
     "c2": "C₂",
     "c3": "C₃",
     "seconds": "Length",
+    "surface_position_m": "Surface of the tissue",
+    "clipped": "Share held at the ends of the range",
     "vaf_linear_percent": "VAF of the linear stage alone",
     "vaf_parametric_percent": "VAF of the second-order model",
 }
@@ -178,7 +181,7 @@ def named_value(name: str, value: Any, depth: int = 0) -> tuple[str, str]:
         else:
             text = number(value * scale, 6) if abs(value) < _LARGEST_INTEGER else plain_text(value)
         return label, text if text == MISSING else with_unit(text, shown)
-    return _plain(name), plain_text(value, depth)
+    return named_unit(name)[0], plain_text(value, depth)
 
 
 def plain_text(value: Any, depth: int = 0) -> str:
