@@ -367,6 +367,14 @@ def stall(instrument):
     instrument._link.firmware.stall(instrument._link.now + 3.0)
 
 
+def change_version(instrument):
+    def to_version_9(data):
+        frames = wire.FrameDecoder().feed(data)
+        return b"".join(wire.encode_frame(replace(frame, version=9)) for frame in frames)
+
+    instrument._link.to_host = to_version_9
+
+
 def go_on(instrument):
     """What a host would do next, whatever the state; ends in an error when something went wrong."""
     for _ in range(100):
@@ -381,8 +389,9 @@ def go_on(instrument):
         (unplug, LinkLostError, "connection to loopback broke"),
         (reset, FirmwareFaultError, "restarted by itself"),
         (stall, LinkLostError, "went silent"),
+        (change_version, ProtocolVersionError, "went over to protocol 9"),
     ],
-    ids=["unplug", "reset", "stall"],
+    ids=["unplug", "reset", "stall", "version"],
 )
 def test_mishaps_in_every_state(state, mishap, error, words):
     instrument = connect()

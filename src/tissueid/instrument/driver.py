@@ -343,7 +343,14 @@ class SerialInstrument:
             )
 
     def _dispatch(self, frame: Frame) -> None:
-        if frame.type == MessageType.DATA:
+        if self._streaming and frame.version != wire.PROTOCOL_VERSION:
+            self._fail(
+                ProtocolVersionError(
+                    f"the instrument went over to protocol {frame.version} in mid-conversation; "
+                    f"this software speaks {wire.PROTOCOL_VERSION}. Connect again"
+                )
+            )
+        elif frame.type == MessageType.DATA:
             self._take_data(frame)
         elif frame.type == MessageType.ACK:
             ack, _ = wire.unpack(wire.ACK, frame.payload, tail=True)
