@@ -46,4 +46,5 @@ def test_twenty_windows_leave_nothing_behind(qtbot, tmp_path, saved):
         gc.unfreeze()
     widgets, nones = zip(*counts, strict=True)
     assert max(widgets[5:]) <= widgets[5]
-    assert abs(nones[-1] - nones[5]) < 100 * 14  # a leak, or references given back twice, is thousands a window
+    if sys.version_info < (3, 12):  # later on None is immortal, and its count means nothing
+        assert abs(nones[-1] - nones[5]) < 100 * 14  # a leak, or references given back twice, is thousands a window
