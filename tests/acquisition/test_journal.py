@@ -101,6 +101,13 @@ def test_recover_takes_the_journal_s_own_name_too(tmp_path):
     assert recover(tmp_path / "s.h5.journal")[1].test().samples == 15
 
 
+def test_recover_can_write_elsewhere(tmp_path):
+    record(tmp_path / "s.h5", 3, finish=False)
+    target, _ = recover(tmp_path / "s.h5", tmp_path / "elsewhere.h5")
+    assert target == tmp_path / "elsewhere.h5"
+    assert [item.name for item in tmp_path.iterdir()] == ["elsewhere.h5"]
+
+
 def test_a_death_between_rename_and_removal_is_mended(tmp_path):
     path = tmp_path / "s.h5"
     record(path, 4, finish=False)

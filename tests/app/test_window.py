@@ -178,6 +178,7 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
     chooser = window.ui.form.instrument
     press(qtbot, chooser.refresh)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "instrument" in window.ui.notice.text.text()
     chooser.choice.setEditText("/dev/ttyACM7")
     assert chooser.about.text().startswith("Ready")
     press(qtbot, window.ui.start)

@@ -206,8 +206,10 @@ def session_from_entries(entries: Iterable[tuple[Entry, bytes]]) -> Session:
     )
 
 
-def recover(path: Path) -> tuple[Path, Session]:
+def recover(path: Path, out: Path | None = None) -> tuple[Path, Session]:
     """Finish what a dead host left. ``path`` is the journal or the session that it belongs to.
+
+    ``out`` is where the session goes when there is no room beside the journal.
 
     Returns the session file and what it holds.
 
@@ -216,7 +218,7 @@ def recover(path: Path) -> tuple[Path, Session]:
         JournalError: the test still runs.
     """
     journal = path if path.name.endswith(".journal") else journal_path(path)
-    target = journal.with_name(journal.name.removesuffix(".journal"))
+    target = out or journal.with_name(journal.name.removesuffix(".journal"))
     if not journal.is_file():
         where = f"{path} has no journal beside it" if path.exists() else f"there is no {journal}"
         raise UnusableInputError(f"nothing to recover: {where}")

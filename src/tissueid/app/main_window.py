@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -25,6 +25,7 @@ from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, the
 from tissueid.app.words import in_words
 from tissueid.errors import TissueIDError
 from tissueid.instrument import Found, Instrument, find_instruments, open_instrument
+from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.sessions import Session
 from tissueid.wording import clean
 
@@ -227,7 +228,15 @@ class MainWindow(QMainWindow):
             return
         self.ui.form.instrument.about.setText("Asking every port…")
         work = functools.partial(self._around.finder, probe=True)
-        self._do(work, self.ui.form.instrument.offer, self._finding_failed)
+        self._do(work, self._found, self._finding_failed)
+
+    def _found(self, found: Sequence[Found]) -> None:
+        self.ui.form.instrument.offer(found)
+        answering = sum(item.answers is True and not item.url.startswith(IN_PROCESS) for item in found)
+        what = {0: "No instrument answers", 1: "One instrument answers"}.get(
+            answering, f"{answering} instruments answer"
+        )
+        self.ui.notice.say(f"{what}; simulations in this program can always be chosen.")
 
     def _finding_failed(self, words: str) -> None:
         self.ui.form.instrument.offer([])

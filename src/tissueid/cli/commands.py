@@ -124,12 +124,15 @@ def identify(
 @app.command()
 def recover(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="the session that was to be, or its journal")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="SESSION", help="where it goes; beside the journal by default")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Finish a session whose host died: everything that had reached the disk is kept."""
     from tissueid.cli.recover import run_recover
 
-    run_recover(path, json_file)
+    run_recover(path, out, json_file)
 
 
 @app.command()
