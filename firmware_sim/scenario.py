@@ -21,7 +21,7 @@ class PlannedFault(BaseModel):
     kind: Literal["reset", "stall", "unplug", "button"]
     after_start_s: Seconds
     seconds: Seconds = 2.0
-    """How long a stall or an unplug lasts."""
+    """How long a stall lasts; the other kinds are for good."""
 
 
 class Scenario(BaseModel):

@@ -150,7 +150,9 @@ class Server:
                 self._firmware.advance(due, now)
                 self._samples += due
                 self._let_faults_happen(now)
-            self._outgoing += self._firmware.transmit(now)
+            if len(self._outgoing) <= _BACKLOG_BYTES:
+                # A host that does not read leaves the rest to the firmware's own queue, which drops and counts.
+                self._outgoing += self._firmware.transmit(now)
             data, sent = self._port.exchange(self._outgoing, max(0.0, TICK_S - (time.monotonic() - now)))
             self._outgoing = self._outgoing[sent:]
             if data:

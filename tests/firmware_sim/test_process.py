@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 from firmware_sim_process import firmware_process
 
+from firmware_sim.bench import Bench
+from firmware_sim.firmware import Firmware
+from firmware_sim.scenario import Scenario
+from firmware_sim.serve import Server
+from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError
 from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
 
@@ -82,6 +87,30 @@ def test_planned_faults_happen(tmp_path, kind, error, words):
         with pytest.raises(error, match=words):
             stream(instrument, 100_000)
         instrument.close()
+
+
+class DeafPort:
+    """A host that sends and never reads."""
+
+    url = "deaf"
+
+    def exchange(self, outgoing, timeout_s):
+        return wire.encode_frame(wire.Frame(wire.MessageType.HEARTBEAT)), 0
+
+    def unplug(self):
+        pass
+
+
+def test_a_host_that_does_not_read_loses_frames_and_fills_no_memory(monkeypatch):
+    clock = iter(np.arange(0.0, 1000.0, 0.005))
+    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: next(clock))
+    firmware = Firmware(Bench())
+    firmware.streaming = True
+    server = Server(firmware, DeafPort(), Scenario())
+    rounds = iter(range(600))
+    server.run(until=lambda: next(rounds, None) is None)
+    assert firmware.dropped_frames > 0
+    assert len(server._outgoing) < 200_000
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

@@ -173,6 +173,15 @@ def test_a_stop_whose_message_was_lost_is_noticed():
             instrument.poll(0.05)
 
 
+def test_a_stop_that_nobody_asked_for_is_not_a_completed_test():
+    instrument = connect()
+    running(instrument)
+    instrument._link.firmware._release(forget=False)
+    with pytest.raises(FirmwareFaultError, match="stopped the test by itself"):
+        for _ in range(20):
+            instrument.poll(0.05)
+
+
 @pytest.mark.parametrize(("oldest", "newest", "what"), [(2, 3, "software"), (0, 0, "firmware")])
 def test_a_version_that_it_does_not_speak_is_refused(oldest, newest, what):
     with pytest.raises(ProtocolVersionError, match=rf"speaks protocol {oldest} to {newest}.*update the {what}"):
@@ -443,6 +452,7 @@ def test_absurd_frames_do_no_harm():
         wire.Frame(0x83, payload=b"half a sample"),
         wire.Frame(0x83, sample_index=2**63, payload=bytes(16)),
         wire.Frame(0x84, payload=b"?"),
+        wire.Frame(0x84, payload=b"\x63" + bytes(19)),  # a state that nobody knows
         wire.Frame(0x82, payload=b""),
         wire.Frame(0xEE, payload=b"from the future"),
     ]

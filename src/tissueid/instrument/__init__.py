@@ -2,7 +2,7 @@
 
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, button_pressed, force
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force
 from tissueid.instrument.limits import CLINICAL, PROFILES, RESEARCH, Limits, check_samples, check_stimulus
 from tissueid.instrument.link import Link, SerialLink
 from tissueid.instrument.replay import ReplayInstrument
@@ -24,7 +24,6 @@ __all__ = [
     "SerialInstrument",
     "SerialLink",
     "SimulatedInstrument",
-    "button_pressed",
     "check_samples",
     "check_stimulus",
     "find_instruments",

@@ -335,7 +335,7 @@ class SerialInstrument:
             self._last_heard = self._clock()
             try:
                 self._dispatch(frame)
-            except wire.PayloadError as error:
+            except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
                 log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
             raise LinkLostError(
@@ -369,8 +369,10 @@ class SerialInstrument:
             return
         if fields["boot_id"] != self._boot_id:
             self._fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
-        elif self.status.faults and self._run is not None:
-            self._fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(self.status.faults)}"))
+        elif self._run is not None and self.status.faults:
+            self._fail_by_fault(self.status.faults)
+        elif self._run is not None and self._stopped and self.status.state is not State.RUNNING:
+            self._fail(FirmwareFaultError("the instrument stopped the test by itself; the coil is free"))
 
     def _take_data(self, frame: Frame) -> None:
         if not self._gains.size:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.instrument.limits import Limits
-from tissueid.wire import Flag
 
 SIGNALS = ("command", "voltage", "current", "position", "temperature", "acceleration_x", "acceleration_y")
 """The recorded channels, SI: V, V, A, m, degC, m/s^2, m/s^2."""
@@ -81,8 +80,3 @@ def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
 def force(samples: NDArray[np.void], device: DeviceDescription) -> NDArray[np.float64]:
     """The force that the instrument believes, N: force constant times measured current, shape (k,)."""
     return np.asarray(samples["current"]) * device.force_constant_n_per_a
-
-
-def button_pressed(samples: NDArray[np.void]) -> bool:
-    """True when the device's button was down in any of the samples."""
-    return bool(np.any(samples["flags"] & Flag.BUTTON))

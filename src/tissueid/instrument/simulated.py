@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid import twin
 from tissueid.device import DeviceDescription
-from tissueid.errors import InstrumentError, UnusableInputError
+from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument.interface import SAMPLE, Gap, Run
 from tissueid.instrument.limits import Limits, check_samples, check_stimulus
 from tissueid.wire import Flag
@@ -111,7 +111,7 @@ class SimulatedInstrument:
         if self._limits is not None and self._run is not None:
             try:
                 check_samples(samples, self.device, self._limits, self._run.first_index)
-            except Exception:
+            except LimitError:
                 self.release()
                 raise
             if self._index >= self._run.end_index:
