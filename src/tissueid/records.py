@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +61,36 @@ class Record:
     def __getitem__(self, part: slice) -> Record:
         """Cut a contiguous part out of the record."""
         return replace(self, input=self.input[part], output=self.output[part])
+
+
+def joined(records: Sequence[Record]) -> Record:
+    """Several records as one, so that every engine can fit them together.
+
+    One sample that was not received stands between each two. Nothing that an engine does reaches across such a gap:
+    no memory, no initial state, no score; so the records stay apart and only what is estimated is common.
+
+    Raises:
+        UnusableInputError: there are none, or they differ in sample rate, signals or units.
+    """
+    if not records:
+        raise UnusableInputError("there are no records to join")
+    first = records[0]
+    for other in records[1:]:
+        if not np.isclose(other.sample_rate_hz, first.sample_rate_hz, rtol=1e-6, atol=0.0):
+            raise UnusableInputError(
+                f"records of {first.sample_rate_hz:g} and {other.sample_rate_hz:g} Hz cannot be fitted together: "
+                "resample"
+            )
+        if _signals(other) != _signals(first):
+            raise UnusableInputError("records of different signals or units cannot be fitted together")
+    gap = np.array([np.nan])
+    inputs = [part for record in records for part in (gap, record.input)][1:]
+    outputs = [part for record in records for part in (gap, record.output)][1:]
+    return replace(first, input=np.concatenate(inputs), output=np.concatenate(outputs))
+
+
+def _signals(record: Record) -> tuple[str, str, str, str]:
+    return record.input_name, record.output_name, record.input_unit, record.output_unit
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.errors import UnusableInputError
+from tissueid.identification.depth_profile import DepthProfile
 from tissueid.records import Estimate, Record
 
 Array = NDArray[np.float64]
@@ -34,8 +35,9 @@ class FitReport:
 
     ``vaf_percent`` is the variance accounted for (Eq. 3.13) of the free-run simulation on the fitted samples;
     ``vaf_validation_percent`` the same on samples that were not fitted; ``vaf_scheduled_percent`` is filled only
-    by engines that can be driven by the measured output. ``details`` holds further figures of one engine, such as
-    the condition number. Figures that cannot be had are None.
+    by engines that can be driven by the measured output. ``findings`` says in words what the fit found, ``warnings``
+    what to know before trusting it. ``details`` holds further figures of one engine, such as the condition number.
+    Figures that cannot be had are None.
     """
 
     engine: str
@@ -50,6 +52,7 @@ class FitReport:
     parameters: dict[str, Estimate] = field(default_factory=dict)
     seconds: float | None = None
     warnings: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
@@ -69,6 +72,8 @@ class FitReport:
             },
             "seconds": _finite_or_none(self.seconds),
             "warnings": list(self.warnings),
+            "findings": list(self.findings),
+            "details": {name: _finite_or_none(value) for name, value in self.details.items()},
         }
 
 
@@ -95,6 +100,10 @@ class Model(ABC):
 
     def simulate_scheduled(self, record: Record) -> Array | None:
         """Simulate with the measured output as the schedule, shape (n,); None for models without a schedule."""
+        return None
+
+    def depth_profile(self) -> DepthProfile | None:
+        """Mass, damping and stiffness against depth, None for models that hold no depth."""
         return None
 
     def predict(self, record: Record, horizon: int) -> Array:

@@ -1,0 +1,39 @@
+"""Records: what every engine eats."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tissueid.errors import UnusableInputError
+from tissueid.records import Record, joined
+
+
+def test_joined_records_stand_apart_by_a_sample_that_was_not_received():
+    first = Record(np.arange(3.0), np.ones(3), 100.0)
+    second = Record(np.arange(2.0), np.zeros(2), 100.0)
+    both = joined([first, second])
+    np.testing.assert_array_equal(both.input, [0.0, 1.0, 2.0, np.nan, 0.0, 1.0])
+    np.testing.assert_array_equal(both.valid, [True, True, True, False, True, True])
+
+
+def test_one_record_joined_is_itself():
+    only = Record(np.arange(3.0), np.ones(3), 100.0)
+    np.testing.assert_array_equal(joined([only]).input, only.input)
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        (Record(np.ones(2), np.ones(2), 200.0), "100 and 200 Hz"),
+        (Record(np.ones(2), np.ones(2), 100.0, input_unit="V"), "different signals or units"),
+    ],
+)
+def test_records_that_differ_in_kind_are_not_joined(other: Record, told: str):
+    with pytest.raises(UnusableInputError, match=told):
+        joined([Record(np.ones(2), np.ones(2), 100.0), other])
+
+
+def test_no_records_are_refused():
+    with pytest.raises(UnusableInputError, match="no records"):
+        joined([])
