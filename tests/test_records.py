@@ -17,6 +17,14 @@ def test_joined_records_stand_apart_by_a_sample_that_was_not_received():
     np.testing.assert_array_equal(both.valid, [True, True, True, False, True, True])
 
 
+def test_a_joint_is_told_from_a_sample_that_was_lost():
+    one = Record(np.arange(3.0), np.ones(3), 100.0)
+    both = joined([joined([one, one]), one])
+    assert both.joints == (3, 7)
+    assert both[2:8].joints == (1, 5)
+    assert both[4:7].joints == ()
+
+
 def test_one_record_joined_is_itself():
     only = Record(np.arange(3.0), np.ones(3), 100.0)
     np.testing.assert_array_equal(joined([only]).input, only.input)

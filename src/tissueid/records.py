@@ -16,7 +16,8 @@ class Record:
     """Input and output of a system, sampled together.
 
     ``input`` and ``output`` have shape (n,), float64, SI units named by ``input_unit`` and ``output_unit``.
-    NaN marks a sample that was not received; it is never filled in.
+    NaN marks a sample that was not received; it is never filled in. ``joints`` are the places, in order, of samples
+    that stand between records that were joined: they were never to be received.
 
     Raises:
         UnusableInputError: lengths differ, the sample rate is not positive, or there are no samples.
@@ -29,6 +30,7 @@ class Record:
     output_name: str = "position"
     input_unit: str = "N"
     output_unit: str = "m"
+    joints: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("input", "output"):
@@ -60,7 +62,9 @@ class Record:
 
     def __getitem__(self, part: slice) -> Record:
         """Cut a contiguous part out of the record."""
-        return replace(self, input=self.input[part], output=self.output[part])
+        first, end, _ = part.indices(len(self))
+        joints = tuple(joint - first for joint in self.joints if first <= joint < end)
+        return replace(self, input=self.input[part], output=self.output[part], joints=joints)
 
 
 def joined(records: Sequence[Record]) -> Record:
@@ -86,7 +90,10 @@ def joined(records: Sequence[Record]) -> Record:
     gap = np.array([np.nan])
     inputs = [part for record in records for part in (gap, record.input)][1:]
     outputs = [part for record in records for part in (gap, record.output)][1:]
-    return replace(first, input=np.concatenate(inputs), output=np.concatenate(outputs))
+    starts = np.cumsum([0, *(len(record) + 1 for record in records[:-1])])
+    joints = [int(start) - 1 for start in starts[1:]]
+    joints += [int(start) + joint for start, record in zip(starts, records, strict=True) for joint in record.joints]
+    return replace(first, input=np.concatenate(inputs), output=np.concatenate(outputs), joints=tuple(sorted(joints)))
 
 
 def _signals(record: Record) -> tuple[str, str, str, str]:

@@ -182,3 +182,15 @@ def test_output_that_does_not_answer_is_refused():
     u = simulated.generator(11).standard_normal(4000)
     with pytest.raises(UnusableInputError, match="does not answer the input"):
         fit(Record(u, np.zeros(4000), simulated.RATE))
+
+
+def test_hundreds_of_gaps_cost_no_more_than_the_samples():
+    whole = simulated.linear_record(5)
+    holed = whole.input.copy()
+    holed[::40] = np.nan
+    record = Record(holed, whole.output, whole.sample_rate_hz)
+    fit = fit_second_order(record, scored_samples(record, 20))
+    found = fit.system
+    assert found.mass == pytest.approx(simulated.MASS, rel=0.01)
+    assert found.damping == pytest.approx(simulated.DAMPING, rel=0.01)
+    assert found.stiffness == pytest.approx(simulated.STIFFNESS, rel=0.01)

@@ -70,6 +70,32 @@ def test_exponential_is_the_least_squares_answer():
     assert c3 == 0.0
 
 
+@pytest.mark.parametrize("start", [-2.0, 0.0, 0.19, 0.5, 50.0])
+def test_where_the_search_begins_does_not_matter(start: float):
+    z, y = data(noise=0.3)
+    cold, warm = fit_exponential(z, y), fit_exponential(z, y, start=start)
+    np.testing.assert_allclose(warm.coefficients, cold.coefficients, rtol=1e-5)
+
+
+@pytest.mark.parametrize("c2", [1e-9, 1e-6, 2e-5, 4e-5, 1e-3, -1e-6, -1e-3])
+def test_a_nearly_straight_curve_is_found_as_well_as_any(c2: float):
+    z = simulated.generator(42).uniform(0.0, 4.0, 2000)
+    t = z - 2.0
+    y = t - c2 * t**2 / 2.0 + c2**2 * t**3 / 6.0 - c2**3 * t**4 / 24.0
+    ours = fit_exponential(z, y)
+    assert ours.coefficients[2] == pytest.approx(c2, rel=1e-3, abs=1e-8)
+    np.testing.assert_allclose(ours(z), y, atol=1e-7)
+    np.testing.assert_allclose(ours.inverse(ours(z)), z, atol=1e-9)
+
+
+def test_an_output_past_the_asymptote_is_inverted_to_the_end():
+    z, y = data()
+    ours = fit_exponential(z, y)
+    low, high = ours.monotone_range
+    asymptote = ours.coefficients[0] + ours.coefficients[1] / ours.coefficients[2]
+    np.testing.assert_array_equal(ours.inverse(np.array([asymptote, asymptote + 1.0, -1e300])), [high, high, low])
+
+
 @given(st.floats(-0.8, 0.8), st.floats(-3.0, 3.0))
 def test_thesis_constants_write_the_same_curve(c2: float, c3: float):
     z = np.linspace(0.0, 6.0, 200)

@@ -134,6 +134,17 @@ def test_history_tells_every_pass_and_the_best_is_kept(record: Record):
     assert set(best.parameters) == {"scaled_mass_s2", "scaled_damping_s", "c1", "c2", "c3", "offset"}
 
 
+def test_history_holds_the_linear_stage_of_every_pass(record: Record):
+    history = Wiener(scaling=1000.0).fit(record).history
+    for entry in history[1:]:
+        assert entry.parameters["scaled_mass_s2"] == pytest.approx(1000.0 * simulated.SCALED_MASS, rel=0.01)
+        assert entry.parameters["scaled_damping_s"] == pytest.approx(1000.0 * simulated.SCALED_DAMPING, rel=0.01)
+    step = simulated.thesis_wiener(1, gain=5.0, offset=2.0, steps=20)
+    last = Wiener(hold="zero-order", scaling=1000.0).fit(step).history[-1].parameters
+    assert last["scaled_mass_s2"] == pytest.approx(0.06, rel=0.01)
+    assert last["scaled_damping_s"] == pytest.approx(20.0, rel=0.01)
+
+
 def test_a_known_surface_gives_c3(record: Record):
     lifted = Record(record.input - 0.59, record.output, record.sample_rate_hz)  # a load that the coil does not feel
     parameters = Wiener(surface_position_m=simulated.SURFACE).fit(lifted).report.parameters
@@ -160,6 +171,59 @@ def test_a_curve_that_turns_back_is_told_and_still_answered():
     report = Wiener(nonlinearity="polynomial", degree=2).fit(folded).report
     assert any("turns back" in warning for warning in report.warnings)
     assert report.vaf_percent > Lms().fit(folded).report.vaf_percent + 10.0
+
+
+FOLDS = {
+    "square": (2, lambda z: z**2),
+    "square and a little": (2, lambda z: z**2 + 0.1 * z),
+    "square off its middle": (2, lambda z: (z + 0.3) ** 2),
+    "cubic": (3, lambda z: z**3 - 2.0 * z),
+    "cubic without a linear part": (3, lambda z: z**3 - 3.0 * z),
+    "quartic": (4, lambda z: z**4 - 2.0 * z**2),
+    "sine": (9, lambda z: np.sin(2.0 * z)),
+}
+
+
+@pytest.mark.parametrize("name", FOLDS)
+def test_a_curve_without_an_inverse_is_found_by_feedback(name: str):
+    """The linear stage is a forearm's; for a Gaussian input, some of these curves have no linear part at all."""
+    degree, fold = FOLDS[name]
+    rng = simulated.generator(57)
+    force, load = simulated.second_order(rng, simulated.SCALED_MASS, simulated.SCALED_DAMPING, 1.0, n=6000)
+    size = np.std(load)
+    clean = 1e-3 * fold(load / size)
+    model = Wiener(nonlinearity="polynomial", degree=degree).fit(
+        Record(force, clean + simulated.noise(rng, clean, 20.0), simulated.RATE)
+    )
+    report = model.report
+    z = model.linear_output(force)
+    assert np.corrcoef(z[500:], load[500:])[0, 1] > 0.999
+    assert model.kernel.sum() == pytest.approx(1.0)
+    assert np.std(z[500:]) == pytest.approx(size, rel=0.1)
+    modelled = model.simulate(force)
+    assert 1.0 - np.var(clean[500:] - modelled[500:]) / np.var(clean[500:]) > 0.995
+    assert report.parameters["scaled_mass_s2"].value == pytest.approx(simulated.SCALED_MASS, rel=0.05)
+    assert report.parameters["scaled_damping_s"].value == pytest.approx(simulated.SCALED_DAMPING, rel=0.05)
+    assert any("no inverse" in finding for finding in report.findings)
+    assert any("turns back" in warning for warning in report.warnings)
+    assert 1 <= len(model.history) <= 6
+    assert report.vaf_percent >= max(entry.nonlinear_vaf_percent for entry in model.history) - 1e-6
+
+
+def test_an_inverse_is_taken_wherever_there_is_one(record: Record):
+    report = Wiener(nonlinearity="polynomial").fit(record).report
+    assert report.findings == ()
+
+
+def test_a_curve_without_an_inverse_across_a_gap():
+    rng = simulated.generator(58)
+    force, load = simulated.second_order(rng, simulated.SCALED_MASS, simulated.SCALED_DAMPING, 1.0, n=6000)
+    u, y = force.copy(), (load / np.std(load)) ** 2
+    u[3000:3005] = np.nan
+    y[3005:3200] = 50.0  # what rests on a missing input may be anything
+    model = Wiener(nonlinearity="polynomial", degree=2).fit(Record(u, y, simulated.RATE))
+    assert model.report.vaf_percent > 99.9
+    assert np.corrcoef(model.linear_output(force)[500:], load[500:])[0, 1] > 0.999
 
 
 def test_divergence_is_told_and_the_best_pass_kept():

@@ -2,18 +2,18 @@
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from outside_data import RIG
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.sessions import Session, Subject, Test, read_session, write_session
 
-BLIND = sorted((Path(__file__).parents[3] / "shared" / "blind").glob("*.h5"))
+BLIND = sorted(RIG.glob("*.h5"))
 
 
 def a_test(number=1, n=900, **changes):

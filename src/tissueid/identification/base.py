@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.family import Family
 from tissueid.records import Estimate, Record
 
 Array = NDArray[np.float64]
@@ -149,6 +150,7 @@ class Engine(BaseModel, ABC):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: ClassVar[str]
+    family: ClassVar[Family] = Family.OTHER
 
     @abstractmethod
     def fit(self, record: Record, fit_part: slice | None = None) -> Model:

@@ -56,14 +56,16 @@ class ImpulseResponses:
 
     def kernel(self, output: Array) -> Array:
         """Impulse response per sample (lags,) to an output (n,), whose mean over the fitted samples is removed."""
+        return self.solve(self.products(output))
+
+    def products(self, output: Array) -> Array:
+        """The right-hand side of Eq. 3.2, (lags,), for an output (n,) whose mean over the fitted samples is removed."""
         prepared = self.prepared
         if prepared.gapless:
             y = output[prepared.part]
-            p = self.correlator.cross((y - y.mean()) * self.fade)
-        else:
-            y = np.where(prepared.used, output - output[prepared.used].mean(), 0.0)
-            p = self.correlator.cross(y) * (y.size / prepared.used.sum())
-        return self.solve(p)
+            return self.correlator.cross((y - y.mean()) * self.fade)
+        y = np.where(prepared.used, output - output[prepared.used].mean(), 0.0)
+        return self.correlator.cross(y) * (y.size / int(prepared.used.sum()))
 
     def solve(self, right: Array) -> Array:
         """Solution h (lags,) of R h = right (lags,)."""

@@ -75,8 +75,9 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
             "record longer, or shorten the memory"
         )
     missing = length - int(record.valid[part].sum())
-    if missing:
-        warnings.append(f"{missing} of {length} samples were not received; they and what depends on them are left out")
+    lost = missing - len(record[part].joints)
+    if lost:
+        warnings.append(f"{lost} of {length} samples were not received; they and what depends on them are left out")
     return Prepared(
         record=record,
         part=part,

@@ -187,6 +187,8 @@ def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
     """Covariance (3, 3) of log M, log B, log K; NaN for one that leaves no trace in the output, None for failure."""
     size = np.linalg.norm(slopes, axis=0)
     felt = size > _FELT * np.max(size)
+    if not felt.any():
+        return None
     directions = slopes[:, felt] / size[felt]
     gram = directions.T @ directions
     if not np.all(np.isfinite(gram)) or np.linalg.cond(gram) > 1.0 / _FELT**2:
@@ -225,20 +227,25 @@ def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: fl
     mass, damping, stiffness = np.exp(theta)
     system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     decay, squared = system.decay_and_frequency
-    modelled = np.empty((y.size, 4))  # the response, and its three slopes
-    nuisance = np.zeros((y.size, 1 + 2 * len(runs)))
-    nuisance[:, 0] = 1.0
-    for number, run in enumerate(runs):
+    columns = np.empty((y.size, 5))  # the error, the response's three slopes, and the offset
+    columns[:, 4] = weights
+    for run in runs:
         response, slopes = sampled_response(system, run.length, rate, hold)
         passed = fft.irfft(np.vstack([response, slopes]) * run.spectrum, run.length, axis=1)  # (4, length)
-        modelled[run.place] = passed[:, run.local].T
         t = (run.local - run.local[0]) / rate
-        nuisance[run.place, 1 + 2 * number] = free_position(t, decay, squared)
-        nuisance[run.place, 2 + 2 * number] = free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s
-    q, _ = np.linalg.qr(nuisance * weights[:, None])
-    columns = np.column_stack([y - modelled[:, 0], modelled[:, 1:]]) * weights[:, None]
-    columns -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, columns))
-    return columns[:, 0], columns[:, 1:]
+        free = np.column_stack(
+            [free_position(t, decay, squared), free_velocity(t, decay, squared) * system.natural_frequency_rad_per_s]
+        )
+        here = columns[run.place]
+        here[:, 0] = (y[run.place] - passed[0, run.local]) * weights[run.place]
+        here[:, 1:4] = passed[1:, run.local].T * weights[run.place, None]
+        q, _ = np.linalg.qr(free * weights[run.place, None])  # a free response lives in its own run alone
+        here -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, here))
+    offset = columns[:, 4]
+    energy = float(offset @ offset)
+    if energy > _FELT**2 * float(weights @ weights):
+        columns[:, :4] -= np.outer(offset, (offset @ columns[:, :4]) / energy)
+    return columns[:, 0], columns[:, 1:4]
 
 
 def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:

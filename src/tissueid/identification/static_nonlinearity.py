@@ -10,15 +10,25 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.polynomial import legendre
 from scipy import interpolate, optimize
 
 from tissueid.identification.base import Array
+from tissueid.identification.bend_sums import bend_sums
 
 Form = Literal["exponential", "polynomial", "spline"]
+
+_STEEPEST = 20.0
+"""Largest C2 times the reach of z from its middle: a curve that falls by e to the twentieth is a step."""
+
+_SETTLED_BEND, _SMALLEST_BEND = 1e-5, 1e-9
+"""Steps of C2 times the reach of z: one below the first leaves its square as error; none below the second is tried."""
+
+_GRID_SAMPLES = 1000
+"""Samples that are enough to choose where the search for C2 begins."""
 
 _TABLE = 4097
 _MARGIN = 0.25
@@ -111,10 +121,22 @@ class Exponential(StaticNonlinearity):
         _, s, c2 = self.coefficients
         t = z - self.centre
         bend = _bend(t, c2)
-        small = np.abs(c2 * t) < 1e-4
-        safe = c2 if c2 != 0.0 else 1.0
-        by_c2 = np.where(small, -0.5 * t**2 + c2 * t**3 / 3.0, (t * np.exp(_bounded(-c2 * t)) - bend) / safe)
-        return np.column_stack([np.ones_like(t), bend, s * by_c2])
+        return np.column_stack([np.ones_like(t), bend, s * _bend_by_c2(t, c2, bend)])
+
+    @cached_property
+    def monotone_range(self) -> tuple[float, float]:
+        """Lowest and highest z where the inverse is defined: this curve never turns back."""
+        reach = _MARGIN * (self.high - self.low)
+        return self.low - reach, self.high + reach
+
+    def inverse(self, y: Array) -> Array:
+        """Return z with g(z) = y, shape of y; beyond the monotone range, the nearest end of it."""
+        y0, s, c2 = self.coefficients
+        low, high = self.monotone_range
+        bend = (y - y0) / s
+        if c2 != 0.0:
+            bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # past the asymptote, as far as can be told
+        return np.asarray(np.clip(self.centre + bend, low, high))
 
     def refit(self, z: Array, y: Array) -> Exponential:
         """Fit y0, s and C2 anew, starting from these."""
@@ -215,27 +237,33 @@ def fit_nonlinearity(form: Form, z: Array, y: Array, degree: int) -> StaticNonli
 
 
 def fit_exponential(z: Array, y: Array, start: float | None = None) -> Exponential:
-    """Fit the exponential of Eq. 3.26 with a free offset, by a grid over C2 (or a start) and Gauss-Newton."""
-    low, high, centre = float(z.min()), float(z.max()), float(z.mean())
+    """Fit the exponential of Eq. 3.26 with a free offset, by a grid over C2 (or a start) and Gauss-Newton.
+
+    At a given C2 the two other coefficients follow by a straight line, so that only C2 is searched for (variable
+    projection: Golub and Pereyra 1973, with the slope of Kaufman 1975).
+    """
+    low, high, centre = float(z.min()), float(z.max()), float(z.sum()) / z.size
+    t = z - centre
+    mean_y = float(y.sum()) / y.size
+    y = y - mean_y
     reach = max(high - centre, centre - low)
-    bends = np.array([start]) if start is not None else np.linspace(-4.0, 4.0, 17) / reach
-    trials = [_line_through_bend(z - centre, y, c2) for c2 in bends]
-    fitted = Exponential(min(trials, key=lambda trial: trial[0])[1], low, high, centre)
-    cost = float(np.sum((y - fitted(z)) ** 2))
+    limit = _STEEPEST / reach
+    if start is None:
+        thinned = slice(None, None, max(1, z.size // _GRID_SAMPLES))
+        start = _bend_of_grid(t[thinned], y[thinned] - y[thinned].mean(), np.linspace(-4.0, 4.0, 17) / reach)
+    energy = float(np.dot(y, y))
+    line = _line_through_bend(t, y, energy, reach, min(max(start, -limit), limit))
     for _ in range(30):
-        step = np.linalg.lstsq(fitted.jacobian(z), y - fitted(z), rcond=None)[0][2]
-        c2 = fitted.coefficients[2]
-        limit = 20.0 / reach
-        improved = False
-        while abs(step) > 1e-9 / reach:
-            tried_cost, tried = _line_through_bend(z - centre, y, float(np.clip(c2 + step, -limit, limit)))
-            if tried_cost < cost:
-                fitted, cost, improved = fitted.with_coefficients(tried), tried_cost, True
+        step, improved = line.step, False
+        while abs(step) > _SMALLEST_BEND / reach:
+            tried = _line_through_bend(t, y, energy, reach, min(max(line.c2 + step, -limit), limit))
+            if tried.rss < line.rss:
+                line, improved = tried, True
                 break
             step *= 0.5
-        if not improved:
+        if not improved or abs(step) < _SETTLED_BEND / reach:
             break
-    return fitted
+    return Exponential(np.array([mean_y - line.s * line.mean_bend, line.s, line.c2]), low, high, centre)
 
 
 def fit_polynomial(z: Array, y: Array, degree: int) -> Polynomial:
@@ -281,11 +309,38 @@ def _bend(t: Array, c2: float) -> Array:
     return np.asarray(-np.expm1(_bounded(-c2 * t)) / c2) if c2 != 0.0 else t
 
 
-def _line_through_bend(t: Array, y: Array, c2: float) -> tuple[float, Array]:
-    """Best y0 and s at a given C2: residual sum of squares, and the three coefficients."""
-    bend = _bend(t, c2)
-    mean_bend, mean_y = float(bend.mean()), float(y.mean())
-    spread = bend - mean_bend
-    s = float(spread @ y) / float(spread @ spread)
-    y0 = mean_y - s * mean_bend
-    return float(np.sum((y - y0 - s * bend) ** 2)), np.array([y0, s, c2])
+class _Line(NamedTuple):
+    """The best straight line y = s (bend - mean bend) at a C2, and the Gauss-Newton step of C2 from there."""
+
+    c2: float
+    s: float
+    mean_bend: float
+    rss: float
+    step: float
+
+
+def _line_through_bend(t: Array, y: Array, energy: float, reach: float, c2: float) -> _Line:
+    """Best s at a given C2 for t (n,) within ``reach`` of zero and y (n,), without its mean, of a sum of squares."""
+    b_sum, b_b, b_y, d_sum, d_d, d_b, d_y = bend_sums(t, y, np.expm1(-c2 * t), c2, reach)
+    mean_bend, mean_d = b_sum / t.size, d_sum / t.size
+    size = b_b - b_sum * mean_bend
+    shared = d_b - d_sum * mean_bend
+    s = b_y / size
+    curvature = s * (d_d - d_sum * mean_d - shared * shared / size)
+    step = (d_y - shared * s) / curvature if curvature != 0.0 else 0.0
+    return _Line(c2, s, mean_bend, energy - s * b_y, step)
+
+
+def _bend_of_grid(t: Array, y: Array, bends: Array) -> float:
+    """The C2 of a grid (k,) that fits t (n,) and y (n,) without its mean best."""
+    spread = np.array([_bend(t, float(c2)) for c2 in bends])  # (k, n)
+    spread -= spread.mean(axis=1, keepdims=True)
+    explained = (spread @ y) ** 2 / np.einsum("ij,ij->i", spread, spread)
+    return float(bends[np.argmax(explained)])
+
+
+def _bend_by_c2(t: Array, c2: float, bend: Array) -> Array:
+    """Derivative of (1 - exp(-C2 t)) / C2, which is ``bend``, by C2."""
+    if abs(c2) * max(float(t.max()), -float(t.min())) < 1e-4:
+        return np.asarray(t**2 * (c2 / 3.0 * t - 0.5))
+    return np.asarray((t * (1.0 - c2 * bend) - bend) / c2)

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.family import Family
 from tissueid.identification.impulse_response import doubt_memory, factor_input, kernel_std
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
@@ -48,6 +49,7 @@ class Lms(Engine):
     """
 
     name: ClassVar[str] = "lms"
+    family: ClassVar[Family] = Family.LINEAR
 
     memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
     method: Literal["toeplitz", "svd"] = Field(

@@ -14,6 +14,7 @@ from scipy import fft, signal
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.family import Family
 from tissueid.identification.preparation import Prepared, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Complex, Hold
@@ -86,6 +87,7 @@ class Spectral(Engine):
     """
 
     name: ClassVar[str] = "spectral"
+    family: ClassVar[Family] = Family.LINEAR
 
     window: float = Field(0.5, gt=0.0, le=60.0, description="Length of a segment, s")
     overlap: float = Field(0.5, ge=0.0, le=0.9, description="Share of a segment that the next one covers again")

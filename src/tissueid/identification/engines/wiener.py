@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
-from tissueid.identification.impulse_response import ImpulseResponses, doubt_memory, factor_input
+from tissueid.identification.family import Family
+from tissueid.identification.impulse_response import doubt_memory, factor_input
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
-from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.second_order import Hold, SecondOrder
+from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.wiener_iteration import Cascade, Pass, hunter_korenberg, linear_output
-from tissueid.identification.wiener_parameters import fit_linear_stage, straightness, wiener_parameters
-from tissueid.identification.wiener_refinement import coefficient_covariance, refine
+from tissueid.identification.wiener.history import KernelSystems
+from tissueid.identification.wiener.iteration import Cascade, LinearStage, Pass, hunter_korenberg, linear_output
+from tissueid.identification.wiener.parameters import fit_linear_stage, straightness, wiener_parameters
+from tissueid.identification.wiener.refinement import coefficient_covariance, refine
 from tissueid.records import Record
 
 _TAPER = 0.05
@@ -26,6 +28,8 @@ _TAPER = 0.05
 
 _LOST_POINTS = 1.0
 """Percentage points of VAF that the last iterate may lose on the best before it is called divergence."""
+
+_FED_BACK = "the nonlinearity has no inverse: the linear stage was found by feedback of the output error"
 
 _CLIPPED_PERCENT = 5.0
 """Share of the output that may lie beyond the reach of g before it is told."""
@@ -75,13 +79,14 @@ class WienerModel(Model):
 class Wiener(Engine):
     """Linear dynamics, then a static nonlinearity (Chen 2010, 3.2; Hunter and Korenberg 1986).
 
-    Assumes that stiffness, damping and mass change with depth by one common factor, that g rises throughout, and
-    noise on the output. The best pass of the iteration is kept, judged by the in-sample simulation error, and then
-    refined jointly unless ``refine`` is off: the iteration regresses on the inverse of noisy outputs, which biases
-    it where g is flat; the refinement does not.
+    Assumes that stiffness, damping and mass change with depth by one common factor, and noise on the output. A
+    polynomial may turn back: then the feedback form of Korenberg and Hunter (1999) is taken. The best pass of the
+    iteration is kept, judged by the in-sample simulation error, and then refined jointly unless ``refine`` is off: the
+    iteration regresses on the inverse of noisy outputs, which biases it where g is flat; the refinement does not.
     """
 
     name: ClassVar[str] = "wiener"
+    family: ClassVar[Family] = Family.STATIC
 
     memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
     nonlinearity: Form = Field(
@@ -116,11 +121,12 @@ class Wiener(Engine):
         n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the kernel's sum is one
         prepared = prepare(record, fit_part, self.memory, n_parameters)
         solved = factor_input(prepared, taper=_TAPER)
-        passes = hunter_korenberg(solved, self.nonlinearity, self.degree, self.iterations)
+        stage = LinearStage(solved)
+        passes = hunter_korenberg(stage, self.nonlinearity, self.degree, self.iterations)
         chosen = min(range(len(passes)), key=lambda k: passes[k].cascade.rss)
         cascade = passes[chosen].cascade
         if self.refine:
-            cascade = refine(solved, cascade)
+            cascade = refine(stage, cascade)
         warnings = [*prepared.warnings, *solved.warnings, *self._doubts(passes, chosen, cascade)]
 
         used = prepared.used
@@ -131,7 +137,7 @@ class Wiener(Engine):
         warnings += second_order.warnings
         parameters = wiener_parameters(
             cascade.nonlinearity,
-            coefficient_covariance(solved, cascade),
+            coefficient_covariance(stage, cascade),
             second_order,
             prepared.input_mean,
             scaling=self.scaling,
@@ -152,6 +158,7 @@ class Wiener(Engine):
                 aicc=aicc(residuals, n_parameters),
                 parameters=parameters,
                 warnings=(*warnings, *doubt_memory(cascade.kernel)),
+                findings=(_FED_BACK,) if passes[chosen].feedback else (),
                 details={
                     "condition_number": solved.condition,
                     "vaf_linear_percent": passes[0].linear_vaf_percent,
@@ -164,7 +171,7 @@ class Wiener(Engine):
             kernel=cascade.kernel,
             input_mean=prepared.input_mean,
             nonlinearity=cascade.nonlinearity,
-            history=self._history(record, solved, passes),
+            history=self._history(stage, passes, second_order.system),
             chosen=chosen + 1,
             refined=self.refine,
             second_order=second_order,
@@ -173,7 +180,8 @@ class Wiener(Engine):
     def _doubts(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
         """What a reader should know before trusting the answer."""
         doubts = []
-        if len(passes) < self.iterations:
+        turned = any(one.feedback for one in passes)
+        if len(passes) < self.iterations and not turned:
             doubts.append(
                 f"the iteration stopped after {len(passes)} of {self.iterations} passes: the inverted output "
                 "no longer answers the input"
@@ -184,25 +192,24 @@ class Wiener(Engine):
                 f"the iteration diverged, losing {lost:.1f} points of VAF after pass {chosen + 1}, which was kept"
             )
         clipped = passes[chosen].clipped_percent
-        if not cascade.nonlinearity.invertible:
+        if turned:
+            doubts.append("the nonlinearity turns back: an output answers to several loads, and stiffness changes sign")
+        elif not cascade.nonlinearity.invertible:
             low, high = cascade.nonlinearity.monotone_range
             doubts.append(f"the nonlinearity turns back: it was inverted only from {low:.3g} to {high:.3g}")
         elif clipped > _CLIPPED_PERCENT:
             doubts.append(f"{clipped:.0f} % of the output lies beyond what the nonlinearity can reach")
         return doubts
 
-    def _history(self, record: Record, solved: ImpulseResponses, passes: list[Pass]) -> tuple[WienerIteration, ...]:
+    def _history(self, stage: LinearStage, passes: list[Pass], final: SecondOrder) -> tuple[WienerIteration, ...]:
         """Each pass with the parameters of g and of the second-order system of its linear stage."""
-        prepared = solved.prepared
+        systems = KernelSystems(stage.x, stage.solved.prepared.record.sample_rate_hz, self.hold)
         history: list[WienerIteration] = []
-        system: SecondOrderFit | None = None
         for number, done in enumerate(passes, start=1):
-            z = linear_output(done.cascade.kernel, solved.input, prepared.input_mean)
-            stage = replace(record, output=z, output_unit=record.input_unit)
-            system = fit_second_order(stage, prepared.used, self.hold, start=system)
+            system = systems.nearest(done.cascade.kernel, final)
             found = {
-                "scaled_mass_s2": self.scaling * system.system.mass / system.system.stiffness,
-                "scaled_damping_s": self.scaling * system.system.damping / system.system.stiffness,
+                "scaled_mass_s2": self.scaling * system.mass / system.stiffness,
+                "scaled_damping_s": self.scaling * system.damping / system.stiffness,
             }
             if isinstance(done.cascade.nonlinearity, Exponential):
                 constants = done.cascade.nonlinearity.thesis_constants(self.surface_position_m, self.c3_n)

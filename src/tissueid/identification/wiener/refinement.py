@@ -14,10 +14,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.identification.base import Array
-from tissueid.identification.correlation import Correlator
 from tissueid.identification.dependence import dependence_samples, long_run_covariance
-from tissueid.identification.impulse_response import ImpulseResponses
-from tissueid.identification.wiener_iteration import Cascade, linear_output
+from tissueid.identification.wiener.iteration import Cascade, LinearStage
 
 _STEPS = 10
 _SETTLED = 1e-3
@@ -33,30 +31,21 @@ class _Slopes:
     A change of the kernel's sum can be undone by g, so only changes that keep the sum are let through.
     """
 
-    def __init__(self, solved: ImpulseResponses, cascade: Cascade) -> None:
-        prepared = solved.prepared
-        x = solved.input
-        self.used = prepared.used
-        self.lags = prepared.memory_samples
-        z = linear_output(cascade.kernel, x, prepared.input_mean)[self.used]
+    def __init__(self, stage: LinearStage, cascade: Cascade) -> None:
+        z = stage.input_mean + stage.response(cascade.kernel)
+        self.stage = stage
         self.by_g = cascade.nonlinearity.jacobian(z)  # (m, p)
-        self.error = prepared.record.output[self.used] - cascade.nonlinearity(z)
+        self.error = stage.y - cascade.nonlinearity(z)
         self._slope = cascade.nonlinearity.slope(z)
-        self._n = x.size
-        self._correlator = Correlator(np.where(np.isfinite(x), x, 0.0), self.lags)
-        self._solved = solved
 
     def forward(self, kernel: Array) -> Array:
         """J kernel, shape (m,)."""
-        response = self._correlator.convolve(kernel - kernel.mean())
-        return np.asarray(self._slope * response[self.used], dtype=np.float64)
+        return np.asarray(self._slope * self.stage.response(kernel - kernel.mean()))
 
     def backward(self, values: Array) -> Array:
         """Transpose of J times values (m,), shape (lags,)."""
-        scattered = np.zeros(self._n)
-        scattered[self.used] = self._slope * values
-        products = self._correlator.cross(scattered) * self._n
-        return np.asarray(products - products.mean(), dtype=np.float64)
+        products = self.stage.products(self._slope * values)
+        return np.asarray(products - products.mean())
 
     def solve(self, right: Array, project: Callable[[Array], Array], tolerance: float, products: int) -> Array:
         """Kernel (lags,) that solves J' P J kernel = right (lags,), where ``project`` applies P to a vector (m,).
@@ -64,7 +53,7 @@ class _Slopes:
         Preconditioned conjugate gradients, for so many ``products`` at most, or until one more gains less than
         ``tolerance`` of all that was gained: what the input does not excite gains nothing and is never entered.
         """
-        kernel = np.zeros(self.lags)
+        kernel = np.zeros(self.stage.lags)
         residual = right
         conditioned = self._precondition(residual)
         direction = conditioned
@@ -87,29 +76,28 @@ class _Slopes:
         return kernel
 
     def _precondition(self, values: Array) -> Array:
-        answer = self._solved.solve(values)
+        answer = self.stage.solve(values)
         return np.asarray(answer - answer.mean(), dtype=np.float64)
 
 
-def refine(solved: ImpulseResponses, cascade: Cascade) -> Cascade:
+def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
     """Minimise the simulation error over kernel and g together; the answer is never worse than the start."""
-    prepared = solved.prepared
-    y = prepared.record.output[prepared.used]
     for _ in range(_STEPS):
-        slopes = _Slopes(solved, cascade)
+        slopes = _Slopes(stage, cascade)
         q, _ = np.linalg.qr(slopes.by_g)  # (m, p)
 
         def off_g(values: Array, q: Array = q) -> Array:
-            return np.asarray(values - np.einsum("ij,j->i", q, np.einsum("ij,i->j", q, values)))
+            return np.asarray(values - q @ (values @ q))
 
         step = slopes.solve(slopes.backward(off_g(slopes.error)), off_g, _STEP_TOLERANCE, _STEP_PRODUCTS)
         better = None
         for share in (1.0, 0.5, 0.25, 0.125):
             kernel = cascade.kernel + share * step
             kernel = kernel / kernel.sum()
-            z = linear_output(kernel, solved.input, prepared.input_mean)[prepared.used]
-            nonlinearity = cascade.nonlinearity.refit(z, y)
-            rss = float(np.sum((y - nonlinearity(z)) ** 2))
+            z = stage.input_mean + stage.response(kernel)
+            nonlinearity = cascade.nonlinearity.refit(z, stage.y)
+            error = stage.y - nonlinearity(z)
+            rss = float(np.dot(error, error))
             if rss < cascade.rss:
                 better = Cascade(kernel, nonlinearity, rss)
                 break
@@ -122,12 +110,12 @@ def refine(solved: ImpulseResponses, cascade: Cascade) -> Cascade:
     return cascade
 
 
-def coefficient_covariance(solved: ImpulseResponses, cascade: Cascade) -> Array:
+def coefficient_covariance(stage: LinearStage, cascade: Cascade) -> Array:
     """Covariance (p, p) of the coefficients of g, with the kernel unknown too and a residual of any colour.
 
     What the kernel could explain of each coefficient's effect is taken out of it first; the rest determines it.
     """
-    slopes = _Slopes(solved, cascade)
+    slopes = _Slopes(stage, cascade)
     own = np.empty_like(slopes.by_g)  # (m, p)
     for k, column in enumerate(slopes.by_g.T):
         share = slopes.solve(
@@ -136,5 +124,5 @@ def coefficient_covariance(solved: ImpulseResponses, cascade: Cascade) -> Array:
         own[:, k] = column - slopes.forward(share)
     influence = own @ np.linalg.pinv(own.T @ own) * slopes.error[:, None]
     n, p = own.shape
-    block = dependence_samples(slopes.error, solved.prepared.record.sample_rate_hz)
-    return np.asarray(long_run_covariance(influence, block) * n / max(1, n - slopes.lags - p))
+    block = dependence_samples(slopes.error, stage.solved.prepared.record.sample_rate_hz)
+    return np.asarray(long_run_covariance(influence, block) * n / max(1, n - stage.lags - p))

@@ -49,7 +49,7 @@ def vaf_percent(measured: Array, modelled: Array) -> float:
     return 100.0 * (1.0 - float(np.var(measured[used] - modelled[used])) / variance)
 
 
-def aic(residuals: Array, n_parameters: int) -> float:
+def aic(residuals: Array, n_parameters: float) -> float:
     """Akaike's information criterion of Gaussian residuals of shape (n,) (Eqs. 3.14-3.15); NaN are left out."""
     finite = residuals[np.isfinite(residuals)]
     if finite.size == 0:
@@ -60,7 +60,7 @@ def aic(residuals: Array, n_parameters: int) -> float:
     return 2.0 * n_parameters + finite.size * (math.log(2.0 * math.pi * rss / finite.size) + 1.0)
 
 
-def aicc(residuals: Array, n_parameters: int) -> float:
+def aicc(residuals: Array, n_parameters: float) -> float:
     """AIC with the second-order correction for few samples (Eq. 3.16); NaN when n <= k + 1."""
     n = int(np.isfinite(residuals).sum())
     if n <= n_parameters + 1:

@@ -1,0 +1,1 @@
+"""The Wiener cascade: iteration, refinement, parameters."""
