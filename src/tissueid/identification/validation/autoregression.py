@@ -1,0 +1,154 @@
+"""Autoregressive description of a stationary signal with gaps: what colours a residual, and what its past foretells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.correlation import lagged_products
+from tissueid.identification.validation import complete_windows
+
+_LARGEST_ORDER = 60
+_ROWS_PER_ORDER = 20
+"""Samples that each order tried must have."""
+
+_STEADIEST = 0.999
+"""Largest modulus of a pole: least squares can leave a description that runs away."""
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """e[n] - mean = sum over i of coefficients[i - 1] (e[n - i] - mean) + a white innovation.
+
+    ``coefficients`` has shape (order,), empty for white noise; ``innovation_std`` and ``mean`` are in the signal's
+    unit.
+    """
+
+    coefficients: Array
+    mean: float
+    innovation_std: float
+    n_samples: int
+    aicc: float
+
+    @property
+    def order(self) -> int:
+        """How many past samples it looks at."""
+        return int(self.coefficients.size)
+
+    def innovations(self, signal: Array) -> Array:
+        """What the past of a signal (n,) does not foretell, shape (n,); NaN within ``order`` samples of a gap."""
+        return self.whiten(signal - self.mean)
+
+    def whiten(self, signal: Array) -> Array:
+        """Signal (n,) through the whitening filter, shape (n,); NaN where the filter holds an unknown sample."""
+        known = np.isfinite(signal)
+        filtered = np.convolve(np.where(known, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
+        return np.where(complete_windows(known, self.order + 1), filtered[: signal.size], np.nan)
+
+    def response(self, length: int) -> Array:
+        """Response psi (length,) of the signal to one innovation: psi[0] = 1."""
+        psi = np.zeros(length)
+        for step in range(length):
+            past = psi[max(0, step - self.order) : step][::-1]
+            psi[step] = 1.0 if step == 0 else float(self.coefficients[: past.size] @ past)
+        return psi
+
+    def ahead(self, horizon: int) -> Array:
+        """Weights (order,) that foretell e[n] from e[n - horizon], e[n - horizon - 1], ..., the mean removed."""
+        weights = self.coefficients.copy()
+        for _ in range(horizon - 1):
+            weights = weights[:1] * self.coefficients + np.append(weights[1:], 0.0)[: self.order]
+        return weights
+
+    def error_std(self, horizons: Array) -> Array:
+        """Standard deviation of the error of the best prediction so many samples ahead, same shape."""
+        steps = np.asarray(horizons, dtype=np.intp)
+        spread = np.cumsum(self.response(int(np.max(steps))) ** 2)
+        return np.asarray(self.innovation_std * np.sqrt(spread[steps - 1]), dtype=np.float64)
+
+
+def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregression:
+    """Fit an autoregression to a signal (n,) by least squares, its order by AICc (Hurvich and Tsai 1989).
+
+    NaN are gaps: no row of the regression reaches across one. Without ``max_order`` orders are tried up to 60, or one
+    for every 20 known samples.
+
+    Raises:
+        UnusableInputError: too few samples follow one another, or the signal does not vary.
+    """
+    known = np.isfinite(signal)
+    count = int(known.sum())
+    largest = min(_LARGEST_ORDER, count // _ROWS_PER_ORDER) if max_order is None else max_order
+    while max_order is None and largest > 1 and not _carries(known, largest):
+        largest -= 1
+    if not _carries(known, largest):
+        raise UnusableInputError(
+            f"{count} residuals, too few of them in a row, cannot carry a noise model of order {largest}: "
+            "record longer, or ask for a lower order"
+        )
+    rows = complete_windows(known, largest + 1)
+    mean = float(np.mean(signal[known]))
+    centred = np.where(known, signal - mean, 0.0)
+    if float(np.max(np.abs(centred))) <= 1e-12 * max(abs(mean), 1e-300):
+        raise UnusableInputError("the residual does not vary: there is no noise to describe")
+    order = _best_order(lagged_products(centred, rows, largest + 1), int(rows.sum()))
+    rows = complete_windows(known, order + 1)
+    used = int(rows.sum())
+    products = lagged_products(centred, rows, order + 1)
+    coefficients = _steadied(_solve(products))
+    gain = np.concatenate([[1.0], -coefficients])
+    rss = used * float(gain @ products @ gain)
+    return Autoregression(
+        coefficients=coefficients,
+        mean=mean,
+        innovation_std=math.sqrt(rss / max(1, used - order - 1)),
+        n_samples=used,
+        aicc=_aicc(rss / used, used, order),
+    )
+
+
+def _carries(known: Mask, order: int) -> bool:
+    """True when enough known samples follow one another for a noise model of this order."""
+    return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
+
+
+def _best_order(products: Array, rows: int) -> int:
+    """Order with the smallest AICc, all orders on the same rows."""
+    factor = linalg.cholesky(_loaded(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
+    explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
+    left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
+    left = np.maximum(left, 1e-14 * products[0, 0])
+    return int(np.argmin([_aicc(float(power), rows, order) for order, power in enumerate(left)]))
+
+
+def _solve(products: Array) -> Array:
+    if products.shape[0] == 1:
+        return np.zeros(0)
+    return np.asarray(linalg.solve(_loaded(products[1:, 1:]), products[1:, 0], assume_a="pos"), dtype=np.float64)
+
+
+def _loaded(products: Array) -> Array:
+    """With a load on the diagonal far below any noise, for signals without power over most of the band."""
+    loaded = products.copy()
+    loaded[np.diag_indices_from(loaded)] += 1e-10 * products[0, 0]
+    return loaded
+
+
+def _aicc(power: float, n: int, order: int) -> float:
+    k = order + 2  # the mean and the innovation's variance are estimated too
+    return n * (math.log(2.0 * math.pi * power) + 1.0) + 2.0 * k + 2.0 * k * (k + 1) / max(1, n - k - 1)
+
+
+def _steadied(coefficients: Array) -> Array:
+    """Coefficients (order,) whose poles lie inside the unit circle."""
+    if coefficients.size == 0:
+        return coefficients
+    fastest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -coefficients])))))
+    if fastest < _STEADIEST:
+        return coefficients
+    return np.asarray(coefficients * (_STEADIEST / fastest) ** np.arange(1, coefficients.size + 1), dtype=np.float64)

@@ -1,0 +1,185 @@
+"""Bootstrap bands of anything that can be read off a fitted model, for any engine.
+
+Two ways of making another record like the one at hand. ``residuals`` keeps the input and the simulated output and adds
+blocks of residuals in another order: right when what a model misses is noise, unrelated to the input. ``blocks`` draws
+whole stretches of input and output, each with the inputs of its memory before it: right also when what a model misses
+is nonlinearity, which follows the input; it takes a record of many blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.identification.base import Array, Engine, Model
+from tissueid.identification.dependence import dependence_samples
+from tissueid.identification.validation import complete_windows, part_mask, scored_samples
+from tissueid.records import Record
+
+Method = Literal["residuals", "blocks"]
+
+_MOST_REFUSED = 0.1
+"""Share of the drawn records that an engine may refuse."""
+
+_FEWEST_BLOCKS = 5
+_USUAL_BLOCKS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """What a bootstrap found; every array has the shape (k,) of the statistic, ``draws`` (n, k).
+
+    ``low`` and ``high`` hold ``level_percent``. They are the basic bootstrap's: the spread of the draws about the
+    estimate, turned round, which takes off the bias that the fit itself has (Davison and Hinkley 1997, 5.2).
+    """
+
+    estimate: Array
+    std: Array
+    low: Array
+    high: Array
+    level_percent: float
+    draws: Array
+    method: Method
+    block_samples: int
+    refused: int
+
+
+def bootstrap(
+    engine: Engine,
+    record: Record,
+    fit_part: slice | None,
+    statistic: Callable[[Model], Array],
+    n: int = 200,
+    seed: int = 0,
+    *,
+    method: Method = "residuals",
+    level_percent: float = 95.0,
+    block: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> Bands:
+    """Fit an engine to ``n`` records drawn like the one at hand, and tell how far a statistic of the model spreads.
+
+    Args:
+        engine: the specification, as for the fit itself.
+        record: the data.
+        fit_part: contiguous part that is fitted.
+        statistic: reads numbers (k,) off a model: a kernel, a Bode magnitude, parameters.
+        n: how many records to draw.
+        seed: the draws follow from it alone.
+        method: ``residuals`` or ``blocks``.
+        level_percent: how much the bands hold.
+        block: seconds of a block; by default twice the time over which residuals hang together, and for ``blocks`` not
+            less than the memory.
+        progress: called with how many draws are done, and of how many.
+        cancelled: asked before each draw; a true answer ends the work.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit, holds too few blocks, or more than a tenth of the draws
+            were refused.
+        CancelledError: ``cancelled`` said so.
+    """
+    if n < 2 or not 0.0 < level_percent < 100.0:
+        raise UnusableInputError("a bootstrap takes two draws or more and a level between 0 and 100 %")
+    model = engine.fit(record, fit_part)
+    estimate = np.atleast_1d(np.asarray(statistic(model), dtype=np.float64))
+    source = _Source(model, record, fit_part, method, block)
+    rng = np.random.Generator(np.random.PCG64(seed))
+    draws = []
+    refused = 0
+    for done in range(n):
+        if cancelled is not None and cancelled():
+            raise CancelledError(f"the bootstrap was cancelled after {done} of {n} draws")
+        other, part = source.with_residuals(rng) if method == "residuals" else source.with_blocks(rng)
+        try:
+            draws.append(np.atleast_1d(np.asarray(statistic(engine.fit(other, part)), dtype=np.float64)))
+        except UnusableInputError as error:
+            refused += 1
+            if refused > max(1.0, _MOST_REFUSED * n):
+                raise UnusableInputError(f"too many drawn records cannot be fitted ({error})") from error
+        if progress is not None:
+            progress(done + 1, n)
+    found = np.array(draws)  # (n, k)
+    if method == "blocks":
+        found = estimate + source.widening * (found - estimate)
+    tail = 0.5 - level_percent / 200.0
+    low, high = np.quantile(found, [tail, 1.0 - tail], axis=0)
+    return Bands(
+        estimate=estimate,
+        std=np.std(found, axis=0, ddof=1),
+        low=2.0 * estimate - high,
+        high=2.0 * estimate - low,
+        level_percent=level_percent,
+        draws=found,
+        method=method,
+        block_samples=source.block,
+        refused=refused,
+    )
+
+
+class _Source:
+    """What records are drawn from."""
+
+    def __init__(
+        self, model: Model, record: Record, fit_part: slice | None, method: Method, block: float | None
+    ) -> None:
+        self.record, self.part = record, fit_part
+        self.memory = model.memory_samples
+        used = scored_samples(record, self.memory, fit_part)
+        self.simulated = model.simulate(record.input)
+        residual = np.where(used, record.output - self.simulated, np.nan)
+        self.count = int(np.isfinite(residual).sum())
+        known = residual[np.isfinite(residual)]
+        freedom = self.count / max(1.0, self.count - model.report.n_parameters)  # a fit takes its share of the noise
+        self.residual = (residual - known.mean()) * math.sqrt(min(freedom, 2.0))
+        if block is not None:
+            self.block = max(1, round(block * record.sample_rate_hz))
+        else:
+            self.block = max(1, 2 * dependence_samples(known, record.sample_rate_hz))
+            if method == "blocks":  # each brings the inputs of its memory along, and should be worth them
+                self.block = max(self.block, min(self.memory, self.count // _USUAL_BLOCKS))
+        if self.count < _FEWEST_BLOCKS * self.block:
+            raise UnusableInputError(
+                f"{self.count} residuals hold fewer than {_FEWEST_BLOCKS} blocks of {self.block} samples: "
+                "record longer, or ask for shorter blocks"
+            )
+        self.ends = np.flatnonzero(complete_windows(np.isfinite(residual), self.block))
+        if self.ends.size == 0:
+            raise UnusableInputError(
+                f"no {self.block} samples follow one another without a gap: ask for shorter blocks"
+            )
+
+    @property
+    def widening(self) -> float:
+        """What a spread over few blocks lacks, as for other estimates from them (Kiefer and Vogelsang 2005)."""
+        share = self.block / self.count
+        return 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
+
+    def with_residuals(self, rng: np.random.Generator) -> tuple[Record, slice | None]:
+        """The record with its residuals in another order, and the part to fit."""
+        n = len(self.record)
+        added = self.residual[self._drawn(rng, math.ceil(n / self.block))].ravel()[:n]
+        output = np.where(np.isfinite(self.record.output), self.simulated + added, np.nan)
+        unfitted = ~part_mask(n, self.part)
+        output[unfitted] = self.record.output[unfitted]
+        return replace(self.record, output=output), self.part
+
+    def with_blocks(self, rng: np.random.Generator) -> tuple[Record, None]:
+        """Stretches of the record, each after the inputs of its memory, with a gap between each two."""
+        drawn = self._drawn(rng, math.ceil(self.count / self.block))  # (blocks, block)
+        before = drawn[:, :1] - np.arange(self.memory - 1, 0, -1)
+        gap = np.full((drawn.shape[0], 1), np.nan)
+        u = np.hstack([gap, self.record.input[before], self.record.input[drawn]])
+        y = np.hstack([gap, np.full(before.shape, np.nan), self.record.output[drawn]])
+        return replace(self.record, input=u.ravel()[1:], output=y.ravel()[1:]), None
+
+    def _drawn(self, rng: np.random.Generator, blocks: int) -> NDArray[np.intp]:
+        """Indices (blocks, block) of blocks of known residuals."""
+        last = self.ends[rng.integers(self.ends.size, size=blocks)]
+        return np.asarray(last[:, None] + np.arange(1 - self.block, 1), dtype=np.intp)

@@ -1,0 +1,158 @@
+"""A periodic record cut into its periods, and which lines of its spectrum the stimulus drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.second_order import Complex
+from tissueid.records import Record
+
+Lines = NDArray[np.int_]
+
+_ALIKE = 0.9
+"""Correlation of an input with itself one period later, at least."""
+
+_AS_ALIKE = 0.01
+"""By how much the first repetition may be less alike than a later one."""
+
+_SHORTEST_OVERLAP = 0.02
+"""Share of a record that must be left to compare two stretches of it."""
+
+_DRIVEN_RANGE = 1e-3
+_DRIVEN_SHARE = 0.1
+"""Power of a driven line, of the strongest of all and of the strongest near it, at least."""
+
+_NEAR = 5
+"""Odd lines to each side that count as near."""
+
+_FAR = 20.0
+"""Gaps to the next line, in usual ones, beyond which that is no part of the stimulus."""
+
+
+@dataclass(frozen=True, eq=False)
+class Periods:
+    """Spectra of the whole periods of a record, shape (periods, lines), lines 0 .. period / 2.
+
+    ``input`` and ``output`` are discrete Fourier transforms of ``period`` samples; a straight drift of the period means
+    was taken off. ``tail`` is the output's difference, shape (m,), between the last settled samples before the first
+    period and the samples one period later: noise, twice; empty where the record holds none.
+    """
+
+    period: int
+    sample_rate_hz: float
+    input: Complex
+    output: Complex
+    tail: Array
+
+
+def find_period(u: Array) -> int:
+    """Samples after which an input (n,) repeats itself.
+
+    Raises:
+        UnusableInputError: it does not, or fewer than one period and a fiftieth were recorded.
+    """
+    known = np.isfinite(u)
+    if not known.any() or np.ptp(u[known]) == 0.0:
+        raise UnusableInputError("the input does not vary: it has no period")
+    x = np.where(known, u - np.mean(u[known]), 0.0)
+    n = x.size
+    size = fft.next_fast_len(2 * n, real=True)
+    auto = fft.irfft(np.abs(fft.rfft(x, size)) ** 2, size)[:n]
+    power = np.concatenate([[0.0], np.cumsum(x**2)])
+    lag = np.arange(n)
+    scale = np.sqrt(power[n - lag] * (power[n] - power[lag]))
+    alike = np.where(scale > 0.0, auto / np.maximum(scale, 1e-300), 0.0)  # (n,)
+    alike[max(2, int(n * (1.0 - _SHORTEST_OVERLAP))) :] = 0.0
+    away = np.flatnonzero(alike < 0.5)  # past the peak about lag 0, which a smooth input makes broad
+    first = int(away[0]) if away.size else n
+    best = float(np.max(alike[first:], initial=0.0))
+    if best < _ALIKE:
+        raise UnusableInputError("the input does not repeat itself: this takes a periodic stimulus, twice or more")
+    rising = np.flatnonzero(alike[first:] >= best - _AS_ALIKE) + first
+    run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # the first such peak alone
+    return int(run[np.argmax(alike[run])])
+
+
+def cut_periods(record: Record, period: int, settling: float) -> Periods:
+    """Cut the whole periods out of a record, counted from its end; those with a gap are left out.
+
+    Args:
+        record: one realisation of a periodic stimulus.
+        period: samples.
+        settling: seconds at the start that no period may hold.
+
+    Raises:
+        UnusableInputError: no whole period is left.
+    """
+    n = len(record)
+    count = max(0, (n - round(settling * record.sample_rate_hz)) // period) if period > 1 else 0
+    first = n - count * period
+    whole = np.array([bool(record.valid[first + k * period :][:period].all()) for k in range(count)])
+    if not whole.any():
+        raise UnusableInputError(
+            f"no whole period of {period} samples is left after {settling:g} s of settling: record longer"
+        )
+    u = _without_drift(record.input[first:].reshape(count, period)[whole], np.flatnonzero(whole))
+    y = _without_drift(record.output[first:].reshape(count, period)[whole], np.flatnonzero(whole))
+    before = record.output[first - min(first // 2, period) : first]
+    later = record.output[first - before.size + period : first + period]
+    tail = before - later
+    return Periods(
+        period=period,
+        sample_rate_hz=record.sample_rate_hz,
+        input=fft.rfft(u, axis=1),
+        output=fft.rfft(y, axis=1),
+        tail=tail[np.isfinite(tail)],
+    )
+
+
+def _without_drift(periods: Array, number: Lines) -> Array:
+    """Periods (periods, n) less the straight line through their means.
+
+    A drift is no period's own: it would put power on every line, the same in each period, and pass for distortion.
+    """
+    if number.size < 2:
+        return periods - float(periods.mean())
+    slope, level = (float(c) for c in np.polyfit(number, periods.mean(axis=1), 1))
+    n = periods.shape[1]
+    inside = (np.arange(n) - (n - 1) / 2) / n
+    return np.asarray(periods - level - slope * (number[:, None] + inside), dtype=np.float64)
+
+
+def find_driven(power: Array) -> Lines:
+    """Odd lines that a stimulus of this line power (lines,) drives.
+
+    A driven line stands out from the even lines near it and is not far below the strongest odd one near it.
+
+    Raises:
+        UnusableInputError: no odd line stands out, or even ones do too.
+    """
+    odd = np.arange(1, power.size, 2)
+    even = np.arange(2, power.size, 2)
+    near = 2 * _NEAR + 1
+    if odd.size < near or even.size < near:
+        raise UnusableInputError(f"a period of fewer than {4 * near} samples holds too few lines to tell apart")
+    strongest = np.lib.stride_tricks.sliding_window_view(np.pad(power[odd], _NEAR), near).max(axis=1)
+    quiet = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(power[even], _NEAR, mode="edge"), near), axis=1)
+    beside = quiet[np.minimum(np.arange(odd.size), quiet.size - 1)]
+    driven = (power[odd] > _DRIVEN_SHARE * strongest) & (power[odd] > 10.0 * beside)
+    driven &= power[odd] > _DRIVEN_RANGE * float(np.max(power[1:]))
+    if driven.sum() < 2:
+        raise UnusableInputError(
+            "no odd lines of the input stand out from the even ones: this takes an odd random-phase multisine"
+        )
+    return _hanging_together(odd[driven], power)
+
+
+def _hanging_together(lines: Lines, power: Array) -> Lines:
+    """The group of lines (k,) with the most power: a spur such as that of the mains stands far beyond the others."""
+    gaps = np.diff(lines)
+    usual = np.array([float(np.median(gaps[max(0, i - _NEAR) : i])) if i else float(gaps[0]) for i in range(gaps.size)])
+    groups = np.split(lines, np.flatnonzero(gaps > _FAR * usual) + 1)
+    return np.asarray(max(groups, key=lambda group: float(np.sum(power[group]))), dtype=np.int_)

@@ -1,0 +1,128 @@
+"""Prediction n steps ahead: a free-run simulation, and what the past of its own residual foretells.
+
+``Model.predict`` of an output-error model is its simulation, because such a model says nothing of its noise. Here the
+noise is described from the residuals of the fitted samples and the description is added, so that a short horizon shows
+how much of what a model misses hangs together from sample to sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Model, check_horizon
+from tissueid.identification.validation import complete_windows, scored_samples, vaf_percent
+from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
+from tissueid.identification.validation.vaf_spread import vaf_std_percent
+from tissueid.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionCurve:
+    """How well outputs are predicted against how far ahead; arrays have shape (horizons,).
+
+    ``error_std`` is the standard deviation of the prediction error, ``expected_error_std`` what the noise model
+    foretold, both in the output's unit. ``free_run_vaf_percent`` is what the curve comes down to at long horizons.
+    """
+
+    horizon: NDArray[np.int_]
+    horizon_s: Array
+    vaf_percent: Array
+    vaf_std_percent: Array
+    error_std: Array
+    expected_error_std: Array
+    free_run_vaf_percent: float
+    n_samples: int
+    noise_order: int
+
+
+def fit_noise(
+    model: Model, record: Record, fit_part: slice | None = None, max_order: int | None = None
+) -> Autoregression:
+    """Describe the noise of a model by an autoregression of its residuals on the fitted samples.
+
+    Raises:
+        UnusableInputError: another sample rate, or too few residuals.
+    """
+    used = scored_samples(record, model.memory_samples, fit_part)
+    return fit_autoregression(np.where(used, model.residuals(record), np.nan), max_order)
+
+
+def predict_ahead(model: Model, record: Record, horizon: int, noise: Autoregression) -> Array:
+    """Predict each output from the input up to now and the output up to ``horizon`` samples ago, shape (n,).
+
+    Where one of the past residuals that this takes is unknown, at the start and after a gap, the prediction is the
+    free run and the noise's mean. NaN where the simulation is.
+
+    Raises:
+        UnusableInputError: the horizon is less than one sample, or the record has another sample rate.
+    """
+    check_horizon(horizon)
+    model.check_rate(record)
+    simulated = model.simulate(record.input)
+    return _ahead(simulated, _known_residual(model, record, simulated), horizon, noise)
+
+
+def prediction_curve(
+    model: Model,
+    record: Record,
+    noise: Autoregression,
+    horizons: Sequence[int] | None = None,
+    part: slice | None = None,
+) -> PredictionCurve:
+    """Score predictions over horizons, in samples, on a part of a record, each from the same samples.
+
+    Without ``horizons`` they go from one sample to the model's memory, doubling.
+
+    Raises:
+        UnusableInputError: a horizon is less than one sample, the rates differ, or no sample is left to score.
+    """
+    steps = _doubling(model.memory_samples) if horizons is None else np.asarray(horizons, dtype=np.int_)
+    if steps.size == 0:
+        raise UnusableInputError("no prediction horizon was given")
+    check_horizon(int(steps.min()))
+    model.check_rate(record)
+    simulated = model.simulate(record.input)
+    residual = _known_residual(model, record, simulated)
+    used = scored_samples(record, model.memory_samples, part) & np.isfinite(simulated)
+    if int(used.sum()) < 2:
+        raise UnusableInputError("no sample is left to score: the part is shorter than the memory, or full of gaps")
+    measured = record.output[used]
+    errors = [measured - _ahead(simulated, residual, int(step), noise)[used] for step in steps]
+    vaf = [vaf_percent(measured, measured - error) for error in errors]
+    return PredictionCurve(
+        horizon=steps,
+        horizon_s=steps / record.sample_rate_hz,
+        vaf_percent=np.array(vaf),
+        vaf_std_percent=np.array([vaf_std_percent(measured, error, record.sample_rate_hz) for error in errors]),
+        error_std=np.array([float(np.std(error)) for error in errors]),
+        expected_error_std=noise.error_std(steps.astype(np.float64)),
+        free_run_vaf_percent=vaf_percent(measured, simulated[used]),
+        n_samples=int(used.sum()),
+        noise_order=noise.order,
+    )
+
+
+def _known_residual(model: Model, record: Record, simulated: Array) -> Array:
+    """Residual (n,), NaN where the memory reaches before the record: there it is not the noise alone."""
+    complete = complete_windows(np.isfinite(record.input), model.memory_samples)
+    return np.where(complete, record.output - simulated, np.nan)
+
+
+def _ahead(simulated: Array, residual: Array, horizon: int, noise: Autoregression) -> Array:
+    n = simulated.size
+    weights = noise.ahead(horizon)
+    foretold = np.zeros(n)
+    if noise.order and n > horizon:
+        full = np.convolve(residual - noise.mean, weights)[: n - horizon]  # NaN spreads over the filter's length
+        full[: noise.order - 1] = np.nan
+        foretold[horizon:] = np.where(np.isfinite(full), full, 0.0)
+    return simulated + noise.mean + foretold
+
+
+def _doubling(memory_samples: int) -> NDArray[np.int_]:
+    return np.unique(np.append(2 ** np.arange(max(1, memory_samples).bit_length()), memory_samples)).astype(np.int_)

@@ -1,0 +1,186 @@
+"""The line that no model can cross: how much of the output comes back when a test is repeated.
+
+Two tests with the same command differ by what no model of the tissue foretells: noise of the sensor, movement of the
+patient, what the tissue does of itself. Its variance is the floor of the simulation error, and puts a ceiling on the
+variance accounted for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.impulse_response import factor_input
+from tissueid.identification.preparation import memory_in_samples, prepare
+from tissueid.identification.validation import part_mask
+from tissueid.identification.validation.vaf_spread import ratio_std
+from tissueid.records import Estimate, Record
+
+Lags = NDArray[np.int_]
+
+_TAPER = 0.05
+
+_BLOCK_S = 0.25
+"""Length, s, of the stretches that are laid on one another."""
+
+_AS_GOOD = 1.5
+"""Misfit over the smallest up to which a shift is as good as the best."""
+
+_UNLIKE = 0.5
+"""Misfit over the input's variance from which two stretches are not of one command."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ceiling:
+    """The highest VAF that a model could reach on repeated tests.
+
+    ``vaf_percent`` is for a model that is given the input as it was: the linear answer to how the input differed
+    between repeats is taken off their difference. ``vaf_same_input_percent`` counts that difference as noise.
+    ``noise_rms`` is the noise floor of the output and ``output_rms`` its standard deviation, in the output's unit.
+    ``input_difference_percent`` is the root mean square of the input's differences between repeats over that of the
+    input. ``shifts`` (repeats,) is by how many samples each lagged behind the first at its start. ``noise`` (repeats,
+    n) is what is left of each repeat, NaN where unknown, each scaled to the noise of one repeat.
+    """
+
+    vaf_percent: Estimate
+    vaf_same_input_percent: Estimate
+    noise_rms: Estimate
+    output_rms: float
+    input_difference_percent: float
+    repeats: int
+    n_samples: int
+    shifts: tuple[int, ...]
+    noise: Array
+    findings: tuple[str, ...]
+
+    def explained_percent(self, vaf_percent: float) -> float:
+        """Share of what can be explained that a model of this VAF explains."""
+        return 100.0 * vaf_percent / self.vaf_percent.value
+
+
+def ceiling(records: Sequence[Record], part: slice | None = None, memory: float = 0.125) -> Ceiling:
+    """Find the noise floor and the highest VAF from two or more repeats of one command.
+
+    Where the repeats differ slowly, because the tissue relaxes or the patient moves, a model fitted to one of them may
+    follow that one and score higher there: the ceiling is for a model that knows the input alone.
+
+    Args:
+        records: the repeats. Stretches of them are shifted by whole samples where their inputs say so.
+        part: contiguous part to look at, on the samples of the first record.
+        memory: seconds, of the linear answer to the input's differences.
+
+    Raises:
+        UnusableInputError: fewer than two records, different sample rates, inputs that are not alike, or too few
+            samples that all repeats hold.
+    """
+    if len(records) < 2:
+        raise UnusableInputError("a noise floor takes two repeats of one command or more")
+    rate = records[0].sample_rate_hz
+    if any(not np.isclose(record.sample_rate_hz, rate, rtol=1e-6, atol=0.0) for record in records):
+        raise UnusableInputError("repeats of different sample rates cannot be compared: resample")
+    lags = memory_in_samples(memory, rate)
+    block = max(2, min(round(_BLOCK_S * rate), len(records[0]) // 4))
+    shifts = [_shifts(records[0].input, record.input, min(lags, block), block) for record in records]
+    u, y = _aligned(records, shifts, block)  # (repeats, n)
+    together = Record(u.mean(axis=0), y.mean(axis=0), rate)
+    prepared = prepare(together, part, memory)
+    used = prepared.used & part_mask(u.shape[1], part)
+    solved = factor_input(prepared, taper=_TAPER)
+    kernel = solved.kernel(together.output)  # (lags,)
+
+    difference = y - together.output
+    answer = np.array([convolve_at_rest(kernel, row) for row in u - together.input])
+    floor = _floor(np.where(used, difference - answer, np.nan))
+    raw = _floor(np.where(used, difference, np.nan))
+    output = y[:, used] - y[:, used].mean(axis=1, keepdims=True)
+    power = np.mean(output**2, axis=0)
+    centred = u[:, used] - u[:, used].mean(axis=1, keepdims=True)
+    apart = float(np.sqrt(np.mean(_floor(np.where(used, u - together.input, np.nan))[:, used] ** 2)))
+    apart_percent = 100.0 * apart / float(np.sqrt(np.mean(centred**2)))
+    best = _ceiling(floor[:, used], power, rate)
+    noise_power = np.mean(floor[:, used] ** 2, axis=0)
+    noise_rms = float(np.sqrt(np.mean(noise_power)))
+    spread = ratio_std(noise_power, np.ones(noise_power.size), rate)
+    findings = [f"no model can be expected to pass {best.value:.1f} ± {best.std:.1f} % on these repeats"]
+    for number, shift in enumerate(shifts[1:], start=2):
+        changes = np.flatnonzero(np.diff(shift))
+        if changes.size:
+            places = ", ".join(f"{shift[c + 1] - shift[c]:+d} at {(c + 1) * block / rate:.2f} s" for c in changes)
+            findings.append(
+                f"repeat {number} steps against the first by samples that were lost without being marked: {places}"
+            )
+    return Ceiling(
+        vaf_percent=best,
+        vaf_same_input_percent=_ceiling(raw[:, used], power, rate),
+        noise_rms=Estimate(noise_rms, spread / (2.0 * noise_rms) if noise_rms > 0.0 else 0.0),
+        output_rms=float(np.sqrt(np.mean(power))),
+        input_difference_percent=apart_percent,
+        repeats=len(records),
+        n_samples=int(used.sum()),
+        shifts=tuple(int(shift[0]) for shift in shifts),
+        noise=floor,
+        findings=tuple(findings),
+    )
+
+
+def _floor(difference: Array) -> Array:
+    """Differences (repeats, n) from the mean of all, less their own means, scaled to the noise of a single repeat."""
+    repeats = difference.shape[0]
+    centred = difference - np.nanmean(difference, axis=1, keepdims=True)
+    return np.asarray(centred * np.sqrt(repeats / (repeats - 1)), dtype=np.float64)
+
+
+def _ceiling(floor: Array, power: Array, rate: float) -> Estimate:
+    """Ceiling from noise (repeats, n) and the mean output power (n,)."""
+    noise = np.mean(floor**2, axis=0)
+    value = 100.0 * (1.0 - float(np.mean(noise)) / float(np.mean(power)))
+    return Estimate(value, 100.0 * ratio_std(noise, power, rate))
+
+
+def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
+    """By how many samples the other input (m,) lags behind the first (n,), shape (blocks,), block by block.
+
+    A block that fits about as well where the one before it did stays there, as in a preload, where nothing moves.
+    """
+    found = []
+    last = 0
+    alike = False
+    reach = np.pad(other, (most, most + max(0, first.size - other.size)), constant_values=np.nan)
+    for start in range(0, first.size - block + 1, block):
+        stretch = first[start : start + block]
+        around = reach[start : start + block + 2 * most]
+        apart = np.lib.stride_tricks.sliding_window_view(around, block) - stretch  # (2 most + 1, block)
+        known = np.isfinite(apart)
+        enough = known.sum(axis=1) >= block // 2
+        if enough.any():
+            squares = np.sum(np.where(known, apart, 0.0) ** 2, axis=1) / np.maximum(1, known.sum(axis=1))
+            squares[~enough] = np.inf
+            near = np.flatnonzero(squares <= _AS_GOOD * np.min(squares)) - most
+            last = int(near[np.argmin(np.abs(near - last))])
+            alike |= bool(np.min(squares) < _UNLIKE * np.nanvar(stretch))
+        found.append(last)
+    if not alike:
+        raise UnusableInputError("the inputs of the repeats are not alike: choose tests of one command")
+    return np.array(found, dtype=np.int_)
+
+
+def _aligned(records: Sequence[Record], shifts: Sequence[Lags], block: int) -> tuple[Array, Array]:
+    """Inputs and outputs (repeats, n) on the samples of the first record; NaN where any repeat holds nothing."""
+    n = len(records[0])
+    signals = np.full((2, len(records), n), np.nan)
+    for row, (record, shift) in enumerate(zip(records, shifts, strict=True)):
+        of_sample = np.concatenate([np.repeat(shift, block), np.full(n - shift.size * block, shift[-1])])
+        source = np.arange(n) + of_sample
+        inside = (source >= 0) & (source < len(record))
+        for change in np.flatnonzero(np.diff(shift)):  # where in the two blocks it happened is not known
+            inside[change * block : (change + 2) * block] = False
+        signals[0, row, inside] = record.input[source[inside]]
+        signals[1, row, inside] = record.output[source[inside]]
+    signals[:, :, ~np.isfinite(signals).all(axis=(0, 1))] = np.nan
+    return signals[0], signals[1]

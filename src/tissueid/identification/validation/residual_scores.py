@@ -1,0 +1,234 @@
+"""Whether a residual answers a signal: correlations over many lags, with bands that hold for coloured signals.
+
+All that is claimed rests on one fact: if the residual is unrelated to the input, then, the input being what it was, a
+sum of residuals weighted by any function of the input has a variance that follows from the residual's own colour alone.
+No distribution of the input is assumed. The residual is made white by an autoregression and what it is held against is
+filtered alike, which is generalised least squares: the band is narrow where the residual has little power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, linalg, special
+
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.correlation import ROWS_AT_ONCE
+from tissueid.identification.validation.autoregression import Autoregression
+
+Lags = NDArray[np.int_]
+
+_DRAWS = 4000
+"""Draws of the largest of many related Gaussian numbers; their seed is fixed, so a p-value does not change."""
+
+_RIDGE = 1e-6
+"""Share of the nuisance's power added where it is projected out: lags of a low-pass input are nearly related."""
+
+_NOTHING_NEW = 1e-4
+"""Share of a signal below which what the nuisance leaves of it is rounding."""
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Correlation coefficients (lags,) and the covariance (lags, lags) that chance alone would give them.
+
+    NaN, and no part of the joint statements, where a lag carries nothing that could be tested. ``unrelated`` says that
+    the covariance is diagonal.
+    """
+
+    lags: Lags
+    correlation: Array
+    covariance: Array
+    unrelated: bool = False
+
+    @property
+    def std(self) -> Array:
+        """Standard deviation by chance at each lag, shape (lags,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def joint(self) -> tuple[float, float]:
+        """Chance of a lag as far out as the farthest, and the standard deviations that 5 % of all curves exceed."""
+        known = np.isfinite(self.correlation)
+        if not known.any():
+            return float("nan"), float("nan")
+        std = self.std[known]
+        farthest = float(np.max(np.abs(self.correlation[known]) / std))
+        if self.unrelated:
+            one = special.erfc(farthest / np.sqrt(2.0))  # for a single lag
+            return -float(np.expm1(std.size * np.log1p(-one))), float(
+                -special.ndtri((1.0 - LEVEL ** (1 / std.size)) / 2)
+            )
+        related = self.covariance[np.ix_(known, known)] / np.outer(std, std)
+        largest = _largest_of(related)
+        exceeded = 1.0 + float(np.sum(largest >= farthest))
+        return exceeded / (largest.size + 1.0), float(np.quantile(largest, LEVEL))
+
+
+def independent(lags: Lags, correlation: Array, std: Array) -> Scores:
+    """Scores of lags that chance leaves unrelated; all three of shape (lags,)."""
+    return Scores(lags, correlation, np.diag(std**2), unrelated=True)
+
+
+def _largest_of(related: Array) -> Array:
+    """Draws (draws,) of the largest modulus of Gaussian numbers of unit variance, so related (k, k)."""
+    values, vectors = linalg.eigh(related)
+    kept = values > 1e-9 * values[-1]
+    shape = (vectors[:, kept] * np.sqrt(values[kept])).astype(np.float32)  # (k, rank): single precision is plenty
+    unit = np.random.Generator(np.random.PCG64(0)).standard_normal((shape.shape[1], _DRAWS), dtype=np.float32)
+    return np.asarray(np.max(np.abs(shape @ unit), axis=0), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A whitened residual (n,) held against lags of whitened signals, worked as one matrix of products.
+
+    ``products`` are sums over ``n_rows`` samples of all columns: a constant, the nuisance lags, the lags of each
+    signal, and last the residual. Every column but the first and last was divided by its size, the nuisance by
+    ``nuisance_size``.
+    """
+
+    products: Array
+    nuisance: int
+    nuisance_size: float
+    signals: tuple[Lags, ...]
+    n_rows: int
+
+    def scores(self, which: int, extra: Array | None = None, widening: float = 1.0, project: bool = True) -> Scores:
+        """Scores of one signal. What the nuisance explains of it is taken out first, unless ``project`` is off.
+
+        ``extra`` (nuisance, nuisance) is the covariance of coefficients by which the residual may depend on the
+        nuisance lags; it counts where these are not projected out. ``widening`` multiplies the variance otherwise.
+        """
+        first = 1 + self.nuisance + sum(lags.size for lags in self.signals[:which])
+        some = slice(first, first + self.signals[which].size)
+        out = slice(0, 1 + self.nuisance if project else 1)
+        p = self.products
+        load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p[out, out]))))
+        load[0] = 0.0
+        weights = linalg.solve(p[out, out] + np.diag(load), p[out, some], assume_a="pos")  # (out, lags)
+        sums = p[some, -1] - weights.T @ p[out, -1]
+        shared = weights.T @ p[out, some]
+        left = p[some, some] - shared - shared.T + weights.T @ p[out, out] @ weights
+        covariance = widening * self.innovation_power * left
+        if extra is not None and not project:
+            answers = p[some, 1 : 1 + self.nuisance] - weights.T @ p[out, 1 : 1 + self.nuisance]  # (lags, nuisance)
+            covariance = covariance + self.nuisance_size**2 * answers @ extra @ answers.T
+        power = np.diag(p[some, some]) - p[some, 0] ** 2 / p[0, 0]
+        scale = np.sqrt(np.maximum(power, 0.0) * self.n_rows * self.innovation_power)
+        empty = np.diag(left) <= _NOTHING_NEW * power
+        scale[empty] = np.inf
+        correlation = np.where(empty, np.nan, sums / scale)
+        return Scores(self.signals[which], correlation, covariance / np.outer(scale, scale))
+
+    @property
+    def innovation_power(self) -> float:
+        """Variance of the whitened residual, less what the constant and the nuisance lags explain of it."""
+        out = slice(0, 1 + self.nuisance)
+        p = self.products
+        load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p[out, out]))))
+        load[0] = 0.0
+        inverse = linalg.inv(p[out, out] + np.diag(load))
+        explained = float(p[-1, out] @ inverse @ p[out, -1])
+        taken = float(np.sum(inverse * p[out, out].T))
+        return (float(p[-1, -1]) - explained) / max(1.0, self.n_rows - taken)
+
+
+def hold(
+    residual: Array, noise: Autoregression, nuisance: tuple[Array, int], signals: Sequence[tuple[Array, Lags]]
+) -> Held:
+    """Whiten a residual (n,) and all it is held against, and form the products.
+
+    ``nuisance`` is a signal (n,) and how many lags of it, from 0 on; each of ``signals`` is one (n,) and its lags, of
+    which negative ones look ahead. Samples at which any of it is unknown are left out.
+    """
+    columns = [(noise.whiten(nuisance[0]), np.arange(nuisance[1]))]
+    columns += [(noise.whiten(signal), lags) for signal, lags in signals]
+    sizes = [_rms(signal) for signal, _ in columns]
+    columns = [(signal / size, lags) for (signal, lags), size in zip(columns, sizes, strict=True)]
+    whitened = noise.innovations(residual)
+    rows = np.flatnonzero(_complete(whitened, columns))
+    width = 2 + sum(lags.size for _, lags in columns)
+    products = np.zeros((width, width))
+    for first in range(0, rows.size, ROWS_AT_ONCE):
+        block = rows[first : first + ROWS_AT_ONCE]
+        parts = [signal[block[:, None] - lags] for signal, lags in columns]
+        matrix = np.column_stack([np.ones(block.size), *parts, whitened[block]])  # (rows, width)
+        products += matrix.T @ matrix
+    return Held(products, nuisance[1], sizes[0], tuple(lags for _, lags in signals), int(rows.size))
+
+
+def _rms(signal: Array) -> float:
+    known = signal[np.isfinite(signal)]
+    size = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+    return size if size > 0.0 else 1.0
+
+
+def _complete(whitened: Array, columns: Sequence[tuple[Array, Lags]]) -> Mask:
+    """Samples (n,) whose residual is known and so are all lags of all signals."""
+    n = whitened.size
+    complete = np.isfinite(whitened)
+    for signal, lags in columns:
+        if lags.size == 0:
+            continue
+        missing = np.concatenate([[0], np.cumsum(~np.isfinite(signal))])
+        low, high = int(lags.min()), int(lags.max())
+        oldest, end = np.arange(n) - high, np.arange(n) - low + 1
+        inside = (oldest >= 0) & (end <= n)
+        complete &= inside
+        complete[inside] &= missing[end[inside]] == missing[oldest[inside]]
+    return complete
+
+
+@dataclass(frozen=True, eq=False)
+class KernelError:
+    """How far a linear kernel fitted by least squares to so many samples is off, and what that does to residuals.
+
+    ``covariance`` (lags, lags) is that of the kernel. ``excess`` (length,) is the correlation coefficient that the
+    error of the kernel leaves in residuals of other samples at lags 0, 1, ...; in those of the fitted samples it is
+    ``deficit``, which at lag 0 is what a fit takes from their variance.
+    """
+
+    covariance: Array
+    excess: Array
+    deficit: Array
+
+
+def kernel_error(x: Array, noise: Autoregression, lags: int, fitted: int, length: int) -> KernelError:
+    """What a fit of so many lags to ``fitted`` samples of an input such as x (n,; NaN unknown) leaves behind.
+
+    The covariance is inv(R) S inv(R) / fitted, with S from the product of the spectra of the input and of the noise.
+    """
+    known = np.isfinite(x)
+    filled = np.where(known, x - np.mean(x[known]), 0.0)
+    size = fft.next_fast_len(filled.size + lags + length, real=True)
+    power = np.abs(fft.rfft(filled, size)) ** 2 / known.sum()
+    auto = fft.irfft(power, size)[: lags + length]
+    filtered = np.abs(fft.rfft(np.concatenate([[1.0], -noise.coefficients]), size)) ** 2
+    score = fft.irfft(power * noise.innovation_std**2 / filtered, size)[:lags]
+    r = linalg.toeplitz(auto[:lags])
+    inverse = linalg.inv(r + 1e-5 * auto[0] * np.eye(lags))
+    covariance = inverse @ linalg.toeplitz(score) @ inverse / fitted
+    both = inverse @ r @ inverse
+    excess = _through_lags(both, auto, length) / fitted
+    return KernelError(
+        covariance=covariance,
+        excess=excess,
+        deficit=2.0 * _through_lags(inverse, auto, length) / fitted - excess,
+    )
+
+
+def _through_lags(form: Array, auto: Array, length: int) -> Array:
+    """Trace of a symmetric form (m, m) with the lagged correlation matrices of an input, at lags 0 .. length - 1."""
+    m = form.shape[0]
+    along = np.array([np.trace(form, offset=d) for d in range(m)])  # sums of diagonals
+    both_sides = np.concatenate([along[:0:-1], along])  # (2 m - 1,)
+    symmetric = np.concatenate([auto[:0:-1], auto])
+    centre = auto.size - 1
+    return np.array(
+        [float(both_sides @ symmetric[centre + k - m + 1 : centre + k + m]) for k in range(length)], dtype=np.float64
+    )

@@ -1,0 +1,284 @@
+"""What a residual still holds: tests of a model on a record, with bands of the right size.
+
+Linear and higher-order correlations (Billings and Voon 1986; Billings and Zhu 1994) of the residual with itself, the
+input, and the model's own output. A right model leaves a residual unrelated to the input; which test finds otherwise
+says what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import special
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Mask, Model
+from tissueid.identification.correlation import Correlator
+from tissueid.identification.validation import scored_samples
+from tissueid.identification.validation.autoregression import fit_autoregression
+from tissueid.identification.validation.residual_scores import (
+    LEVEL,
+    KernelError,
+    Lags,
+    Scores,
+    hold,
+    independent,
+    kernel_error,
+)
+from tissueid.records import Record
+
+TestName = Literal[
+    "autocorrelation",
+    "input",
+    "feedback",
+    "squared_input",
+    "squared_output",
+    "squared_speed",
+    "cubed_output",
+    "residual_size_input",
+    "residual_size_squared_input",
+    "residual_input_product",
+]
+
+MEANINGS: dict[TestName, str] = {
+    "autocorrelation": "what is left hangs together from sample to sample: coloured noise or missing dynamics; by "
+    "itself no fault of a simulation, but deviations that assume white noise are too small",
+    "input": "what is left answers the input in a straight line: dynamics are missing, or the memory is too short",
+    "feedback": "what is left foretells the input: the input answers the output, and any fit to it is biased",
+    "squared_input": "what is left answers the square of the input: an even nonlinearity is missing",
+    "squared_output": "what is left answers the square of the depth: a stiffness that changes with depth is missing",
+    "squared_speed": "what is left answers the square of the speed: a damping that differs by direction is missing",
+    "cubed_output": "what is left answers the cube of the depth: an odd nonlinearity is missing, alike on both sides",
+    "residual_size_input": "what is left is larger at one end of the input: the model is worse there, or the noise "
+    "depends on the load",
+    "residual_size_squared_input": "what is left is larger at large inputs: a nonlinearity of high order is missing, "
+    "or the noise depends on the load",
+    "residual_input_product": "how far what is left hangs together depends on the input: its dynamics change with load",
+}
+"""What each test says when it fails."""
+
+_MOST_LAGS = 64
+"""Lags of the tests with nuisance and of the higher orders, at most."""
+
+_Z = 1.959964
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTest:
+    """One test. ``lag_s``, ``correlation`` and ``band`` have shape (lags,).
+
+    ``correlation`` is a coefficient between -1 and 1 of signals made white alike; NaN where a lag can tell nothing.
+    ``band`` is what a single lag exceeds one time in twenty by chance, ``overall_band`` what any lag does.
+    ``p_value`` is the chance of a lag as far out as the farthest; ``adjusted_p_value`` allows for how many tests there
+    are (Holm 1979). Both are None where nothing could be tested.
+    """
+
+    name: TestName
+    lag_s: Array
+    correlation: Array
+    band: Array
+    overall_band: Array
+    p_value: float | None
+    adjusted_p_value: float | None
+    meaning: str
+
+    @property
+    def passed(self) -> bool | None:
+        """False at p below 5 % of this test alone; None where nothing could be tested."""
+        return None if self.p_value is None else self.p_value >= 1.0 - LEVEL
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTests:
+    """All tests of one model on one record, in the order of ``MEANINGS``.
+
+    ``noise_order`` is the order of the autoregression that made the residual white. ``findings`` says what the tests
+    found that chance would not bring in one of twenty right models.
+    """
+
+    tests: tuple[ResidualTest, ...]
+    n_samples: int
+    noise_order: int
+    in_sample: bool
+    findings: tuple[str, ...]
+
+    def __getitem__(self, name: TestName) -> ResidualTest:
+        """The test of that name."""
+        return next(test for test in self.tests if test.name == name)
+
+
+def residual_tests(
+    model: Model, record: Record, part: slice | None = None, *, in_sample: bool = False, scheduled: bool = False
+) -> ResidualTests:
+    """Test what a model leaves of a record, or of a contiguous part of it.
+
+    Held-out samples are what these tests are for: there the size of each is right. The uncertainty of a fitted linear
+    kernel is allowed for, as known from ``model.report.n_samples``; that of nonlinear parameters is taken at its
+    largest, which makes the tests of the square and the cube cautious for nonlinear models.
+
+    Args:
+        model: any model.
+        record: the data; inputs before the part still count as memory.
+        part: contiguous part to test.
+        in_sample: the samples are the fitted ones. Then the test against the input says nothing for a model with a free
+            kernel, whose fit made that correlation nil, and is left out.
+        scheduled: take the simulation that chooses its kernel by the measured output.
+
+    Raises:
+        UnusableInputError: another sample rate, a model without a schedule, or too few samples for the memory.
+    """
+    model.check_rate(record)
+    simulated = model.simulate_scheduled(record) if scheduled else model.simulate(record.input)
+    if simulated is None:
+        raise UnusableInputError("this model does not choose by the measured output: test its free run")
+    memory = model.memory_samples
+    used = scored_samples(record, memory, part) & np.isfinite(simulated)
+    count = int(used.sum())
+    if count < 4 * min(memory, _MOST_LAGS) + 2 * memory:
+        raise UnusableInputError(
+            f"{count} residuals are too few to test a memory of {memory} samples: give a longer part"
+        )
+    residual = np.where(used, record.output - simulated, np.nan)
+    x = record.input - float(np.mean(record.input[used]))
+    y = simulated - float(np.mean(simulated[used]))
+    noise = fit_autoregression(residual)
+    short = np.arange(max(2, min(memory, _MOST_LAGS, count // 20)))
+    long = np.arange(memory + min(memory, _MOST_LAGS, count // 20))  # past the memory too: it may be too short
+    speed = np.concatenate([[np.nan], np.diff(y)])
+    held = hold(
+        residual,
+        noise,
+        (x, long.size),
+        [(x, long), (x**2, short), (y**2, short), (speed**2, short), (y**3, short), (x, -1 - short[: short.size // 2])],
+    )
+    size = _normal_scores(np.abs(residual - noise.mean))
+    sized = hold(size, fit_autoregression(size), (x, 0), [(x, short), (x**2, short)])
+
+    fitted = max(1, model.report.n_samples)
+    error = kernel_error(x, noise, memory, fitted, memory + 1)
+    share = _share(model, x)
+    free = model.report.n_parameters >= memory
+    straight = in_sample or _is_straight(model, record.input, simulated, used)
+    widening = 1.0 if straight else 1.0 + held.n_rows / fitted
+    unknown = np.zeros((long.size, long.size))
+    if not in_sample:
+        unknown[:memory, :memory] = min(1.0, share) * error.covariance
+    scores: dict[TestName, Scores | None] = {
+        "autocorrelation": _autocorrelation(residual, np.arange(1, memory + 1), error, share, in_sample),
+        "input": None if in_sample and free else held.scores(0, unknown, project=False),
+        "feedback": held.scores(5),
+        "squared_input": held.scores(1, widening=widening),
+        "squared_output": held.scores(2, widening=widening),
+        "squared_speed": held.scores(3, widening=widening),
+        "cubed_output": held.scores(4, widening=widening),
+        "residual_size_input": sized.scores(0),
+        "residual_size_squared_input": sized.scores(1),
+        "residual_input_product": _product(noise.innovations(residual), x, short + 1),
+    }
+    tests = _judged(scores, record.sample_rate_hz)
+    return ResidualTests(tests, count, noise.order, in_sample, _findings(tests))
+
+
+def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: float, in_sample: bool) -> Scores:
+    """Correlation of a residual (n,) with its past, less what the error of the fitted kernel leaves in it."""
+    known = np.isfinite(residual)
+    centred = np.where(known, residual - np.mean(residual[known]), 0.0)
+    length = int(lags[-1]) + 1
+    pairs = np.maximum(1.0, np.round(Correlator(known.astype(np.float64), length).auto() * known.size))[lags]
+    auto = Correlator(centred, length).auto() * known.size
+    left = (-share * error.deficit) if in_sample else share * error.excess
+    correlation = auto[lags] / pairs / (auto[0] / known.sum()) - left[lags] / (1.0 + left[0])
+    return independent(lags, correlation, 1.0 / np.sqrt(pairs))
+
+
+def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
+    """Innovation e[n] of the residual (n,) against e[n - k] x[n - k], the product of Billings and Voon.
+
+    The terms of each sum are unrelated to one another when the innovation is white and knows nothing of the input.
+    """
+    carried = innovation * x
+    rows = np.arange(int(lags[-1]), innovation.size)
+    before = carried[rows[:, None] - lags]  # (rows, lags)
+    known = np.isfinite(before).all(axis=1) & np.isfinite(innovation[rows])
+    before, now = before[known], innovation[rows][known]
+    power = float(np.mean(now**2))
+    scale = np.sqrt(power * now.size * np.sum(before**2, axis=0))
+    return Scores(lags, now @ before / scale, power * before.T @ before / np.outer(scale, scale))
+
+
+def _normal_scores(values: Array) -> Array:
+    """Values (n,) put on a normal distribution by their ranks; NaN stay.
+
+    Squares of residuals have long tails, and sums of them are not yet normal after a few thousand samples.
+    """
+    known = np.isfinite(values)
+    scores = np.full(values.size, np.nan)
+    ranks = np.empty(int(known.sum()))
+    ranks[np.argsort(values[known])] = np.arange(1.0, ranks.size + 1.0)
+    scores[known] = special.ndtri((ranks - 0.5) / ranks.size)
+    return scores
+
+
+def _share(model: Model, x: Array) -> float:
+    """Parameters for each direction of the linear kernel's error: one for a free kernel, less for a few numbers."""
+    parameters, memory = model.report.n_parameters, model.memory_samples
+    if parameters >= memory:
+        return parameters / memory
+    column = Correlator(np.where(np.isfinite(x), x, 0.0), memory).auto()
+    squares = memory * column[0] ** 2 + 2.0 * float((memory - np.arange(1, memory)) @ column[1:] ** 2)
+    directions = (memory * column[0]) ** 2 / squares
+    return float(min(1.0, parameters / directions))
+
+
+def _is_straight(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
+    """Whether half the input's excursions give half the output's."""
+    middle = float(np.mean(u[used]))
+    half = model.simulate(middle + 0.5 * (u - middle))[used]
+    rest = model.simulate(np.full(u.size, middle))[used]
+    off = half - 0.5 * (simulated[used] + rest)
+    return bool(np.nanmax(np.abs(off)) <= 1e-6 * np.std(simulated[used]))
+
+
+def _judged(scores: dict[TestName, Scores | None], rate: float) -> tuple[ResidualTest, ...]:
+    joint = {name: found.joint() for name, found in scores.items() if found is not None}
+    p_values = {name: p for name, (p, _) in joint.items() if np.isfinite(p)}
+    adjusted = _holm(p_values)
+    tests = []
+    for name, meaning in MEANINGS.items():
+        found = scores[name]
+        none = np.zeros(0)
+        std = none if found is None else found.std
+        tests.append(
+            ResidualTest(
+                name=name,
+                lag_s=none if found is None else found.lags / rate,
+                correlation=none if found is None else found.correlation,
+                band=_Z * std,
+                overall_band=none if found is None else joint[name][1] * std,
+                p_value=p_values.get(name),
+                adjusted_p_value=adjusted.get(name),
+                meaning=meaning,
+            )
+        )
+    return tuple(tests)
+
+
+def _holm(p_values: dict[TestName, float]) -> dict[TestName, float]:
+    """p-values that allow for how many there are (Holm 1979)."""
+    adjusted: dict[TestName, float] = {}
+    largest = 0.0
+    for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[name]))
+        adjusted[name] = largest
+    return adjusted
+
+
+def _findings(tests: Sequence[ResidualTest]) -> tuple[str, ...]:
+    failed = [test for test in tests if test.adjusted_p_value is not None and test.adjusted_p_value < 1.0 - LEVEL]
+    found = tuple(test.meaning for test in failed)
+    if any(test.name != "autocorrelation" for test in failed):
+        return found
+    return (*found, "what is left is unrelated to the input as far as these tests see: the model lacks nothing here")
