@@ -1,0 +1,259 @@
+"""Volterra kernels: exactly as the thesis solves for them, regularised, or in a Laguerre basis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine, FitReport
+from tissueid.identification.family import Family
+from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.volterra.methods import Solved, exactly, in_laguerre_functions, with_prior
+from tissueid.identification.volterra.model import VolterraModel
+from tissueid.identification.volterra.regressors import VolterraRegressors, coefficient_count
+from tissueid.identification.volterra.smoothing import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
+from tissueid.identification.volterra.stimulus import VolterraStimulus, factor_stimulus
+from tissueid.identification.volterra.structure import kernel_structure
+from tissueid.records import Record
+
+_MOST_COEFFICIENTS = 6000
+"""The exact route holds a matrix of this many rows and columns, and no more."""
+
+_MOST_LAGS_DRAWN = 64
+"""Beyond so many lags the bands of a kernel's signature take longer to draw than the kernels to fit."""
+
+_WHITE_ENOUGH = 0.1
+"""Below this whiteness a raw second-order kernel's standard deviations are ten times those under a white input."""
+
+
+@engine
+class Volterra(Engine):
+    """Kernels of order 0 to 3 (Chen 2010, chapter 4): any nonlinearity with a fading memory, for small enough inputs.
+
+    Assumes a response over within ``memory`` and output noise unrelated to the input; nothing about structure.
+    """
+
+    name: ClassVar[str] = "volterra"
+    family: ClassVar[Family] = Family.KERNELS
+
+    memory: float = Field(0.06, gt=0.0, le=10.0, description="How long the kernels last, s")
+    order: int = Field(2, ge=0, le=3, description="Highest order of the kernels")
+    method: Literal["regularised", "exact", "laguerre"] = Field(
+        "regularised",
+        description="Kernels that are smooth and die away as far as the record bears it out, plain least squares, or "
+        "sums of Laguerre functions",
+    )
+    downsample: int | None = Field(
+        None, ge=1, le=1000, description="Samples between the lags of the kernels; chosen by the input when not given"
+    )
+    rows: Literal["every", "downsampled"] = Field(
+        "every", description="Fit every sample, or only as many as there are lags in time, as the thesis does"
+    )
+    smoothing: float | None = Field(
+        None,
+        gt=0.0,
+        le=1000.0,
+        description="Width of the Gaussian low-pass on the second-order kernel in samples of its transform; thesis: 15",
+    )
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    def fit(
+        self, record: Record, fit_part: slice | None = None, *, stimulus: VolterraStimulus | None = None
+    ) -> VolterraModel:
+        """Fit the kernels to a record, or to a contiguous part of it.
+
+        Args:
+            record: the data.
+            fit_part: the part to fit; all of it when None.
+            stimulus: what :meth:`factored` gave for the same input, with which an exact fit costs a solve.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, more coefficients than
+                the exact route can hold, or the stimulus of another input.
+        """
+        grid, prepared = self._prepared(record, fit_part)
+        x = record.input - prepared.input_mean
+        solved = self._solved(x, record.output, record.sample_rate_hz, prepared, grid, stimulus)
+        white = self._whiteness(x, prepared, grid)
+        warnings = [*prepared.warnings, *solved.warnings, *self._doubts(solved, white, prepared, grid)]
+        second_order = fit_second_order(record, prepared.used, self.hold) if self.order else None
+        if second_order is not None:
+            warnings += second_order.warnings
+        per_second = record.sample_rate_hz / grid.spacing
+        model = VolterraModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(prepared.used.sum()),
+                n_parameters=math.ceil(solved.parameters),
+                vaf_percent=math.nan,
+                parameters={} if second_order is None else second_order.parameters,
+                warnings=tuple(warnings),
+                findings=self._signature(solved),
+                details=solved.details
+                | {"lags": float(grid.lags), "lag_spacing": float(grid.spacing)}
+                | ({} if white is None else {"input_whiteness": white}),
+            ),
+            sample_rate_hz=record.sample_rate_hz,
+            memory_samples=grid.memory_samples,
+            order=self.order,
+            kernel0=solved.kernels.zeroth,
+            kernel1=_scaled(solved.kernels.first, per_second),
+            kernel2=_scaled(solved.kernels.second, per_second**2),
+            kernel3=_scaled(solved.kernels.third, per_second**3),
+            kernel1_std=_scaled(solved.kernel1_std, per_second),
+            kernel2_std=_scaled(solved.kernel2_std, per_second**2),
+            lag_s=np.arange(grid.lags) * grid.spacing / record.sample_rate_hz,
+            lag_spacing=grid.spacing,
+            input_mean=prepared.input_mean,
+            second_order=second_order,
+        )
+        model = _scored(model, record, prepared, solved.parameters)
+        if self.smoothing is None or model.kernel2 is None:
+            return model
+        filtered = replace(model, kernel2=smoothed(model.kernel2, self.smoothing), kernel2_std=None, unfiltered=model)
+        filtered = _scored(filtered, record, prepared, solved.parameters)
+        unfiltered_vaf = {"vaf_unfiltered_percent": model.report.vaf_percent}
+        return filtered.with_report(details=filtered.report.details | unfiltered_vaf)
+
+    def factored(self, record: Record, fit_part: slice | None = None) -> VolterraStimulus:
+        """Work the input side once, for any number of responses to the same input (4.1.2).
+
+        Raises:
+            UnusableInputError: as :meth:`fit`.
+        """
+        grid, prepared = self._prepared(record, fit_part)
+        return self._factored(record.input - prepared.input_mean, prepared, grid)
+
+    def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared]:
+        """The lags, and the record looked over for as many samples as they need."""
+        rate = record.sample_rate_hz
+        first = prepare(record, fit_part, 1.0 / rate, 1)  # whether there is an input to space the lags by
+        inside = record.input[first.part] - first.input_mean
+        if memory_in_samples(self.memory, rate) > inside.size:
+            raise UnusableInputError(
+                f"the memory of {self.memory:g} s is longer than the {inside.size / rate:g} s of record to fit"
+            )
+        grid = (
+            automatic_grid(self.memory, inside, rate)
+            if self.downsample is None
+            else lag_grid(self.memory, rate, self.downsample)
+        )
+        least = coefficient_count(grid.lags, self.order if self._exact else min(self.order, 1))
+        prepared = prepare(record, fit_part, grid.memory_samples / rate, least)
+        rows = self._rows(prepared, grid)
+        if rows < least:
+            raise UnusableInputError(
+                f"{rows} downsampled rows cannot carry {least} parameters: fit every row, record longer, or shorten "
+                "the memory"
+            )
+        return grid, prepared
+
+    def _step(self, grid: LagGrid) -> int:
+        """Samples from one row to the next."""
+        return 1 if self.rows == "every" else grid.spacing
+
+    def _rows(self, prepared: Prepared, grid: LagGrid) -> int:
+        return int(prepared.used[:: self._step(grid)].sum())
+
+    @property
+    def _exact(self) -> bool:
+        return self.method == "exact" or self.order == 0
+
+    def _factored(self, x: Array, prepared: Prepared, grid: LagGrid) -> VolterraStimulus:
+        coefficients = coefficient_count(grid.lags, self.order)
+        if coefficients > _MOST_COEFFICIENTS:
+            raise UnusableInputError(
+                f"{coefficients} coefficients are too many for the exact route: shorten the memory, downsample, "
+                "or take regularised kernels"
+            )
+        step = self._step(grid)
+        return factor_stimulus(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order)
+
+    def _solved(
+        self,
+        x: Array,
+        y: Array,
+        rate: float,
+        prepared: Prepared,
+        grid: LagGrid,
+        stimulus: VolterraStimulus | None,
+    ) -> Solved:
+        step = self._step(grid)
+        if not self._exact:
+            regressors = VolterraRegressors(
+                x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order
+            )
+            solve = with_prior if self.method == "regularised" else in_laguerre_functions
+            return solve(regressors, y[::step])
+        if stimulus is None:
+            stimulus = self._factored(x, prepared, grid)
+        elif not stimulus.matches(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order):
+            raise UnusableInputError("the factored stimulus is of another input, part or set of options")
+        return exactly(stimulus, y[::step], rate / step)
+
+    def _whiteness(self, x: Array, prepared: Prepared, grid: LagGrid) -> float | None:
+        if self.order == 0:
+            return None
+        products = VolterraRegressors(x, prepared.used, grid.lags, grid.spacing, 1).gram()
+        return whiteness(products[1:, 1:] / products[0, 0])
+
+    def _signature(self, solved: Solved) -> tuple[str, ...]:
+        """What the shape of the second-order kernel says of the structure; raw kernels are too rough to be asked."""
+        kernels = solved.kernels
+        if self.method != "regularised" or kernels.first is None or kernels.second is None:
+            return ()
+        std = solved.kernel2_std
+        if std is not None and (kernels.first.size > _MOST_LAGS_DRAWN or not np.all(np.isfinite(std))):
+            std = None
+        return (kernel_structure(kernels.first, kernels.second, solved.kernel1_std, std).sentence,)
+
+    def _doubts(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
+        """What a reader should know before trusting the answer."""
+        doubts = []
+        rows, spent = self._rows(prepared, grid), math.ceil(solved.parameters)
+        told = (self._exact and self.rows == "every") or self.method == "laguerre"
+        if rows < SAMPLES_PER_PARAMETER * spent and not told:
+            doubts.append(
+                f"{rows} rows for {spent} parameters is fewer than {SAMPLES_PER_PARAMETER} each: record longer, or "
+                "shorten the memory"
+            )
+        if solved.kernels.first is not None:
+            doubts += doubt_memory(solved.kernels.first)
+        raw = self._exact and self.order >= 2 and self.smoothing is None
+        if raw and white is not None and white < _WHITE_ENOUGH:
+            doubts.append(
+                f"the input is far from white at these lags: the second-order kernel is about {1.0 / white:.0f} times "
+                "noisier than under a white one and cannot be read as it stands: regularise it, smooth it, or widen "
+                "the spacing of the lags"
+            )
+        return doubts
+
+
+def _scaled(values: Array | None, factor: float) -> Array | None:
+    return None if values is None else values * factor
+
+
+def _scored(model: VolterraModel, record: Record, prepared: Prepared, parameters: float) -> VolterraModel:
+    """The model with its scores on the fitted samples."""
+    used = prepared.used
+    modelled = model.simulate(record.input)
+    residuals = np.where(used, record.output - modelled, np.nan)
+    return model.with_report(
+        vaf_percent=vaf_percent(record.output[used], modelled[used]) if model.order else 0.0,
+        aic=aic(residuals, math.ceil(parameters)),
+        aicc=aicc(residuals, math.ceil(parameters)),
+    )

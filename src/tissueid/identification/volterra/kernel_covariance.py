@@ -1,0 +1,98 @@
+"""Prior covariances of Volterra kernels that are smooth and die away.
+
+For h1 the diagonal/correlated form of Chen, Ohlsson and Ljung (2012), for h2 that of Birpoutsoukis, Marconato, Lataire
+and Schoukens (2017), turned by 45 degrees: decay and correlation along the diagonal and across it, each with its own.
+In place of their exponential correlation stands Matern's of order 3/2: its kernels have a slope everywhere, as the
+response of a mass has, and the marginal likelihood prefers it clearly on measured tissue.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.identification.base import Array
+from tissueid.identification.volterra.kernel_covariance_loops import fill_pairs, gather_pairs
+
+FIRST = 3
+"""How many hyperparameters the covariance of h1 has; that of h2 has five."""
+
+Tables = tuple[Array, Array, Array]
+"""A covariance, and its derivatives by the logarithms of decay and correlation rate."""
+
+
+def matern(distance: Array, rate: float) -> tuple[Array, Array]:
+    """Matern correlation of order 3/2 and its derivative by the logarithm of ``rate``, shape of ``distance``."""
+    reach = rate * distance
+    fading = np.exp(-reach)
+    return (1.0 + reach) * fading, -(reach**2) * fading
+
+
+class FirstOrderCovariance:
+    """Covariance of h1 at lags 0 .. L - 1: c exp(-a (i + j)) r(b |i - j|), of log c, log a, log b; rates per lag."""
+
+    def __init__(self, lags: int) -> None:
+        self._lag = np.arange(float(lags))
+
+    def matrix(self, log_hyper: Array) -> Array:
+        """Covariance (L, L)."""
+        scale, decay, rate = np.exp(log_hyper)
+        return _separable(self._lag, scale, decay, rate)[0]
+
+    def slopes(self, log_hyper: Array, weight: Array) -> Array:
+        """Derivatives (3,) of sum(weight * covariance), for a symmetric weight (L, L)."""
+        scale, decay, rate = np.exp(log_hyper)
+        return np.array([np.vdot(weight, table) for table in _separable(self._lag, scale, decay, rate)])
+
+
+class SecondOrderCovariance:
+    """Covariance of the upper triangle of h2, row by row, from L lags.
+
+    With u = (i + j) / 2 along the diagonal and v = |i - j| across it, c exp(-a_u (u + u')) r(b_u |u - u'|)
+    exp(-a_v (v + v')) r(b_v |v - v'|), of the logarithms of c, a_u, b_u, a_v, b_v; rates per lag.
+    """
+
+    def __init__(self, lags: int) -> None:
+        row, column = np.triu_indices(lags)
+        self._twice_along: NDArray[np.intp] = row + column
+        self._across: NDArray[np.intp] = column - row
+        self._along_lag, self._across_lag = 0.5 * np.arange(2.0 * lags - 1.0), np.arange(float(lags))
+
+    def matrix(self, log_hyper: Array) -> Array:
+        """Covariance (p, p), p = L (L + 1) / 2."""
+        along, across = self._tables(log_hyper)
+        return np.asarray(fill_pairs(along[0], across[0], self._twice_along, self._across))
+
+    def variance(self, log_hyper: Array) -> Array:
+        """Diagonal (p,) of the covariance."""
+        scale, along_decay, _, across_decay, _ = np.exp(log_hyper)
+        return np.asarray(scale * np.exp(-along_decay * self._twice_along - 2.0 * across_decay * self._across))
+
+    def slopes(self, log_hyper: Array, weight: Array) -> Array:
+        """Derivatives (5,) of sum(weight * covariance), for a symmetric weight (p, p)."""
+        along, across = self._tables(log_hyper)
+        by_along, by_across = gather_pairs(weight, along[0], across[0], self._twice_along, self._across)
+        return np.array(
+            [
+                np.vdot(by_along, along[0]),
+                np.vdot(by_along, along[1]),
+                np.vdot(by_along, along[2]),
+                np.vdot(by_across, across[1]),
+                np.vdot(by_across, across[2]),
+            ]
+        )
+
+    def _tables(self, log_hyper: Array) -> tuple[Tables, Tables]:
+        scale, along_decay, along_rate, across_decay, across_rate = np.exp(log_hyper)
+        return (
+            _separable(self._along_lag, scale, along_decay, along_rate),
+            _separable(self._across_lag, 1.0, across_decay, across_rate),
+        )
+
+
+def _separable(lag: Array, scale: float, decay: float, rate: float) -> Tables:
+    """scale exp(-decay (t + t')) r(rate |t - t'|) at the places t, and its derivatives by log decay and log rate."""
+    fading = np.exp(-decay * lag)
+    size = scale * fading[:, None] * fading
+    correlation, slope = matern(np.abs(lag[:, None] - lag), rate)
+    return size * correlation, -decay * (lag[:, None] + lag) * size * correlation, size * slope

@@ -1,0 +1,317 @@
+"""Volterra kernels as sums of discrete Laguerre functions (Marmarelis 1993).
+
+A handful of functions that ring out like the system itself replace one coefficient a lag: Q + Q (Q + 1) / 2 + ...
+with Q about ten, whatever the memory. How fast they ring out (the pole) and how many there are is decided by what each
+of five stretches of the record says of the kernels that the other four led to: a coloured residual buys no functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement, pairwise, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, ndimage, signal
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.dependence import long_run_covariance
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER
+
+MOST_FUNCTIONS = {1: 16, 2: 12, 3: 9}
+"""Functions tried for kernels of first, second and third order."""
+
+_STRETCHES = 5
+_POLES = 9
+_NARROWINGS = 3
+_RIDGE = 1e-12
+
+_MORE = 4
+"""Functions beyond those of an expansion by which the error of cutting it off is judged."""
+
+_NEIGHBOURS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class LaguerreKernels:
+    """Volterra kernels in output units per input units, per lag, and the expansion that they come from.
+
+    ``kernel1`` has shape (L,), ``kernel2`` (L, L), ``kernel3`` (L, L, L), symmetric, None above the order. Standard
+    deviations have the shape of their kernel; they hold the noise, of any colour, and what cutting off the sum costs.
+    ``functions`` has shape (L, Q), ``coefficients`` (p,): the constant, one a function, one a pair, one a triple of
+    functions in the order of ``combinations_with_replacement``. ``n_parameters`` counts the pole too.
+    ``held_out_percent`` is the variance accounted for in the stretches of the record that were left out in turn.
+    """
+
+    kernel0: float
+    kernel1: Array
+    kernel2: Array | None
+    kernel3: Array | None
+    kernel0_std: float
+    kernel1_std: Array
+    kernel2_std: Array | None
+    functions: Array
+    coefficients: Array
+    coefficients_std: Array
+    pole: float
+    n_parameters: int
+    held_out_percent: float
+    warnings: tuple[str, ...] = ()
+
+
+def laguerre_functions(lags: int, count: int, pole: float) -> Array:
+    """The first ``count`` discrete Laguerre functions at lags 0 .. L - 1, shape (L, count).
+
+    Orthonormal over infinitely many lags. ``pole``, from 0 to under 1, is what is left of the first after one lag. Each
+    comes from the one before by an all-pass filter, which is stable however many there are.
+    """
+    impulse = np.zeros(lags)
+    impulse[0] = 1.0
+    functions = np.empty((lags, count))
+    functions[:, 0] = signal.lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], impulse)
+    for k in range(1, count):
+        functions[:, k] = signal.lfilter([-pole, 1.0], [1.0, -pole], functions[:, k - 1])
+    return functions
+
+
+def laguerre_kernels(
+    x: Array,
+    y: Array,
+    used: Mask,
+    lags: int,
+    spacing: int,
+    order: int,
+    *,
+    functions: int | None = None,
+    pole: float | None = None,
+) -> LaguerreKernels:
+    """Kernels of order 0 to ``order`` (1, 2 or 3) by least squares on Laguerre functions.
+
+    Args:
+        x: input (n,), its mean removed.
+        y: output (n,).
+        used: the samples (n,) that are rows; every input of their memory must have been received.
+        lags: L, how many lags a kernel has; the functions are cut off there.
+        spacing: samples from one lag to the next.
+        order: of the highest kernel.
+        functions: how many, None to choose.
+        pole: of the functions, None to choose.
+
+    Raises:
+        UnusableInputError: the order is not 1 to 3, the pole not from 0 to under 1, or too few rows.
+    """
+    if order not in MOST_FUNCTIONS:
+        raise UnusableInputError(f"a Laguerre expansion is for kernels of order 1, 2 or 3, not {order}")
+    if pole is not None and not 0.0 <= pole < 1.0:
+        raise UnusableInputError(f"the pole of Laguerre functions must be at least 0 and under 1, not {pole:g}")
+    if functions is not None and not 1 <= functions <= lags:
+        raise UnusableInputError(f"{lags} lags cannot tell {functions} Laguerre functions apart: take 1 to {lags}")
+    rows = np.flatnonzero(used)
+    most = min(lags, MOST_FUNCTIONS[order]) if functions is None else functions
+    while functions is None and most > 1 and _count(most, order) * SAMPLES_PER_PARAMETER > rows.size:
+        most -= 1
+    if rows.size < max(_count(most, order), 2 * _STRETCHES):
+        raise UnusableInputError(
+            f"{rows.size} rows cannot carry {_count(most, order)} coefficients: record longer, or take fewer functions"
+        )
+    trial = _Trial(np.where(np.isfinite(x), x, 0.0), y[rows] - y[rows].mean(), rows, lags, spacing, order)
+    counts = range(1, most + 1) if functions is None else [functions]
+    pole, count, left = _choose(trial, counts, pole)
+    return _solve(trial, count, pole, 100.0 * (1.0 - left), float(y[rows].mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A record to try expansions on: input (n,), output (rows,) less its mean, the rows."""
+
+    x: Array
+    output: Array
+    rows: NDArray[np.intp]
+    lags: int
+    spacing: int
+    order: int
+
+    def regressors(self, functions: Array) -> Array:
+        """Products of the inputs filtered by the functions (L, Q), shape (rows, p)."""
+        taps = np.zeros(((self.lags - 1) * self.spacing + 1, functions.shape[1]))
+        taps[:: self.spacing] = functions
+        filtered = signal.oaconvolve(self.x[:, None], taps, axes=0)[self.rows]  # (rows, Q)
+        columns = [np.ones((self.rows.size, 1)), filtered]
+        for degree in range(2, self.order + 1):
+            column = np.array(list(combinations_with_replacement(range(functions.shape[1]), degree))).T
+            product = filtered[:, column[0]]
+            for factor in column[1:]:
+                product = product * filtered[:, factor]
+            columns.append(product)
+        return np.concatenate(columns, axis=1)
+
+    def held_out(self, pole: float, counts: Sequence[int]) -> Array:
+        """Share of the output's power that is missed in stretches left out in turn, for each number of functions."""
+        most = max(counts)
+        regressors = self.regressors(laguerre_functions(self.lags, most, pole))
+        size = np.sqrt(np.mean(regressors**2, axis=0))
+        regressors = regressors / np.where(size > 0.0, size, 1.0)
+        edges = np.linspace(0, self.rows.size, _STRETCHES + 1).astype(int)
+        parts = [slice(a, b) for a, b in pairwise(edges)]
+        grams = [regressors[part].T @ regressors[part] for part in parts]
+        rights = [regressors[part].T @ self.output[part] for part in parts]
+        powers = [float(self.output[part] @ self.output[part]) for part in parts]
+        gram, right = sum(grams, np.zeros_like(grams[0])), sum(rights, np.zeros_like(rights[0]))
+        highest = _highest(most, self.order)
+        missed = np.zeros(len(counts))
+        for place, count in enumerate(counts):
+            some = np.flatnonzero(highest < count)
+            ridge = _RIDGE * self.rows.size * np.eye(some.size)
+            for own, by_output, power in zip(grams, rights, powers, strict=True):
+                rest = (gram - own)[np.ix_(some, some)] + ridge
+                fitted = linalg.lstsq(rest, (right - by_output)[some], check_finite=False)[0]
+                missed[place] += power - 2.0 * fitted @ by_output[some] + fitted @ own[np.ix_(some, some)] @ fitted
+        return missed / sum(powers)
+
+
+def _choose(trial: _Trial, counts: Sequence[int], pole: float | None) -> tuple[float, int, float]:
+    """Pole and number of functions that miss least in what is left out, and the share that they miss."""
+    counts = list(counts)
+    tried: dict[float, Array] = {}
+    # The slowest function worth trying has died to a tenth at the end of the memory.
+    highest = 0.1 ** (1.0 / max(2, trial.lags))
+    poles = [pole] if pole is not None else list(np.linspace(0.05, highest, _POLES))
+    for candidate in poles:
+        tried[candidate] = trial.held_out(candidate, counts)
+    step = poles[1] - poles[0] if len(poles) > 1 else 0.0
+    for _ in range(_NARROWINGS if pole is None else 0):
+        best = min(tried, key=lambda p: float(tried[p].min()))
+        step *= 0.5
+        for candidate in (best - step, best + step):
+            if 0.0 <= candidate < 1.0:
+                tried[candidate] = trial.held_out(candidate, counts)
+    best = min(tried, key=lambda p: float(tried[p].min()))
+    return best, counts[int(np.argmin(tried[best]))], float(tried[best].min())
+
+
+def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: float) -> LaguerreKernels:
+    functions = laguerre_functions(trial.lags, count, pole)
+    regressors = trial.regressors(functions)  # (rows, p)
+    rows, p = regressors.shape
+    orthonormal, triangle = np.linalg.qr(regressors)
+    inverse = np.linalg.pinv(triangle)
+    by_direction = orthonormal.T @ trial.output
+    coefficients = inverse @ by_direction
+    residual = trial.output - orthonormal @ by_direction
+    spread = long_run_covariance(orthonormal * residual[:, None], trial.lags * trial.spacing)
+    covariance = inverse @ (spread * rows / max(1, rows - p)) @ inverse.T
+    kernels = _kernels(functions, coefficients, trial.order)
+    beyond = _beyond(trial, count, pole, kernels)
+    first = slice(1, 1 + count)
+    pairs = slice(1 + count, _count(count, min(2, trial.order)))
+    kernel2_std = None
+    if beyond.second is not None:
+        kernel2_std = np.sqrt(_second_variance(functions, covariance[pairs, pairs]) + beyond.second)
+    warnings: tuple[str, ...] = ()
+    if rows < SAMPLES_PER_PARAMETER * p:
+        warnings = (
+            f"{rows} rows for {p} coefficients is fewer than {SAMPLES_PER_PARAMETER} each: "
+            "record longer, or take fewer functions",
+        )
+    coefficients[0] += offset
+    return LaguerreKernels(
+        kernel0=float(coefficients[0]),
+        kernel1=kernels.first,
+        kernel2=kernels.second,
+        kernel3=_third(functions, coefficients[_count(count, 2) :]) if trial.order == 3 else None,
+        kernel0_std=float(np.sqrt(covariance[0, 0] + beyond.zeroth)),
+        kernel1_std=np.sqrt(_variance(functions, covariance[first, first]) + beyond.first),
+        kernel2_std=kernel2_std,
+        functions=functions,
+        coefficients=coefficients,
+        coefficients_std=np.sqrt(np.diag(covariance)),
+        pole=float(pole),
+        n_parameters=p + 1,
+        held_out_percent=held_out,
+        warnings=warnings,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Low:
+    """h0, h1 (L,) and h2 (L, L), or something of their shapes."""
+
+    zeroth: float
+    first: Array
+    second: Array | None
+
+
+def _kernels(functions: Array, coefficients: Array, order: int) -> _Low:
+    count = functions.shape[1]
+    second = None
+    if order >= 2:
+        shares = np.zeros((count, count))
+        shares[np.triu_indices(count)] = coefficients[1 + count : _count(count, 2)]
+        second = functions @ (0.5 * (shares + shares.T)) @ functions.T
+    return _Low(float(coefficients[0]), functions @ coefficients[1 : 1 + count], second)
+
+
+def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
+    """Squared error to expect of a sum that was cut off: what a few functions more change, squared.
+
+    In expectation that is the squared bias that they remove and the variance that they add. It is averaged over
+    neighbouring lags, because a single one says little. Zero when there are no more functions or rows to be had.
+    """
+    more = min(trial.lags, count + _MORE)
+    while more > count and _count(more, trial.order) * SAMPLES_PER_PARAMETER > trial.rows.size:
+        more -= 1
+    functions = laguerre_functions(trial.lags, more, pole)
+    coefficients = linalg.lstsq(trial.regressors(functions), trial.output, check_finite=False)[0]
+    richer = _kernels(functions, coefficients, trial.order)
+    second = None
+    if kernels.second is not None and richer.second is not None:
+        second = ndimage.uniform_filter((richer.second - kernels.second) ** 2, _NEIGHBOURS, mode="nearest")
+    return _Low(
+        (richer.zeroth - kernels.zeroth) ** 2,
+        ndimage.uniform_filter1d((richer.first - kernels.first) ** 2, _NEIGHBOURS, mode="nearest"),
+        second,
+    )
+
+
+def _count(functions: int, order: int) -> int:
+    """Coefficients of an expansion to this order, the constant included."""
+    return int(_highest(functions, order).size)
+
+
+def _highest(functions: int, order: int) -> NDArray[np.intp]:
+    """The highest function that each coefficient stands for (p,); -1 for the constant."""
+    highest = [-1]
+    for degree in range(1, order + 1):
+        highest += [some[-1] for some in combinations_with_replacement(range(functions), degree)]
+    return np.array(highest)
+
+
+def _second_variance(functions: Array, covariance: Array) -> Array:
+    """Variance of h2, (L, L), from the covariance of its coefficients."""
+    lags, count = functions.shape
+    one, other = np.triu_indices(count)
+    row, column = np.triu_indices(lags)
+    terms = functions[row][:, one] * functions[column][:, other]
+    terms = 0.5 * (terms + functions[row][:, other] * functions[column][:, one])  # (L (L + 1) / 2, pairs)
+    variance = np.empty((lags, lags))
+    variance[row, column] = variance[column, row] = _variance(terms, covariance)
+    return variance
+
+
+def _third(functions: Array, coefficients: Array) -> Array:
+    """h3, (L, L, L)."""
+    count = functions.shape[1]
+    shares = np.zeros((count, count, count))
+    for some, value in zip(combinations_with_replacement(range(count), 3), coefficients, strict=True):
+        places = set(permutations(some))
+        for place in places:
+            shares[place] = value / len(places)
+    kernel = np.einsum("ia,jb,kc,abc->ijk", functions, functions, functions, shares, optimize=True)
+    return np.asarray(kernel, dtype=np.float64)
+
+
+def _variance(terms: Array, covariance: Array) -> Array:
+    """Variance of each row of terms (k, p) times coefficients of this covariance (p, p)."""
+    return np.asarray(np.maximum(np.einsum("ij,ij->i", terms @ covariance, terms), 0.0))

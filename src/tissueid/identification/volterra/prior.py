@@ -1,0 +1,365 @@
+"""Regularised Volterra kernels: a Gaussian prior that is smooth and dies away, chosen by the marginal likelihood.
+
+The posterior mean takes the place of the exact least-squares answer where the input leaves lags without information
+(Chen 2010, 4.3). It is smooth because the fit is, and not because a fit was filtered, so nothing is lost in the output.
+Everything works on the normal equations; the marginal likelihood and its slopes cost O(M^3) an evaluation at most,
+whatever the number of samples.
+
+The likelihood is that of white noise. What tissue leaves is coloured, and neighbouring rows say much the same; taken
+for independent they would let the marginal likelihood fit noise. So N rows count as N / d, where ``dependence`` d is
+how many times denser than white noise the residual's power lies where the modelled output has its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import linalg, optimize
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import Correlator
+from tissueid.identification.volterra.kernel_covariance import FIRST, FirstOrderCovariance, SecondOrderCovariance
+from tissueid.identification.volterra.regressors import NormalEquations
+
+ROUGH = 0.25
+"""Spatial frequency, cycles per lag, above which :func:`roughness` counts: half the Nyquist frequency of the lags."""
+
+_RANK = 1e-14
+"""Share of the Gram matrix, its columns scaled to one, under which what is left of it carries nothing."""
+
+_EXPLAINED = 1e-10
+"""Share of the output's power under which an unexplained rest is rounding."""
+
+_SEARCHES, _SEARCH_STEPS, _SETTLED = 4, 30, 2e-6
+
+_NAMES = (
+    "first_std",
+    "first_decay",
+    "first_rate",
+    "second_std",
+    "second_decay_along",
+    "second_rate_along",
+    "second_decay_across",
+    "second_rate_across",
+)
+_SCALES = (0, 3)
+
+_DECAY, _RATE = (1e-3, 2.0), (3e-3, 3.0)
+_BOUNDS = (_DECAY, _DECAY, _RATE, _DECAY, _DECAY, _RATE, _DECAY, _RATE)
+"""Of decays and correlation rates, per lag; those of the scales stand about their beginning."""
+
+_SCALE_DOWN, _SCALE_UP = 14.0, 8.0
+
+_REACH = np.log([4.0, 0.5, 2.0, 4.0, 0.5, 2.0, 0.5, 2.0])
+"""How much wider and rougher than where a search begins the priors may become that it can still tell apart."""
+
+_WORTH = 0.03
+"""Ratio of a direction's variance by a prior to what the samples leave it, under which it is left out of a search."""
+
+_EXPECTED = (100.0, 20.0)
+"""Ratio of the output of h1 and of h2 to the noise, in power, that the search begins with."""
+
+_REFIT = 1.5
+"""Ratio between an assumed and a found dependence from which the kernels are fitted again."""
+
+_BLOCKS = 10
+
+
+class Applied(Protocol):
+    """Whatever turns coefficients (p,) into modelled outputs (rows,)."""
+
+    def apply(self, theta: Array) -> Array:
+        """P theta."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class RegularisedKernels:
+    """Posterior of Volterra coefficients, in the order of the normal equations.
+
+    ``coefficients`` and ``std`` have shape (p,); the first, h0, is relative to the mean output and not penalised.
+    ``effective_parameters`` is the trace of the hat matrix. ``hyperparameters`` holds prior standard deviations at
+    lag 0 in the kernel's unit, decays and correlation rates per lag. ``noise_variance`` is that of the residual, and
+    ``dependence`` how many times denser than white it was taken to be where it matters. ``log_evidence`` is the
+    restricted log marginal likelihood of the rows that this leaves.
+    """
+
+    coefficients: Array
+    std: Array
+    effective_parameters: float
+    hyperparameters: dict[str, float]
+    log_evidence: float
+    noise_variance: float
+    dependence: float
+
+
+def regularised(
+    equations: NormalEquations, dependence: float = 1.0, start: RegularisedKernels | None = None
+) -> RegularisedKernels:
+    """Regularised kernels of first or second order from normal equations alone.
+
+    Args:
+        equations: of an input and output whose means are removed.
+        dependence: rows that say as much as one independent row (:func:`residual_dependence`); 1 for white noise.
+        start: an answer to begin the search at, for instance the one with another dependence.
+
+    Raises:
+        UnusableInputError: the order is not 1 or 2, or so dependent rows leave nothing to choose a prior by.
+    """
+    if equations.order not in (1, 2):
+        raise UnusableInputError(
+            f"the prior on the normal equations is for kernels of order 1 or 2, not {equations.order}: "
+            "higher orders take the dual route"
+        )
+    if equations.rows / dependence < 10.0:
+        raise UnusableInputError(
+            f"{equations.rows} rows of which {dependence:.0f} say as much as one cannot carry kernels: record longer"
+        )
+    evidence = _Evidence(equations, max(1.0, dependence))
+    begin = evidence.initial() if start is None else evidence.hyper_of(start)
+    return evidence.posterior(evidence.search(begin))
+
+
+def regularised_fit(equations: NormalEquations, regressors: Applied, output: Array) -> RegularisedKernels:
+    """Regularised kernels with the dependence of the rows found from their own residual.
+
+    Args:
+        equations: the normal equations of ``regressors`` and ``output``.
+        regressors: what turns coefficients into outputs.
+        output: (rows,).
+
+    Raises:
+        UnusableInputError: as :func:`regularised`.
+    """
+    centred = output - output.mean()
+    lags = slice(0, 1 + equations.lags)
+    first = NormalEquations(
+        equations.gram[lags, lags],
+        equations.right[lags],
+        equations.output_power,
+        equations.rows,
+        equations.lags,
+        1,
+    )
+    found: RegularisedKernels | None = None
+    linear = np.zeros(equations.right.size)
+    linear[lags] = regularised(first).coefficients
+    modelled = regressors.apply(linear)
+    dependence = residual_dependence(centred - modelled, modelled)
+    for _ in range(3):
+        found = regularised(equations, dependence, found)
+        modelled = regressors.apply(found.coefficients)
+        dependence = residual_dependence(centred - modelled, modelled)
+        if 1.0 / _REFIT < dependence / found.dependence < _REFIT:
+            break
+    assert found is not None
+    return found
+
+
+def residual_dependence(residual: Array, modelled: Array) -> float:
+    """How many of the rows say as much as one independent row, at least 1.
+
+    The mean of the residual's power spectrum, weighted by that of the modelled output, over its plain mean; both
+    (rows,). Spectra are smoothed by Bartlett's window over a tenth of the rows.
+    """
+    longest = max(1, residual.size // _BLOCKS)
+    found = []
+    for signal in (residual, modelled):
+        correlation = Correlator(signal - signal.mean(), longest).auto()
+        if correlation[0] <= 0.0:
+            return 1.0
+        found.append(correlation / correlation[0])
+    weight = 1.0 - np.arange(longest) / longest
+    return max(1.0, 2.0 * float(np.sum(weight * found[0] * found[1])) - 1.0)
+
+
+def roughness(kernel2: Array) -> float:
+    """Share of the two-dimensional Fourier energy of h2 (L, L) above ``ROUGH`` cycles per lag in any direction."""
+    energy = np.abs(np.fft.fft2(kernel2)) ** 2
+    frequency = np.fft.fftfreq(kernel2.shape[0])
+    total = float(energy.sum())
+    return float(energy[np.hypot(frequency[:, None], frequency) > ROUGH].sum()) / total if total > 0.0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What the samples tell: ``root`` B (M, rank), so that B B' is the Gram matrix, and the output (rank,) by it."""
+
+    root: Array
+    output: Array
+
+
+class _Evidence:
+    """Marginal likelihood of the hyperparameters, with the noise and the constant integrated or profiled out.
+
+    Everything is in kernels and not in coefficients: those off the diagonal of h2 carry it twice. Covariances are
+    relative to d sigma^2, so the common scale falls out, and d is left in the number of rows alone.
+    """
+
+    def __init__(self, equations: NormalEquations, dependence: float) -> None:
+        lags = self._lags = equations.lags
+        row, column = np.triu_indices(lags)
+        self._share = np.ones(lags)
+        if equations.order == 2:
+            self._share = np.concatenate([self._share, np.where(row == column, 1.0, 2.0)])
+        self._second = SecondOrderCovariance(lags) if equations.order == 2 else None
+        self._first = FirstOrderCovariance(lags)
+        self._rows, self.dependence = equations.rows, dependence
+        self._independent = equations.rows / dependence - 1.0
+        sums = equations.gram[0, 1:] * self._share
+        self._means = sums / equations.rows
+        gram = equations.gram[1:, 1:] * np.outer(self._share, self._share)
+        self._gram = gram - np.outer(sums, self._means)  # about the mean: the constant is free
+        right = (equations.right[1:] - equations.right[0] * equations.gram[0, 1:] / equations.rows) * self._share
+        self._right_mean = equations.right[0] / equations.rows
+        self._power = equations.output_power - equations.right[0] * self._right_mean
+        size = np.sqrt(np.maximum(np.diag(self._gram), np.finfo(float).tiny))
+        factor, pivots, rank, _ = linalg.lapack.dpstrf(self._gram / np.outer(size, size), tol=_RANK, lower=1)
+        factor, pivots = np.tril(factor)[:, :rank], pivots - 1
+        root = np.empty_like(factor)
+        root[pivots] = factor
+        output = linalg.solve_triangular(factor[:rank], (right / size)[pivots[:rank]], lower=True, check_finite=False)
+        self._seen = _Seen(root * size[:, None], output)
+
+    def initial(self) -> Array:
+        """Hyperparameters to begin with: kernels that die away within the memory and explain most of the output."""
+        lags = self._lags
+        decay, rate = min(4.0 / lags, 1.0), min(6.0 / lags, 1.0)
+        power = np.diag(self._gram)
+        fading = np.exp(-2.0 * decay * np.arange(lags))
+        hyper = [_EXPECTED[0] * self._independent / float(power[:lags] @ fading), decay, rate]
+        if self._second is not None:
+            fading = fading[np.triu_indices(lags)[1]]
+            scale = _EXPECTED[1] * self._independent / float(power[lags:] @ fading)
+            hyper += [scale, 0.5 * decay, rate, 0.5 * decay, rate]
+        return np.asarray(np.log(hyper), dtype=np.float64)
+
+    def hyper_of(self, found: RegularisedKernels) -> Array:
+        """Hyperparameters of an answer, as this search has them."""
+        hyper = np.array(list(found.hyperparameters.values()))
+        scales = [k for k in _SCALES if k < hyper.size]
+        hyper[scales] = hyper[scales] ** 2 / (found.dependence * found.noise_variance)
+        return np.asarray(np.log(hyper), dtype=np.float64)
+
+    def search(self, begin: Array) -> Array:
+        """The hyperparameters (3,) or (8,) of the greatest marginal likelihood near a beginning.
+
+        It looks only at what the samples tell a prior rougher and wider than the one it begins with (a quarter of
+        the directions, as a rule), and looks again from where it came to when it left those bounds.
+        """
+        bounds = [(float(np.log(low)), float(np.log(high))) for low, high in _BOUNDS[: begin.size]]
+        middle = self.initial()
+        for k in _SCALES:
+            if k < begin.size:
+                bounds[k] = (middle[k] - _SCALE_DOWN, middle[k] + _SCALE_UP)
+        low, high = np.array(bounds).T
+        hyper = np.clip(begin, low, high)
+        for _ in range(_SEARCHES):
+            reach = hyper + _REACH[: hyper.size]
+            found = optimize.minimize(
+                self._deviance,
+                hyper,
+                args=(self._told_to(reach),),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": _SEARCH_STEPS, "ftol": _SETTLED},
+            )
+            hyper = np.asarray(found.x, dtype=np.float64)
+            if np.all((hyper - reach) * _REACH[: hyper.size] <= 0.0):
+                break
+        return hyper
+
+    def _told_to(self, hyper: Array) -> _Seen:
+        """What the samples tell a prior, without the directions of which it knows more than they do."""
+        seen = self._seen
+        worth, directions = linalg.eigh(seen.root.T @ self._times_prior(hyper, seen), check_finite=False)
+        kept = directions[:, worth > _WORTH]
+        return _Seen(seen.root @ kept, seen.output @ kept)
+
+    def _deviance(self, hyper: Array, seen: _Seen) -> tuple[float, Array]:
+        """Minus the log marginal likelihood, but for a constant, and its slopes."""
+        lags, root = self._lags, seen.root
+        try:
+            factor, weights = _solve(seen, self._times_prior(hyper, seen))
+        except linalg.LinAlgError:  # a step so long that nothing is left of the noise
+            return 1e3 * self._independent, np.zeros(hyper.size)
+        power = self._unexplained(seen, weights)
+        value = 0.5 * self._independent * np.log(power / self._power) + float(np.sum(np.log(np.diag(factor))))
+        half = linalg.solve_triangular(factor, root.T, lower=True, check_finite=False)  # (rank, M)
+        step = np.sqrt(self._independent / power) * (root @ weights)
+        slopes = self._first.slopes(hyper[:FIRST], _product(half[:, :lags], step[:lags]))
+        if self._second is not None:
+            more = self._second.slopes(hyper[FIRST:], _product(half[:, lags:], step[lags:]))
+            slopes = np.concatenate([slopes, more])
+        return float(value), 0.5 * slopes
+
+    def posterior(self, hyper: Array) -> RegularisedKernels:
+        """Mean, standard deviation and what goes with them, at the hyperparameters given."""
+        spread = self._times_prior(hyper, self._seen)  # K B, (M, rank)
+        factor, weights = _solve(self._seen, spread)
+        power = self._unexplained(self._seen, weights)
+        noise = power / (self.dependence * self._independent)
+        density = self.dependence * noise
+        kernels = spread @ weights
+        known = linalg.solve_triangular(factor, spread.T, lower=True, check_finite=False)
+        prior = self._prior_variance(hyper)
+        variance = np.maximum(prior - np.einsum("ij,ij->j", known, known), 0.0)
+        mean_known = known @ self._means
+        mean_variance = 1.0 / self._rows + float(self._means @ self._prior_times(hyper, self._means[:, None])[:, 0])
+        mean_variance -= float(mean_known @ mean_known)
+        half = linalg.solve_triangular(factor, np.eye(factor.shape[0]), lower=True, check_finite=False)
+        logarithms = float(np.sum(np.log(np.diag(factor))))
+        evidence = -0.5 * self._independent * (np.log(2.0 * np.pi * noise) + 1.0) - logarithms
+        told = np.exp(hyper)
+        for k in _SCALES:
+            if k < told.size:
+                told[k] = np.sqrt(told[k] * density)
+        return RegularisedKernels(
+            coefficients=np.concatenate([[self._right_mean - self._means @ kernels], kernels * self._share]),
+            std=np.sqrt(density * np.concatenate([[max(mean_variance, 0.0)], variance * self._share**2])),
+            effective_parameters=1.0 + factor.shape[0] - float(np.sum(half**2)),
+            hyperparameters=dict(zip(_NAMES, told.tolist(), strict=False)),
+            log_evidence=float(evidence),
+            noise_variance=noise,
+            dependence=self.dependence,
+        )
+
+    def _prior_times(self, hyper: Array, values: Array) -> Array:
+        """The prior covariance times values (M, k)."""
+        lags = self._lags
+        first = self._first.matrix(hyper[:FIRST]) @ values[:lags]
+        if self._second is None:
+            return first
+        return np.concatenate([first, self._second.matrix(hyper[FIRST:]) @ values[lags:]])
+
+    def _times_prior(self, hyper: Array, seen: _Seen) -> Array:
+        return self._prior_times(hyper, seen.root)
+
+    def _prior_variance(self, hyper: Array) -> Array:
+        first = np.diag(self._first.matrix(hyper[:FIRST]))
+        if self._second is None:
+            return first
+        return np.concatenate([first, self._second.variance(hyper[FIRST:])])
+
+    def _unexplained(self, seen: _Seen, weights: Array) -> float:
+        left = self._power - float(seen.output @ (seen.output - weights))
+        return float(max(left, _EXPLAINED * self._power))
+
+
+def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
+    """Cholesky factor (rank, rank) of I + B' K B from K B, and the weights (rank,) that make kernels of K B."""
+    inner = seen.root.T @ spread
+    inner[np.diag_indices_from(inner)] += 1.0
+    factor = linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+    return factor, linalg.cho_solve((factor, True), seen.output, check_finite=False)
+
+
+def _product(half: Array, step: Array) -> Array:
+    """half' half - step step', symmetric (p, p): what a change of the covariance is weighed by."""
+    product = half.T @ half
+    product -= np.outer(step, step)
+    return np.asarray(product, dtype=np.float64)

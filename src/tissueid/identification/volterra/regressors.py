@@ -1,0 +1,210 @@
+"""The regressors of a Volterra series to third order, and its normal equations (Chen 2010, Eqs. 4.2-4.5 and 4.14).
+
+Coefficients stand in this order: h0, then h1 at lags 0 .. L - 1, then the upper triangle of h2 row by row, where what
+is off the diagonal carries twice the kernel, because x(n - i) x(n - j) stands there for two equal terms; then h3
+likewise for i <= j <= k. Lags are a whole number of samples apart, while every sample of the record can be a row.
+
+The product of two lagged inputs is the product x(n) x(n - d) lagged: L channels hold all of them. So the Gram matrix
+costs rows x L x M and not rows x M^2, and P theta and P'r are quadratic forms in the L lagged inputs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations_with_replacement, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.lagged_gram import LaggedRegressors
+
+_ROWS_AT_ONCE = 1024
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """All that a least-squares fit of kernels needs to know of the samples.
+
+    ``gram`` (p, p) and ``right`` (p,) are the sums over the rows of products of the regressors with each other, and
+    with the output less its mean over the rows; ``output_power`` is that output's sum of squares. So the h0 that they
+    hold is relative to that mean.
+    """
+
+    gram: Array
+    right: Array
+    output_power: float
+    rows: int
+    lags: int
+    order: int
+
+
+def coefficient_count(lags: int, order: int) -> int:
+    """M of Eq. 4.5: how many coefficients kernels of order 0 to ``order`` have together, symmetry counted out."""
+    return sum(math.comb(lags + degree - 1, degree) for degree in range(order + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Kernels:
+    """Volterra kernels per lag: symmetric, so that h2 times two inputs counts both orders of them.
+
+    ``zeroth`` is a number, ``first`` has shape (L,), ``second`` (L, L), ``third`` (L, L, L); None above the order.
+    """
+
+    zeroth: float
+    first: Array | None = None
+    second: Array | None = None
+    third: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class VolterraRegressors:
+    """Eq. 4.4 for an input ``x`` (n,), its mean removed, at the rows of a mask ``used`` (n,), orders 0 to 3.
+
+    Every input of a row's memory must have been received.
+    """
+
+    x: Array
+    used: Mask
+    lags: int
+    spacing: int
+    order: int
+
+    @property
+    def columns(self) -> int:
+        """M, how many coefficients there are."""
+        return coefficient_count(self.lags, self.order)
+
+    @cached_property
+    def rows(self) -> NDArray[np.intp]:
+        """Samples that are rows, (rows,)."""
+        return np.flatnonzero(self.used)
+
+    @cached_property
+    def windows(self) -> Array:
+        """Lagged inputs (rows, lags), the latest first."""
+        return lagged_inputs(self.x, self.rows, self.lags, self.spacing)
+
+    def apply(self, theta: Array) -> Array:
+        """P theta: (M,) to (rows,)."""
+        if self.order == 3:
+            by_channel = np.empty(self.columns)
+            by_channel[self._place] = theta
+            return self._lagged.apply(by_channel)
+        kernels = kernels_of(theta, self.lags, self.order)
+        total = np.full(self.rows.size, kernels.zeroth)
+        if kernels.first is not None:
+            total += self.windows @ kernels.first
+        if kernels.second is not None:
+            total += np.einsum("ij,ij->i", self.windows @ kernels.second, self.windows)
+        return total
+
+    def adjoint(self, r: Array) -> Array:
+        """P'r: (rows,) to (M,)."""
+        if self.order < 3:
+            return self._sums(r, self.windows)
+        chunks = [slice(first, first + _ROWS_AT_ONCE) for first in range(0, r.size, _ROWS_AT_ONCE)]
+        return np.asarray(np.sum([self._sums(r[some], self.windows[some]) for some in chunks], axis=0))
+
+    def block_sums(self, r: Array, edges: NDArray[np.intp]) -> Array:
+        """P'r over each block of rows alone, (M, blocks), for an r (rows,) and the first row of each block."""
+        ends = np.append(edges[1:], r.size)
+        blocks = [self._sums(r[a:b], self.windows[a:b]) for a, b in zip(edges, ends, strict=True)]
+        return np.column_stack(blocks)
+
+    def matrix(self) -> Array:
+        """P itself, (rows, M)."""
+        if self.order == 0:
+            return np.ones((self.rows.size, 1))
+        return self._lagged.matrix()[:, self._place]
+
+    def gram(self) -> Array:
+        """P'P, (M, M), by the displacement of lagged products."""
+        if self.order == 0:
+            return np.array([[float(self.rows.size)]])
+        return self._lagged.gram(self._place)
+
+    def normal_equations(self, gram: Array, y: Array) -> NormalEquations:
+        """The normal equations for an output y (rows,)."""
+        centred = y - y.mean()
+        return NormalEquations(gram, self.adjoint(centred), float(centred @ centred), y.size, self.lags, self.order)
+
+    def _sums(self, r: Array, windows: Array) -> Array:
+        parts = [np.array([r.sum()])]
+        if self.order >= 1:
+            parts.append(r @ windows)
+        if self.order >= 2:
+            weighted = (r[:, None] * windows).T  # (lags, rows)
+            parts.append((weighted @ windows)[np.triu_indices(self.lags)])
+        if self.order >= 3:
+            second, third = np.triu_indices(self.lags)
+            products = weighted @ (windows[:, second] * windows[:, third])  # (lags, pairs)
+            lag, pair = np.nonzero(np.arange(self.lags)[:, None] <= second)
+            parts.append(products[lag, pair])
+        return np.concatenate(parts)
+
+    @cached_property
+    def _lagged(self) -> LaggedRegressors:
+        """The same columns as lags of the products of an input with itself and with earlier ones."""
+        n = self.x.size
+        channels = [self.x]
+        counts = [self.lags]
+        for degree in range(2, self.order + 1):
+            for delays in combinations_with_replacement(range(self.lags), degree - 1):
+                reach = delays[-1] * self.spacing
+                product = self.x[reach:].copy()
+                for delay in delays:
+                    product *= self.x[reach - delay * self.spacing : n - delay * self.spacing]
+                channels.append(np.concatenate([np.zeros(reach), product]))
+                counts.append(self.lags - delays[-1])
+        return LaggedRegressors(np.array(channels), tuple(counts), self.spacing, self.used)
+
+    @cached_property
+    def _place(self) -> NDArray[np.intp]:
+        """Where each coefficient (M,) stands among the columns ordered channel by channel."""
+        starts = 1 + np.concatenate([[0], np.cumsum(self._lagged.lags)[:-1]])
+        place = [np.arange(1 + self.lags)]
+        channel = 1
+        for degree in range(2, self.order + 1):
+            lags = np.array(list(combinations_with_replacement(range(self.lags), degree)))  # (columns, degree)
+            delays = lags[:, 1:] - lags[:, :1]
+            known = list(combinations_with_replacement(range(self.lags), degree - 1))
+            number = {some: channel + k for k, some in enumerate(known)}
+            of = np.array([number[tuple(row)] for row in delays.tolist()])
+            place.append(starts[of] + lags[:, 0])
+            channel += len(known)
+        return np.concatenate(place)
+
+
+def lagged_inputs(x: Array, rows: NDArray[np.intp], lags: int, spacing: int) -> Array:
+    """Inputs x(n - i spacing), i = 0 .. lags - 1, for the samples n of ``rows`` (rows,): shape (rows, lags)."""
+    windows = np.empty((rows.size, lags))
+    for lag in range(lags):
+        windows[:, lag] = x[rows - lag * spacing]
+    return windows
+
+
+def kernels_of(values: Array, lags: int, order: int) -> Kernels:
+    """The symmetric kernels of coefficients (M,), each divided by how often it stands for one term (Eq. 4.14).
+
+    Standard deviations of coefficients give those of the kernels in the same way.
+    """
+    zeroth, first, second, third = float(values[0]), None, None, None
+    done = 1 + lags
+    if order >= 1:
+        first = values[1:done]
+    if order >= 2:
+        upper = np.zeros((lags, lags))
+        upper[np.triu_indices(lags)] = values[done : done + lags * (lags + 1) // 2]
+        second = 0.5 * (upper + upper.T)  # on the diagonal both halves hold the whole
+        done += lags * (lags + 1) // 2
+    if order >= 3:
+        third = np.zeros((lags, lags, lags))
+        ordered = np.array(list(combinations_with_replacement(range(lags), 3)))
+        distinct = 1 + np.count_nonzero(np.diff(ordered, axis=1), axis=1)
+        shares = values[done:] / np.array([1.0, 3.0, 6.0])[distinct - 1]
+        for turned in permutations(range(3)):
+            third[tuple(ordered[:, turned].T)] = shares
+    return Kernels(zeroth, first, second, third)

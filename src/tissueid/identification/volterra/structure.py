@@ -1,0 +1,236 @@
+"""What Volterra kernels say of the order of blocks: Wiener, Hammerstein, LNL, or none of them.
+
+The second kernel of a Hammerstein system lives on its diagonal and follows the first kernel there; every slice of a
+Wiener system's is the first kernel; of an LNL system's, the sum of the slices is (Chen, Ishii and Suzumura 1986; Haber
+and Keviczky 1999; Westwick and Kearney 2003, chapter 4). Parameters that vary with depth leave none of these but a
+narrow main lobe between two of the opposite sign (Chen 2010, 4.2, Fig. 4.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import ndimage
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+
+KernelName = Literal["linear", "wiener", "hammerstein", "lnl", "neither", "undetermined"]
+
+_BLURS = (0.0, 0.5, 1.0, 1.5, 2.0)
+"""Widths, in lags, by which an estimated kernel may be smeared across its diagonal: a regularised one always is."""
+
+_NEAR = 0.95
+"""Cosine from which kernels without a standard deviation count as proportional."""
+
+_TOLERANCE = 0.02
+"""What a cosine may fall short of its band: priors and short memories bend kernels by as much."""
+
+_DRAWS = 100
+_LEVEL = 0.05
+_LOBE = 0.1
+_FELT = 4.0
+"""Standard errors that the strongest value of a kernel must reach for it to be there at all."""
+
+_LEAST = 0.1
+"""Share of an estimated kernel's energy that is taken to be the kernel's own at the least."""
+
+
+@dataclass(frozen=True)
+class StructureScore:
+    """How close kernels come to a structure: a cosine, and the ``band`` above which it would lie 19 times in 20."""
+
+    cosine: float
+    band: float
+
+    @property
+    def kept(self) -> bool:
+        """True when the kernels are as the structure demands, within their uncertainty."""
+        return self.cosine >= self.band
+
+
+@dataclass(frozen=True)
+class StructureVerdict:
+    """What kernels say: a name, the score of each structure that was tried, and a sentence.
+
+    ``scores`` has the keys ``hammerstein``, ``wiener`` and ``lnl``; it is empty when there is no second kernel to
+    score. ``side_lobes`` is the largest value of the second kernel of the other sign than its peak, as a share of it.
+    """
+
+    name: KernelName
+    scores: dict[str, StructureScore]
+    side_lobes: float
+    sentence: str
+
+
+def kernel_structure(
+    kernel1: Array, kernel2: Array, kernel1_std: Array | None = None, kernel2_std: Array | None = None
+) -> StructureVerdict:
+    """Name the block structure that Volterra kernels have, from a first (L,) and a symmetric second one (L, L).
+
+    Args:
+        kernel1: first kernel about the operating point; its scale does not matter.
+        kernel2: second kernel on the same lags.
+        kernel1_std: standard deviations (L,); without them a cosine of 0.95 is asked for, and no kernel is too weak.
+        kernel2_std: standard deviations (L, L).
+
+    Raises:
+        UnusableInputError: the shapes do not belong together, or a value is not finite.
+    """
+    kernel1, kernel2 = np.asarray(kernel1, dtype=np.float64), np.asarray(kernel2, dtype=np.float64)
+    _check(kernel1, kernel2)
+    kernel2 = 0.5 * (kernel2 + kernel2.T)
+    if not _there(kernel2, kernel2_std):
+        sentence = "the second kernel does not differ from zero: the kernels are those of a linear system"
+        return StructureVerdict("linear", {}, 0.0, sentence)
+    first = kernel1 if _there(kernel1, kernel1_std) else None
+    scores = _scores(first, kernel2, kernel1_std, kernel2_std)
+    lobes = _side_lobes(kernel2)
+    shown = ", ".join(f"{name} {score.cosine:.2f}" for name, score in scores.items())
+    kept = [name for name in ("wiener", "hammerstein") if scores[name].kept]
+    if len(kept) == 2:
+        sentence = f"the kernels do not tell Wiener and Hammerstein apart (cosines: {shown})"
+        return StructureVerdict("undetermined", scores, lobes, sentence)
+    if kept == ["wiener"]:
+        sentence = f"every slice of the second kernel is the first kernel, as in a Wiener system (cosines: {shown})"
+        return StructureVerdict("wiener", scores, lobes, sentence)
+    if kept == ["hammerstein"]:
+        sentence = f"the second kernel is the first along its diagonal, as in a Hammerstein system (cosines: {shown})"
+        return StructureVerdict("hammerstein", scores, lobes, sentence)
+    if "lnl" in scores and scores["lnl"].kept:
+        sentence = f"the slices of the second kernel add up to the first kernel, as in an LNL system (cosines: {shown})"
+        return StructureVerdict("lnl", scores, lobes, sentence)
+    sentence = f"{'neither Wiener nor Hammerstein nor LNL' if 'lnl' in scores else 'neither Wiener nor Hammerstein'} "
+    sentence += f"(cosines: {shown})"
+    if lobes > _LOBE:
+        sentence += (
+            f"; side lobes of {100.0 * lobes:.0f} % of the peak flank it: parameters that vary with depth would look "
+            "like this"
+        )
+    else:
+        sentence += "; parameters that vary with depth would look like this"
+    return StructureVerdict("neither", scores, lobes, sentence)
+
+
+def _check(kernel1: Array, kernel2: Array) -> None:
+    lags = kernel1.size
+    if kernel1.ndim != 1 or kernel2.shape != (lags, lags):
+        raise UnusableInputError(
+            f"kernels of shapes {kernel1.shape} and {kernel2.shape} do not belong together: the second must be (L, L)"
+        )
+    if not (np.all(np.isfinite(kernel1)) and np.all(np.isfinite(kernel2))):
+        raise UnusableInputError("a kernel holds a value that is not finite: fit it again on a record that carries it")
+
+
+def _there(kernel: Array, std: Array | None) -> bool:
+    """True when a kernel differs from zero: its strongest value stands out of its errors."""
+    if not np.any(kernel):
+        return False
+    if std is None:
+        return True
+    return bool(np.max(np.abs(kernel) / np.maximum(std, 1e-300)) > _FELT)
+
+
+def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array | None) -> dict[str, StructureScore]:
+    """Cosines with bands; without a first kernel, Wiener means rank one and LNL cannot be asked."""
+    cosines = {"wiener": _wiener(kernel1, kernel2), "hammerstein": _hammerstein(kernel1, kernel2)}
+    if kernel1 is not None:
+        cosines["lnl"] = _cosine(kernel2.sum(axis=0), kernel1)
+    if std2 is None:
+        return {name: StructureScore(cosine, _NEAR) for name, cosine in cosines.items()}
+    bands = _bands(kernel1, kernel2, std1, std2, tuple(cosines))
+    return {name: StructureScore(cosine, bands[name]) for name, cosine in cosines.items()}
+
+
+def _cosine(a: Array, b: Array) -> float:
+    """Absolute cosine between two arrays of one shape."""
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return abs(float(np.vdot(a, b))) / size if size > 0.0 else 0.0
+
+
+def _wiener(kernel1: Array | None, kernel2: Array) -> float:
+    if kernel1 is None:
+        values = np.abs(np.linalg.eigvalsh(kernel2))
+        return float(values.max() / np.linalg.norm(values))
+    return _cosine(kernel2, np.outer(kernel1, kernel1))
+
+
+def _hammerstein(kernel1: Array | None, kernel2: Array) -> float:
+    """Best cosine with a diagonal kernel, smeared by as much as an estimate may be."""
+    diagonal = np.diag(kernel2) if kernel1 is None else kernel1
+    return max(_cosine(kernel2, _smeared(np.diag(diagonal), width)) for width in _BLURS)
+
+
+def _smeared(kernel2: Array, width: float) -> Array:
+    return ndimage.gaussian_filter(kernel2, width, mode="nearest") if width > 0.0 else kernel2
+
+
+def _bands(
+    kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array, names: tuple[str, ...]
+) -> dict[str, float]:
+    """Where each cosine would lie above 19 times in 20 if the structure held and the kernels had these errors.
+
+    The errors of neighbouring lags depend on each other in ways that standard deviations do not tell; they are
+    drawn both unrelated and as smooth as the kernel itself, and the wider band is taken.
+    """
+    rng = np.random.Generator(np.random.PCG64(0))  # the same answer every time
+    first = kernel1 if kernel1 is not None else _leading(kernel2)
+    widths = (0.0, _smoothness(first))
+    lags = first.size
+    energy = float(np.sum(kernel2**2))
+    size = np.sqrt(max(energy - float(np.sum(std2**2)), _LEAST * energy))  # without what the errors add to it
+    truths = {"wiener": _of_size(np.outer(first, first), size), "hammerstein": _of_size(np.diag(first), size)}
+    truths["lnl"] = truths["wiener"]  # its sums of slices are the first kernel too
+    bands = dict.fromkeys(names, 1.0)
+    for width in widths:
+        found: dict[str, list[float]] = {name: [] for name in names}
+        for _ in range(_DRAWS):
+            error2 = std2 * _field(rng, (lags, lags), width)
+            error2 = np.triu(error2) + np.triu(error2, 1).T
+            noisy1 = kernel1
+            if kernel1 is not None and std1 is not None:
+                noisy1 = kernel1 + std1 * _field(rng, (lags,), width)
+            for name in names:
+                noisy2 = truths[name] + error2
+                if name == "wiener":
+                    found[name].append(_wiener(noisy1, noisy2))
+                elif name == "hammerstein":
+                    found[name].append(_hammerstein(noisy1, noisy2))
+                elif noisy1 is not None:
+                    found[name].append(_cosine(noisy2.sum(axis=0), noisy1))
+        for name in names:
+            bands[name] = min(bands[name], float(np.quantile(found[name], _LEVEL)) - _TOLERANCE)
+    return bands
+
+
+def _leading(kernel2: Array) -> Array:
+    values, vectors = np.linalg.eigh(kernel2)
+    return np.asarray(vectors[:, int(np.argmax(np.abs(values)))], dtype=np.float64)
+
+
+def _of_size(pattern: Array, size: float) -> Array:
+    return np.asarray(pattern * size / np.linalg.norm(pattern))
+
+
+def _smoothness(kernel: Array) -> float:
+    """Width, in lags, of the Gaussian whose smoothing leaves noise as smooth as a kernel (L,) is."""
+    neighbours = float(kernel[1:] @ kernel[:-1]) / float(kernel @ kernel)
+    neighbours = min(max(neighbours, 1e-6), 0.999)  # exp(-1 / (4 width^2)) for smoothed white noise
+    return float(np.sqrt(-0.25 / np.log(neighbours)))
+
+
+def _field(rng: np.random.Generator, shape: tuple[int, ...], width: float) -> Array:
+    """Unit-variance Gaussian errors of a shape, unrelated or smooth over a width in lags."""
+    white = rng.standard_normal(shape)
+    if width < 0.3:
+        return white
+    smooth = ndimage.gaussian_filter(white, width, mode="wrap")
+    return np.asarray(smooth / np.std(smooth))
+
+
+def _side_lobes(kernel2: Array) -> float:
+    """Largest value of the other sign than the peak's, as a share of the peak."""
+    peak = kernel2.flat[int(np.argmax(np.abs(kernel2)))]
+    return float(max(0.0, np.max(-np.sign(peak) * kernel2)) / abs(peak)) if peak != 0.0 else 0.0
