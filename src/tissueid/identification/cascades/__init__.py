@@ -1,0 +1,1 @@
+"""Cascades of linear and static blocks in any order."""

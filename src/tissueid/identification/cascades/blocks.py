@@ -1,0 +1,230 @@
+"""Cascades of linear and static blocks: what they are, what they do, and their slopes by every parameter.
+
+N stands for a static nonlinearity and L for linear dynamics, in the order of the signal: Hammerstein is NL, Wiener is
+LN. Every curve is taken less its value at rest, so a system at rest passes zero from block to block and one constant,
+the offset, holds the output at the operating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.cascades.basis import LagBank, band_edge, lag_basis
+from tissueid.identification.cascades.curves import curve_slopes
+from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.static_nonlinearity import StaticNonlinearity
+from tissueid.records import Record
+
+Structure = Literal["linear", "wiener", "hammerstein", "lnl", "nln"]
+
+STRUCTURES: tuple[Structure, ...] = ("linear", "wiener", "hammerstein", "lnl", "nln")
+"""From the simplest on; of two that explain a record alike the first is meant."""
+
+INSIDE: dict[Structure, frozenset[Structure]] = {
+    "linear": frozenset(),
+    "wiener": frozenset({"linear"}),
+    "hammerstein": frozenset({"linear"}),
+    "lnl": frozenset({"linear", "wiener", "hammerstein"}),
+    "nln": frozenset({"linear", "wiener", "hammerstein"}),
+}
+"""The structures that each one holds as special cases."""
+
+_KNOTS_PER_PERIOD = 2.25
+"""Knots to a period of the highest frequency that the input holds; two would only just do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """The blocks of a cascade; those that its structure lacks are None.
+
+    ``inner`` acts on the absolute input, ``first`` (q,) are the weights of the first linear block's basis, ``outer``
+    acts on what leaves it, and ``second`` (q,) are the weights of the second linear block.
+    """
+
+    inner: StaticNonlinearity | None
+    first: Array
+    outer: StaticNonlinearity | None
+    second: Array | None
+    offset: float
+
+    @property
+    def structure(self) -> Structure:
+        """The name of this order of blocks."""
+        if self.second is not None:
+            return "lnl"
+        if self.inner is None:
+            return "linear" if self.outer is None else "wiener"
+        return "hammerstein" if self.outer is None else "nln"
+
+    @property
+    def vector(self) -> Array:
+        """All parameters, shape (p,): offset, inner curve, first block, outer curve, second block."""
+        parts = [np.array([self.offset])]
+        parts += [] if self.inner is None else [self.inner.coefficients]
+        parts += [self.first]
+        parts += [] if self.outer is None else [self.outer.coefficients]
+        parts += [] if self.second is None else [self.second]
+        return np.concatenate(parts)
+
+    def with_vector(self, vector: Array) -> Blocks:
+        """The same structure with other parameters, shape (p,) as :attr:`vector`."""
+        place = 1
+        inner, outer, second = self.inner, self.outer, self.second
+        if inner is not None:
+            inner = inner.with_coefficients(vector[place : place + inner.coefficients.size])
+            place += inner.coefficients.size
+        first = vector[place : place + self.first.size]
+        place += first.size
+        if outer is not None:
+            outer = outer.with_coefficients(vector[place : place + outer.coefficients.size])
+            place += outer.coefficients.size
+        if second is not None:
+            second = vector[place:]
+        return Blocks(inner, first, outer, second, float(vector[0]))
+
+    @property
+    def n_parameters(self) -> int:
+        """Free parameters: constants of the curves, and a gain at each side of a curve, are held by others."""
+        count = 1 + self.first.size
+        count += 0 if self.second is None else self.second.size
+        for curve in (self.inner, self.outer):
+            count += 0 if curve is None else curve.coefficients.size - 2
+        return count - (0 if self.second is None else 1)
+
+
+@dataclass(frozen=True, eq=False)
+class CascadeData:
+    """A prepared record as the fits of cascades see it.
+
+    ``input`` (n,) has the mean where a sample was not received; no fitted output depends on it. ``rows`` are the
+    samples to fit. ``bank`` holds the basis of every linear block, whose first knots are ``spacing`` samples apart.
+    """
+
+    prepared: Prepared
+    input: Array
+    output: Array
+    rows: NDArray[np.intp]
+    bank: LagBank
+    spacing: float
+    edge_hz: float
+
+    @property
+    def rest(self) -> float:
+        """The input at rest."""
+        return self.prepared.input_mean
+
+    @property
+    def measured(self) -> Array:
+        """The fitted outputs, shape (rows,)."""
+        return np.asarray(self.output[self.rows])
+
+    def without(self, held_out: Mask) -> CascadeData:
+        """The same data with the samples of a mask (n,) left out of the fit."""
+        return replace(self, rows=self.rows[~held_out[self.rows]])
+
+    def thinned(self, rows: int) -> CascadeData:
+        """The same data with no more than so many rows or the next whole share of them, evenly taken."""
+        return replace(self, rows=self.rows[:: max(1, self.rows.size // rows)])
+
+
+def prepare_cascade(
+    record: Record, fit_part: slice | None, lags: int, whole: int, n_parameters: Callable[[int], int]
+) -> tuple[Prepared, float]:
+    """Look a record over for cascades whose blocks remember so many ``lags`` each, and choose their spacing.
+
+    Args:
+        record: the data.
+        fit_part: contiguous part to fit, or None.
+        lags: lags of one linear block.
+        whole: lags that an output depends on through all blocks.
+        n_parameters: parameters of the largest cascade to fit, from the size q of the basis.
+
+    Returns what is prepared and the spacing of the first knots of the blocks' basis, in samples.
+
+    Raises:
+        UnusableInputError: as :func:`~tissueid.identification.preparation.prepare`.
+    """
+    rate = record.sample_rate_hz
+    x = record.input[fit_part or slice(None)]
+    received = x[np.isfinite(x)]
+    edge = band_edge(np.where(np.isfinite(x), x, received.mean()), rate) if received.size else 0.0
+    spacing = min(rate / (_KNOTS_PER_PERIOD * max(edge, 1e-9)), lags / 8.0)
+    return prepare(record, fit_part, whole / rate, n_parameters(lag_basis(lags, spacing).shape[1])), spacing
+
+
+def input_levels(prepared: Prepared) -> int:
+    """How many different values the input of the fitted part takes: an inner curve needs as many as coefficients."""
+    x = prepared.record.input[prepared.part]
+    return int(np.unique(x[np.isfinite(x)]).size)
+
+
+def cascade_data(prepared: Prepared, lags: int, spacing: float) -> CascadeData:
+    """Lay a prepared record out for the fit of cascades whose linear blocks remember so many ``lags`` each.
+
+    ``spacing`` is that of the first knots of their basis, in samples.
+    """
+    record = prepared.record
+    end = prepared.part.stop  # nothing after the fitted part is asked for
+    x = np.where(np.isfinite(record.input), record.input, prepared.input_mean)[:end]
+    return CascadeData(
+        prepared=prepared,
+        input=x,
+        output=record.output[:end],
+        rows=np.flatnonzero(prepared.used[:end]),
+        bank=LagBank(lag_basis(lags, spacing), end),
+        spacing=spacing,
+        edge_hz=band_edge(x[prepared.part.start :], record.sample_rate_hz),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What passes between the blocks, each (n,): ``driven`` enters the first linear block, ``inside`` leaves it."""
+
+    driven: Array
+    inside: Array
+    output: Array
+
+
+def run(blocks: Blocks, data: CascadeData) -> Signals:
+    """Run a cascade over the input, at rest before the first sample."""
+    driven = data.input - data.rest
+    if blocks.inner is not None:
+        driven = blocks.inner(data.input) - blocks.inner(np.array([data.rest]))
+    inside = data.bank.apply(blocks.first, driven)
+    passed = inside
+    if blocks.outer is not None:
+        passed = blocks.outer(inside) - blocks.outer(np.zeros(1))
+    if blocks.second is not None:
+        passed = data.bank.apply(blocks.second, passed)
+    return Signals(driven, inside, blocks.offset + passed)
+
+
+def slopes(blocks: Blocks, data: CascadeData, signals: Signals) -> Array:
+    """Derivatives of the output by :attr:`Blocks.vector`, shape (p, rows)."""
+    bank, rows = data.bank, data.rows
+    everywhere = blocks.second is not None  # what a second block remembers counts too
+    here: slice | NDArray[np.intp] = slice(None) if everywhere else rows
+    changes = []
+    if blocks.inner is not None:
+        by_inner = curve_slopes(blocks.inner, data.input) - curve_slopes(blocks.inner, np.array([data.rest]))
+        changes.append(bank.apply(blocks.first, by_inner)[:, here])
+    changes.append(bank.rows(signals.driven)[:, here])
+    stacked = np.concatenate(changes)
+    if blocks.outer is not None:
+        inside = signals.inside[here]
+        by_outer = curve_slopes(blocks.outer, inside) - curve_slopes(blocks.outer, np.zeros(1))
+        stacked = np.concatenate([stacked * blocks.outer.slope(inside), by_outer])
+    if blocks.second is not None:
+        passed = signals.inside
+        if blocks.outer is not None:
+            passed = blocks.outer(signals.inside) - blocks.outer(np.zeros(1))
+        stacked = bank.apply(blocks.second, stacked)[:, rows]
+        stacked = np.concatenate([stacked, bank.rows(passed)[:, rows]])
+    return np.concatenate([np.ones((1, rows.size)), stacked])

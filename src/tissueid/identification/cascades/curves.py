@@ -1,0 +1,144 @@
+"""Static nonlinearities of a cascade's blocks: those of the Wiener engine, and a spline that may turn back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import interpolate
+
+from tissueid.identification.base import Array
+from tissueid.identification.static_nonlinearity import (
+    Exponential,
+    Form,
+    StaticNonlinearity,
+    fit_exponential,
+    fit_polynomial,
+)
+
+_RIDGE = 1e-9
+"""Share of the mean curvature that keeps the piece of a spline where there are few data in place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spline(StaticNonlinearity):
+    """Cubic spline with free coefficients, continued beyond its range by straight lines."""
+
+    knots: tuple[float, ...]
+
+    @cached_property
+    def _curve(self) -> interpolate.BSpline:
+        return interpolate.BSpline(np.array(self.knots), self.coefficients, 3)
+
+    def __call__(self, z: Array) -> Array:
+        """Return g(z), shape of z."""
+        inside = np.clip(z, self.low, self.high)
+        return np.asarray(self._curve(inside) + self.slope(z) * (z - inside))
+
+    def slope(self, z: Array) -> Array:
+        """Return dg/dz, shape of z."""
+        return np.asarray(self._curve(np.clip(z, self.low, self.high), nu=1))
+
+    def jacobian(self, z: Array) -> Array:
+        """Return the B-splines at z, shape (n, p)."""
+        inside = np.clip(z, self.low, self.high)
+        return np.asarray(
+            interpolate.BSpline.design_matrix(inside, np.array(self.knots), 3).toarray(), dtype=np.float64
+        )
+
+    def refit(self, z: Array, y: Array) -> Spline:
+        """Fit a spline of as many pieces anew."""
+        return fit_free_spline(z, y, self.coefficients.size - 3)
+
+
+def fit_free_spline(z: Array, y: Array, pieces: int) -> Spline:
+    """Fit a cubic spline of so many pieces, with knots at quantiles of z (n,), to y (n,)."""
+    low, high = float(z.min()), float(z.max())
+    inner = np.quantile(z, np.linspace(0.0, 1.0, pieces + 1)[1:-1])
+    knots = np.concatenate([[low] * 4, inner, [high] * 4])
+    shape = Spline(np.zeros(pieces + 3), low, high, tuple(knots.tolist()))
+    basis = shape.jacobian(z)
+    gram = basis.T @ basis
+    ridge = _RIDGE * float(np.trace(gram)) / gram.shape[0]
+    coefficients = np.linalg.solve(gram + ridge * np.eye(gram.shape[0]), basis.T @ y)
+    return Spline(np.asarray(coefficients, dtype=np.float64), low, high, tuple(knots.tolist()))
+
+
+def fit_curve(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity:
+    """Fit a curve to z (n,) and y (n,); a ``spline`` need not keep its direction.
+
+    Args:
+        form: which family.
+        z: what enters the block.
+        y: what leaves it.
+        degree: degree of the polynomial, or pieces of the spline; the exponential has none.
+    """
+    if form == "exponential":
+        return fit_exponential(z, y)
+    if form == "polynomial":
+        return fit_polynomial(z, y, degree)
+    return fit_free_spline(z, y, degree)
+
+
+def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
+    """Derivatives of a curve at z (n,) by its coefficients, shape (p, n), also where it is continued straight."""
+    if isinstance(curve, Exponential):
+        return np.ascontiguousarray(curve.jacobian(z).T)
+    inside = np.clip(z, curve.low, curve.high)
+    slopes = np.ascontiguousarray(curve.jacobian(inside).T)
+    beyond = np.flatnonzero(inside != z)
+    for place in range(curve.coefficients.size if beyond.size else 0):
+        one = np.zeros(curve.coefficients.size)
+        one[place] = 1.0
+        steepness = curve.with_coefficients(one).slope(inside[beyond])
+        slopes[place, beyond] += steepness * (z[beyond] - inside[beyond])
+    return slopes
+
+
+def at_zero(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
+    """The same curve lifted so that it is zero at one place."""
+    return lifted(curve, -float(curve(np.array([place]))[0]))
+
+
+def lifted(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
+    """The same curve with a constant added."""
+    return curve.with_coefficients(curve.coefficients + by * _constant(curve))
+
+
+def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
+    """The same curve multiplied by a factor; the bend of an exponential stays."""
+    factors = np.full(curve.coefficients.size, factor)
+    if isinstance(curve, Exponential):
+        factors[2] = 1.0
+    return curve.with_coefficients(curve.coefficients * factors)
+
+
+def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
+    """The curve of an argument so many times as large: its value at factor * z is the given one's at z."""
+    low, high = sorted((factor * curve.low, factor * curve.high))
+    mirrored = factor < 0.0
+    if isinstance(curve, Exponential):
+        y0, s, c2 = curve.coefficients
+        return replace(
+            curve,
+            coefficients=np.array([y0, s / factor, c2 / factor]),
+            low=low,
+            high=high,
+            centre=factor * curve.centre,
+        )
+    if isinstance(curve, Spline):
+        turn = slice(None, None, -1) if mirrored else slice(None)
+        knots = tuple(factor * knot for knot in curve.knots)[turn]
+        return replace(curve, coefficients=curve.coefficients[turn], low=low, high=high, knots=knots)
+    signs = (-1.0) ** np.arange(curve.coefficients.size) if mirrored else 1.0
+    return replace(curve, coefficients=curve.coefficients * signs, low=low, high=high)
+
+
+def _constant(curve: StaticNonlinearity) -> Array:
+    """Change of the coefficients (p,) that adds one to the curve everywhere."""
+    if isinstance(curve, Spline):
+        return np.ones(curve.coefficients.size)
+    first = np.zeros(curve.coefficients.size)
+    first[0] = 1.0
+    return first

@@ -1,0 +1,193 @@
+"""Every block structure fitted to one record, the simpler ones lending starts to those that hold them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.identification.base import Array
+from tissueid.identification.cascades.basis import LagBank, lag_basis
+from tissueid.identification.cascades.blocks import Blocks, CascadeData, Structure, run
+from tissueid.identification.cascades.curves import fit_curve
+from tissueid.identification.cascades.refinement import Fitted, refine, squared_error, with_outer
+from tissueid.identification.cascades.starts import (
+    RankOne,
+    canonical,
+    first_blocks,
+    linear_weights,
+    powers,
+    quadratic_weights,
+    rank_one,
+)
+from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity
+from tissueid.identification.validation import aicc
+
+_FIRST_DEGREE = 3
+"""Degree of the curves that starts are compared with."""
+
+_GLANCE, _GLANCE_ROWS = 6, 20
+"""Steps that every start is given before the best are followed, and rows a parameter that these steps look at."""
+
+_FOLLOWED = 2
+_WIDER = (1.5, 2.0, 3.0)
+"""Spacings of the knots, in units of the closest, that an LNL system's blocks are also written with."""
+
+_STEPS, _SETTLED = 25, 1e-4
+
+
+def fit_linear(data: CascadeData) -> Fitted:
+    """The best linear approximation, by least squares."""
+    blocks = _with_mean(Blocks(None, linear_weights(data), None, None, 0.0), data)
+    return Fitted(blocks, squared_error(blocks, data))
+
+
+def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) -> list[Fitted]:
+    """Hammerstein systems after each pass of alternating least squares, the first from Bai's start.
+
+    The passes are those of a polynomial; another form is fitted to the curve of each.
+    """
+    curves = powers(data.input - data.rest, degree)
+    found = []
+    for done in rank_one(curves, data, passes):
+        inner = fit_curve(form, data.input, done.channels @ curves, degree)
+        blocks = _with_mean(Blocks(inner, done.lags, None, None, 0.0), data)
+        found.append(Fitted(blocks, squared_error(blocks, data)))
+    return found
+
+
+def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> Fitted:
+    """NL: the best pass of alternating least squares, refined."""
+    passes = hammerstein_passes(data, form, degree, 4)
+    return refine(min(passes, key=lambda done: done.rss).blocks, data)
+
+
+def fit_wiener(data: CascadeData, form: Form, degree: int) -> Fitted:
+    """LN: from the best linear approximation and from the second-order kernel, refined."""
+    starts = [linear_weights(data), *quadratic_weights(data, 2)]
+    return _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
+
+
+def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
+    """LNL: from a family of first blocks, each finished as a Hammerstein system of what leaves it, refined."""
+    impulse = data.bank.nearest(np.eye(1, data.bank.basis.shape[0])[0])
+    wiener = [blocks.first for blocks in simpler if blocks.structure == "wiener"]
+    firsts = [*first_blocks(data), impulse, *wiener]
+    finished = [_lnl_blocks(weights, data, form, degree) for weights in firsts]
+    finished.sort(key=lambda done: done[0])
+    return _best([blocks for _, blocks in finished[: _FOLLOWED + 1]], data)
+
+
+def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
+    """NLN: from the canonical correlation of curves of the output with lagged curves of the input, refined."""
+    starts = [_nln_blocks(data, form, degree)]
+    for blocks in simpler:
+        if blocks.structure == "hammerstein":
+            inside = run(blocks, data).inside[data.rows]
+            starts.append(with_outer(blocks, fit_curve(form, inside, data.measured, degree)))
+        if blocks.structure == "wiener":
+            starts.append(replace(blocks, inner=fit_curve(form, data.input, data.input - data.rest, degree)))
+    return _best(starts, data)
+
+
+def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[Structure]) -> dict[Structure, Fitted]:
+    """Fit the structures that are wanted; those that lend a start to one of them come along.
+
+    Args:
+        data: the record.
+        form: family of the curves.
+        degree: of a polynomial, or pieces of a spline.
+        wanted: which structures.
+    """
+    asked = set(wanted)
+    found: dict[Structure, Fitted] = {}
+    if "linear" in asked:
+        found["linear"] = fit_linear(data)
+    if asked & {"hammerstein", "nln"}:
+        found["hammerstein"] = fit_hammerstein(data, form, degree)
+    if asked & {"wiener", "lnl", "nln"}:
+        found["wiener"] = fit_wiener(data, form, degree)
+    simpler = [done.blocks for done in found.values()]
+    if "lnl" in asked:
+        found["lnl"] = fit_lnl(data, form, degree, simpler)
+    if "nln" in asked:
+        found["nln"] = fit_nln(data, form, degree, simpler)
+    return found
+
+
+def polished(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
+    """The blocks refined to the end, with the data in whose basis they are written.
+
+    How an LNL system's dynamics divide between its blocks shows in little but the bend of the curve, and free lags
+    follow the noise there. Its blocks are therefore also written with fewer functions of the lag, and the number with
+    the smallest AICc is kept.
+    """
+    if fitted.blocks.structure == "linear":
+        return fitted.blocks, data
+    blocks = refine(fitted.blocks, data).blocks
+    if blocks.second is None:
+        return blocks, data
+    best = (_information(blocks, data), blocks, data)
+    for wider in _WIDER:
+        basis = lag_basis(data.bank.basis.shape[0], wider * data.spacing)
+        leaner = replace(data, bank=LagBank(basis, data.input.size))
+        first = leaner.bank.nearest(data.bank.basis @ blocks.first)
+        second = leaner.bank.nearest(data.bank.basis @ blocks.second)
+        tried = refine(replace(blocks, first=first, second=second), leaner).blocks
+        best = min(best, (_information(tried, leaner), tried, leaner), key=lambda one: one[0])
+    return best[1], best[2]
+
+
+def _information(blocks: Blocks, data: CascadeData) -> float:
+    error = data.measured - run(blocks, data).output[data.rows]
+    return aicc(error, blocks.n_parameters)
+
+
+def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
+    """Give every start a few steps, and follow the best ones to the end."""
+    some = data.thinned(_GLANCE_ROWS * max(blocks.vector.size for blocks in starts))
+    glanced = sorted((refine(blocks, some, _GLANCE, 1e-3) for blocks in starts), key=lambda done: done.rss)
+    followed = (refine(done.blocks, data, _STEPS, _SETTLED) for done in glanced[:_FOLLOWED])
+    return min(followed, key=lambda done: done.rss)
+
+
+def _with_mean(blocks: Blocks, data: CascadeData) -> Blocks:
+    """The blocks with the offset that leaves no mean error."""
+    error = data.measured - run(blocks, data).output[data.rows]
+    return replace(blocks, offset=blocks.offset + float(error.mean()))
+
+
+def _to_unit(weights: Array, data: CascadeData, signal: Array) -> Array:
+    """Weights of a linear block scaled so that what leaves it for an input (n,) has a standard deviation of one."""
+    spread = float(np.std(data.bank.apply(weights, signal)[data.rows]))
+    return weights / spread if spread > 0.0 else weights
+
+
+def _wiener_blocks(weights: Array, data: CascadeData, form: Form, degree: int) -> Blocks:
+    weights = _to_unit(weights, data, data.input - data.rest)
+    inside = data.bank.apply(weights, data.input - data.rest)[data.rows]
+    straight = Blocks(None, weights, None, None, 0.0)
+    return with_outer(straight, fit_curve(form, inside, data.measured, degree))
+
+
+def _lnl_blocks(weights: Array, data: CascadeData, form: Form, degree: int) -> tuple[float, Blocks]:
+    weights = _to_unit(weights, data, data.input - data.rest)
+    inside = data.bank.apply(weights, data.input - data.rest)
+    curves = powers(inside, min(degree, _FIRST_DEGREE))
+    done: RankOne = rank_one(curves, data, 2)[-1]
+    outer: StaticNonlinearity = fit_curve(form, inside[data.rows], (done.channels @ curves)[data.rows], degree)
+    return done.rss, _with_mean(Blocks(None, weights, outer, done.lags, 0.0), data)
+
+
+def _nln_blocks(data: CascadeData, form: Form, degree: int) -> Blocks:
+    low = min(degree, _FIRST_DEGREE)
+    weights = canonical(data, low)
+    curves = powers(data.input - data.rest, low)
+    left, sizes, right = np.linalg.svd(weights)
+    inner = fit_curve(form, data.input, left[:, 0] @ curves, degree)
+    lags = sizes[0] * right[0]
+    driven = inner(data.input) - inner(np.array([data.rest]))
+    lags = _to_unit(lags, data, driven)
+    inside = data.bank.apply(lags, driven)[data.rows]
+    return with_outer(Blocks(inner, lags, None, None, 0.0), fit_curve(form, inside, data.measured, degree))

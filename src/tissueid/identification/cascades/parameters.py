@@ -1,0 +1,67 @@
+"""Mass, damping and stiffness of small movements about rest in a cascade, each with its standard deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.cascades.blocks import Blocks
+from tissueid.identification.cascades.normal import Normalised, Uncertainty
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.static_nonlinearity import StaticNonlinearity
+from tissueid.records import Estimate, Record
+
+_FLAT = 0.05
+"""Share of its steepest slope under which a curve is called flat at rest."""
+
+_PLACES = 101
+
+
+def fit_small_movements(told: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
+    """Second-order system of a cascade made linear at rest, about which its own residuals (n,) are the noise."""
+    x = np.where(np.isfinite(record.input), record.input - told.input_mean, 0.0)
+    small = told.offset + convolve_at_rest(told.small_signal_kernel(), x)
+    return fit_second_order(replace(record, output=small + residuals), used, hold)
+
+
+def parameters_at_rest(
+    told: Normalised, normalise: Callable[[Blocks], Normalised], known: Uncertainty, small: SecondOrderFit
+) -> tuple[dict[str, Estimate], list[str]]:
+    """Named estimates at the mean input, and a warning where a curve is flat there and they mean nothing.
+
+    The ratios of mass and damping to stiffness are those of the second-order system; the stiffness carries the
+    uncertainty of the curves' slopes too, which that system takes as known.
+    """
+    parameters = small.parameters
+    if told.inner is None and told.outer is None:
+        return parameters, []
+    if _flat(told.inner, told.input_mean) or _flat(told.outer, 0.0):
+        plain = {name: Estimate(estimate.value) for name, estimate in parameters.items()}
+        return plain, ["a curve is flat at the mean input: mass, damping and stiffness have no meaning there"]
+
+    def log_gain(some: Blocks) -> Array:
+        return np.log(np.abs([np.sum(normalise(some).small_signal_kernel())]))
+
+    spread = float(np.sqrt(max(0.0, float(known.of(log_gain)[0, 0]))))
+    ratios = {"mass_kg": (1.0, 0.0, -1.0), "damping_n_s_per_m": (0.0, 1.0, -1.0)}
+    found = dict(parameters)
+    for name in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain"):
+        if name not in found:
+            continue
+        value = found[name].value
+        shape = small.estimate(value, ratios[name]) if name in ratios else Estimate(value, 0.0)
+        found[name] = Estimate(value, None if shape.std is None else float(np.hypot(shape.std, abs(value) * spread)))
+    return found, []
+
+
+def _flat(curve: StaticNonlinearity | None, rest: float) -> bool:
+    """True when a curve has next to no slope at rest beside its steepest."""
+    if curve is None:
+        return False
+    slopes = np.abs(curve.slope(np.append(np.linspace(curve.low, curve.high, _PLACES), rest)))
+    return bool(slopes[-1] <= _FLAT * float(np.max(slopes)))

@@ -1,0 +1,191 @@
+"""Cascades of linear and static blocks: the structure that a record speaks for, or a given one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.cascades.blocks import (
+    STRUCTURES,
+    Blocks,
+    CascadeData,
+    Structure,
+    cascade_data,
+    input_levels,
+    prepare_cascade,
+)
+from tissueid.identification.cascades.choice import Choice, choose, doubts_of, findings_of
+from tissueid.identification.cascades.fit import fit_structures, polished
+from tissueid.identification.cascades.normal import Normalised, Uncertainty, normalised, steady, uncertainty
+from tissueid.identification.cascades.parameters import fit_small_movements, parameters_at_rest
+from tissueid.identification.family import Family
+from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.preparation import memory_in_samples
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.records import Record
+
+
+@dataclass(frozen=True, eq=False)
+class CascadeModel(Model):
+    """y = offset + second * outer(first * inner(input)); blocks that the ``structure`` lacks are None.
+
+    The kernels (lags,) at ``lag_s`` (lags,) are per sample. ``first_kernel`` and ``second_kernel`` sum to one where
+    they have a steady-state gain and have a root-sum-square of one where they have none; the last curve carries the
+    output's unit, or in a linear system the kernel does. ``inner`` maps the absolute input, ``outer`` what leaves the
+    first kernel; both are zero at rest. The ``..._std`` (lags,) count every other block as unknown too. ``choice``
+    tells how the structures compare, None when one was asked for.
+    """
+
+    structure: Structure
+    inner: StaticNonlinearity | None
+    first_kernel: Array
+    first_kernel_std: Array
+    outer: StaticNonlinearity | None
+    second_kernel: Array | None
+    second_kernel_std: Array | None
+    lag_s: Array
+    input_mean: float
+    offset: float
+    choice: Choice | None
+    second_order: SecondOrderFit
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        blocks = (self.inner, self.first_kernel, self.outer, self.second_kernel)
+        return Normalised(self.structure, *blocks, self.offset, self.input_mean).simulate(u)
+
+
+@engine
+class Cascade(Engine):
+    """Block structures: linear, Wiener (LN), Hammerstein (NL), LNL and NLN (Chen 2010, 3.2 and 4.2).
+
+    All are fitted by the error of the free run over all blocks together, from several starts. ``auto`` keeps the
+    simplest structure that is as good as the best on samples it was not fitted to, and says what the record does not
+    tell apart, and when none of them is what the system is.
+    """
+
+    name: ClassVar[str] = "cascade"
+    family: ClassVar[Family] = Family.STATIC
+
+    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long each linear block's response lasts, s")
+    structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = Field(
+        "auto", description="Which blocks, or auto for those that the record speaks for"
+    )
+    nonlinearity: Form = Field(
+        "polynomial", description="A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"
+    )
+    degree: int = Field(5, ge=1, le=20, description="Degree of the polynomial, or pieces of the spline")
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> CascadeModel:
+        """Fit the structure, or all of them, to a record or to a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, or a memory longer than the part (an LNL system
+                remembers nearly twice the ``memory`` of its blocks), or a curve of the input is asked for and the
+                input takes fewer different values than the curve has coefficients.
+        """
+        wanted: tuple[Structure, ...] = STRUCTURES if self.structure == "auto" else (self.structure,)
+        lags = memory_in_samples(self.memory, record.sample_rate_hz)
+        whole = 2 * lags - 1 if "lnl" in wanted else lags
+        curve = coefficient_count(self.nonlinearity, self.degree) - 2
+        prepared, spacing = prepare_cascade(record, fit_part, lags, whole, lambda q: _largest(wanted, q, curve))
+        used = prepared.used
+        warnings = list(prepared.warnings)
+        levels = input_levels(prepared)
+        if levels < curve + 2:
+            few = f"an input of {levels} different values does not determine a curve of {curve + 2} coefficients"
+            wanted = tuple(structure for structure in wanted if structure not in ("hammerstein", "nln"))
+            if not wanted:
+                raise UnusableInputError(f"{few}: lower the degree, or take another structure")
+            warnings += [f"{few}: hammerstein and nln were not tried"] if self.structure == "auto" else []
+        data = cascade_data(prepared, lags, spacing)
+        found = fit_structures(data, self.nonlinearity, self.degree, wanted)
+        choice = choose(found, data) if self.structure == "auto" else None
+        structure = wanted[0] if choice is None else choice.structure
+        blocks, data = polished(found[structure], data)
+        known = uncertainty(blocks, data)
+        gains = steady(blocks, data, known)
+        told = normalised(blocks, data, gains)
+        first_std, second_std = _kernel_stds(known, data, gains)
+
+        modelled = told.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
+        residuals = np.where(used, record.output - modelled, np.nan)
+        small = fit_small_movements(told, record, used, residuals, self.hold)
+        parameters, flat = parameters_at_rest(told, lambda some: normalised(some, data, gains), known, small)
+        warnings += flat or small.warnings
+        for kernel in (told.first, told.second):
+            warnings += [] if kernel is None else doubt_memory(kernel)
+        details = {"kernel_functions": float(data.bank.size), "input_edge_hz": data.edge_hz}
+        if choice is not None:
+            warnings += doubts_of(choice)
+            for one in choice.candidates:
+                details[f"vaf_held_out_{one.structure}_percent"] = one.vaf_held_out_percent
+                details[f"aicc_{one.structure}"] = one.aicc
+            details["unexplained_percent"] = choice.chosen.unexplained_percent or 0.0
+        rate = record.sample_rate_hz
+        return CascadeModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(used.sum()),
+                n_parameters=blocks.n_parameters,
+                vaf_percent=vaf_percent(record.output[used], modelled[used]),
+                aic=aic(residuals, blocks.n_parameters),
+                aicc=aicc(residuals, blocks.n_parameters),
+                parameters=parameters,
+                findings=() if choice is None else findings_of(choice),
+                warnings=tuple(dict.fromkeys(warnings)),
+                details=details,
+            ),
+            sample_rate_hz=rate,
+            memory_samples=2 * lags - 1 if structure == "lnl" else lags,
+            structure=structure,
+            inner=told.inner,
+            first_kernel=told.first,
+            first_kernel_std=first_std,
+            outer=told.outer,
+            second_kernel=told.second,
+            second_kernel_std=second_std,
+            lag_s=np.arange(lags) / rate,
+            input_mean=prepared.input_mean,
+            offset=told.offset,
+            choice=choice,
+            second_order=small,
+        )
+
+
+def _largest(wanted: tuple[Structure, ...], basis: int, curve: int) -> int:
+    """Parameters of the largest structure that is wanted, of a basis' size and a curve's free coefficients."""
+    counts = {
+        "linear": basis + 1,
+        "wiener": basis + curve + 1,
+        "hammerstein": basis + curve + 1,
+        "lnl": 2 * basis + curve,
+        "nln": basis + 2 * curve + 1,
+    }
+    return max(counts[structure] for structure in wanted)
+
+
+def _kernel_stds(known: Uncertainty, data: CascadeData, gains: tuple[bool, bool]) -> tuple[Array, Array | None]:
+    """Standard deviations (lags,) of the kernels as they are told."""
+
+    def kernels(some: Blocks) -> Array:
+        shape = normalised(some, data, gains)
+        return shape.first if shape.second is None else np.concatenate([shape.first, shape.second])
+
+    std = np.sqrt(np.maximum(np.diag(known.of(kernels)), 0.0))
+    lags = data.bank.basis.shape[0]
+    return std[:lags], std[lags:] if std.size > lags else None
