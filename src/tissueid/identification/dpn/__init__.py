@@ -1,0 +1,1 @@
+"""The dynamic-parameter nonlinearity: mass, damping and stiffness as functions of depth."""

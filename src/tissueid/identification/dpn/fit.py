@@ -1,0 +1,197 @@
+"""The dynamic-parameter nonlinearity fitted by its simulation error.
+
+Output error: the free run over each uninterrupted stretch of input is held against the measured position, by
+Gauss-Newton with a damped step (Levenberg 1944; Marquardt 1963), the state at the beginning of every stretch unknown
+too. It begins at the linear system of :mod:`second_order_fit`, which is the best of all constant curves, and adds one
+bend after another where the record asks for it; each fit starts from the one before, so none starts far off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.identification.base import Array
+from tissueid.identification.dpn.curves import LogCurves
+from tissueid.identification.dpn.simulation import MOST_STEPS, NO_OWNERS, NO_SLOPES, integrate, intersample
+from tissueid.identification.second_order import Hold
+from tissueid.identification.validation import finite_runs
+from tissueid.records import Record
+
+_ITERATIONS = 30
+SETTLED = 1e-7
+"""Relative gain of a step below which a fit is over."""
+
+PRIOR = 3.0
+"""Standard deviation to which a coefficient of a logarithm is held when the record says nothing about it.
+
+A factor of twenty either way: far beyond what a record that says anything leaves open, and enough to keep curves from
+running off in a record that does not.
+"""
+
+_SHORTEST = 16
+"""Samples below which an uninterrupted stretch is not worth its two unknown starting values."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A stretch of received input, with the outputs in it that are fitted."""
+
+    input: Array
+    local: NDArray[np.intp]
+    output: Array
+    start: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Errors (m,) of the free run and its slopes (m, p), what starting values explain taken out of both.
+
+    ``rss`` is the squared error with the starting values that it was made with; ``error_projected`` (m,) and
+    ``slopes`` are what the coefficients have to answer for. ``starts`` gives, for each run, the change of its starting
+    values from the errors and from a change of the coefficients: shapes (2,) and (2, p).
+    """
+
+    rss: float
+    error: Array
+    error_projected: Array
+    slopes: Array
+    starts: list[tuple[Array, Array]]
+
+
+class Fitting:
+    """A record made ready to be simulated and fitted again and again."""
+
+    def __init__(self, record: Record, part: slice, hold: Hold) -> None:
+        self.rate = record.sample_rate_hz
+        self.hold = hold
+        self._pushes: dict[int, list[Array]] = {}
+        inside = np.zeros(len(record), dtype=np.bool_)
+        inside[part] = True
+        self.runs: list[_Run] = []
+        used: list[NDArray[np.intp]] = []
+        for first, end in finite_runs(inside & np.isfinite(record.input)):
+            local = np.flatnonzero(np.isfinite(record.output[first:end]))
+            if local.size < _SHORTEST:
+                continue
+            start = _start(local, record.output[first:end][local], self.rate)
+            self.runs.append(_Run(record.input[first:end], local, record.output[first:end][local], start))
+            used.append(first + local)
+        self.samples = np.concatenate(used) if used else np.zeros(0, dtype=np.intp)
+
+    def starts(self) -> list[Array]:
+        """Starting values of every run read from its first outputs: position (m) and speed (m/s), (2,) each."""
+        return [run.start for run in self.runs]
+
+    def evaluate(self, curves: LogCurves, starts: list[Array]) -> Evaluation | None:
+        """Simulate every run; None when the curves cannot be integrated or the motion diverges."""
+        tables = curves.tables
+        steps = tables.steps(self.rate)
+        if steps > MOST_STEPS:
+            return None
+        table, bounds, owner = tables.table(), tables.bounds(), curves.owner
+        slopes = curves.slopes()
+        errors, projected, sensitivities, changes = [], [], [], []
+        for run, push, start in zip(self.runs, self._push(steps), starts, strict=True):
+            position, _, sensitivity, done = integrate(tables, table, slopes, owner, push, self.rate, start, bounds)
+            if done < run.input.size:
+                return None
+            error = run.output - position[run.local]
+            errors.append(error)
+            by_all = sensitivity[run.local]  # (m, p + 2)
+            by_theta, by_start = by_all[:, :-2], by_all[:, -2:]
+            scale = np.linalg.norm(by_start, axis=0)
+            q, r = np.linalg.qr(by_start / scale)
+            on_error, on_theta = q.T @ error, q.T @ by_theta
+            inverse = np.linalg.pinv(r, rcond=1e-8) / scale[:, None]
+            changes.append((inverse @ on_error, -inverse @ on_theta))
+            projected.append(error - q @ on_error)
+            sensitivities.append(by_theta - q @ on_theta)
+        error = np.concatenate(errors)
+        return Evaluation(float(error @ error), error, np.concatenate(projected), np.vstack(sensitivities), changes)
+
+    def speeds(self, fitted: Fitted) -> Array:
+        """Speed of the fitted motion at every fitted sample, m/s, shape (m,)."""
+        tables = fitted.curves.tables
+        table, bounds = tables.table(), tables.bounds()
+        pushes = self._push(tables.steps(self.rate))
+        parts = [
+            integrate(tables, table, NO_SLOPES, NO_OWNERS, push, self.rate, start, bounds)[1][run.local]
+            for run, push, start in zip(self.runs, pushes, fitted.starts, strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def _push(self, steps: int) -> list[Array]:
+        if steps not in self._pushes:
+            self._pushes = {steps: [intersample(run.input, steps, self.hold) for run in self.runs]}
+        return self._pushes[steps]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Curves at the least squared simulation error, the starting values of every run, and the slopes there."""
+
+    curves: LogCurves
+    starts: list[Array]
+    evaluation: Evaluation
+    settled: bool
+
+
+def _start(local: NDArray[np.intp], output: Array, rate: float) -> Array:
+    """Position and speed at the first sample of a run, from a parabola through its first outputs."""
+    t = (local[:_SHORTEST]) / rate
+    reach = float(t[-1]) or 1.0
+    coefficients = np.linalg.lstsq(np.vander(t / reach, 3, increasing=True), output[:_SHORTEST], rcond=None)[0]
+    return np.array([coefficients[0], coefficients[1] / reach])
+
+
+def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
+    """Weight of the squared departure of each coefficient from its centre, shape (p,)."""
+    weights = np.full(curves.theta.size, rss / max(1, samples) / PRIOR**2)
+    weights[curves.places["level"]] = 0.0
+    return weights
+
+
+def minimise(
+    fitting: Fitting, curves: LogCurves, starts: list[Array], centre: Array, settled: float = SETTLED
+) -> Fitted | None:
+    """The curves of the same degrees with the least squared simulation error, from these; None when these diverge.
+
+    Every coefficient is held weakly to ``centre`` (p,), see :data:`PRIOR`. The search is over when a step gains less
+    than the share ``settled`` of the squared error.
+    """
+    here = fitting.evaluate(curves, starts)
+    if here is None:
+        return None
+    damping = 1e-4
+    for _ in range(_ITERATIONS):
+        weights = prior_weights(curves, here.rss, here.error.size)
+        theta = curves.theta
+        slopes = here.slopes
+        gram = slopes.T @ slopes + np.diag(weights)
+        right = slopes.T @ here.error_projected - weights * (theta - centre)
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        cost = here.rss + float(weights @ (theta - centre) ** 2)
+        moved = False
+        while damping < 1e8:
+            scaled = gram / np.outer(size, size) + damping * np.eye(size.size)
+            step = np.linalg.solve(scaled, right / size) / size
+            tried = curves.with_theta(theta + step)
+            tried_starts = [s + a + b @ step for s, (a, b) in zip(starts, here.starts, strict=True)]
+            there = fitting.evaluate(tried, tried_starts)
+            if there is not None:
+                tried_cost = there.rss + float(weights @ (tried.theta - centre) ** 2)
+                if tried_cost < cost:
+                    gain = (cost - tried_cost) / cost
+                    curves, starts, here = tried, tried_starts, there
+                    damping = max(1e-9, damping / 10.0)
+                    moved = True
+                    break
+                if np.max(np.abs(step * size)) ** 2 < 1e-12 * cost:
+                    break
+            damping = max(10.0 * damping, 1e-6)
+        if not moved or gain < settled:
+            return Fitted(curves, starts, here, True)
+    return Fitted(curves, starts, here, False)

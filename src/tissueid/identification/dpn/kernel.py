@@ -1,0 +1,173 @@
+"""The compiled part of the dynamic-parameter nonlinearity: one free run, with its sensitivities.
+
+M(y) y'' + k M'(y) y'^2 + B(y) y' + F(y) = u (Chen 2010, Eq. 3.33 with F = K(y) y and k = 0), classical Runge-Kutta of
+order four with a fixed number of steps to a sample. The sensitivities are those of the Runge-Kutta steps themselves and
+not of the equation that they stand for, so that a search by them sees the function that it minimises.
+
+Curves are tables over equal steps of position, read linearly between their rows. Beyond the table mass, damping and
+direction stay as at its end and the force goes on along a straight line.
+"""
+
+from __future__ import annotations
+
+from math import exp, tanh
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Owners = NDArray[np.int64]
+
+MASS, DAMPING, FORCE, DIRECTION, INERTIA = range(5)
+"""What a parameter belongs to; the first four are also the columns of the table of curves."""
+
+_KINDS = 5
+
+
+@njit(cache=True)
+def free_run(
+    push: Array,
+    step: float,
+    low: float,
+    spacing: float,
+    curves: Array,
+    slopes: Array,
+    owner: Owners,
+    speed_scale: float,
+    inertia: float,
+    start: Array,
+    bounds: Array,
+) -> tuple[Array, Array, Array, int]:
+    """Run one stretch of input through the curves.
+
+    Args:
+        push: input over each interval between two samples at every half step, shape (n - 1, 2 steps + 1).
+        step: s.
+        low: position of the first row of the tables, m.
+        spacing: m from row to row.
+        curves: mass, damping, force and direction, shape (rows, 4).
+        slopes: derivative of each parameter's curve by it, shape (rows, p); for the mass, the damping and the
+            direction that of the curve's logarithm, for k one. No sensitivities are made when ``owner`` is empty.
+        owner: which curve each parameter belongs to, shape (p,).
+        speed_scale: speed, m/s, over which the direction takes effect; 0 for one damping in both directions.
+        inertia: k, the share of M'(y) y'^2 that resists.
+        start: position and speed at the first sample, shape (2,).
+        bounds: lowest and highest position and largest speed that still count as a motion, shape (3,).
+
+    Returns:
+        Position (n,), speed (n,), sensitivities of the position by the p parameters and the two starting values
+        (n, p + 2), or (0, 0), and the number of samples done: under n when the state left the bounds.
+    """
+    intervals, columns = push.shape
+    steps = (columns - 1) // 2
+    rows = curves.shape[0]
+    p = owner.size
+    position = np.empty(intervals + 1)
+    speed = np.empty(intervals + 1)
+    sensitivity = np.zeros((intervals + 1, p + 2)) if p > 0 else np.zeros((0, 0))
+    by_position = np.zeros(p + 2)  # of the position and the speed now
+    by_speed = np.zeros(p + 2)
+    by_position[p] = 1.0
+    by_speed[p + 1] = 1.0
+    if p > 0:
+        sensitivity[0, p] = 1.0
+
+    row = np.zeros(4, np.int64)  # of each stage: where in the table, and what the sensitivities need there
+    inside = np.zeros(4)
+    beyond = np.zeros(4)
+    pull = np.zeros(4)
+    drag = np.zeros(4)
+    weight = np.zeros((4, _KINDS))
+    squared = np.zeros(4)
+    rate = np.zeros(4)
+    velocity = np.zeros(4)
+    reach = (0.0, 0.5 * step, 0.5 * step, step)
+    moment = (0, 1, 1, 2)
+
+    y, v = start[0], start[1]
+    position[0], speed[0] = y, v
+    for n in range(intervals):
+        for part in range(steps):
+            for stage in range(4):
+                at, moving = y, v
+                if stage > 0:
+                    at += reach[stage] * velocity[stage - 1]
+                    moving += reach[stage] * rate[stage - 1]
+                place = (at - low) / spacing
+                cell = int(min(max(place, 0.0), rows - 2.0))
+                share = place - cell
+                held = min(max(share, 0.0), 1.0)
+                by_depth = held == share
+                more_mass = curves[cell + 1, MASS] - curves[cell, MASS]
+                more_damping = curves[cell + 1, DAMPING] - curves[cell, DAMPING]
+                more_force = curves[cell + 1, FORCE] - curves[cell, FORCE]
+                mass = curves[cell, MASS] + held * more_mass
+                damping = curves[cell, DAMPING] + held * more_damping
+                force = curves[cell, FORCE] + share * more_force
+                mass_slope = more_mass / spacing if by_depth else 0.0
+                damping_slope = more_damping / spacing if by_depth else 0.0
+                turned = 0.0
+                log_slope = 0.0  # of the damping by the speed
+                if speed_scale > 0.0:
+                    turned = tanh(moving / speed_scale)
+                    more_bias = curves[cell + 1, DIRECTION] - curves[cell, DIRECTION]
+                    bias = curves[cell, DIRECTION] + held * more_bias
+                    factor = exp(bias * turned)
+                    damping *= factor
+                    damping_slope *= factor
+                    if by_depth:
+                        damping_slope += damping * turned * more_bias / spacing
+                    log_slope = bias * (1.0 - turned * turned) / speed_scale
+                resisted = damping * moving
+                shed = mass_slope * moving * moving
+                acceleration = (push[n, 2 * part + moment[stage]] - resisted - force - inertia * shed) / mass
+                velocity[stage] = moving
+                rate[stage] = acceleration
+                if p > 0:
+                    row[stage], inside[stage], beyond[stage] = cell, held, share
+                    stiffness = more_force / spacing + damping_slope * moving + mass_slope * acceleration
+                    if inertia != 0.0 and by_depth and 0 < cell < rows - 2:
+                        more_rise = curves[cell + 2, MASS] - curves[cell + 1, MASS]
+                        more_rise -= curves[cell, MASS] - curves[cell - 1, MASS]
+                        stiffness += inertia * moving * moving * more_rise / (2.0 * spacing * spacing)
+                    pull[stage] = -stiffness / mass
+                    drag[stage] = -(damping * (1.0 + log_slope * moving) + 2.0 * inertia * mass_slope * moving) / mass
+                    squared[stage] = inertia * moving * moving / spacing if by_depth else 0.0
+                    weight[stage, MASS] = -acceleration - inertia * shed / mass
+                    weight[stage, INERTIA] = -shed / mass
+                    weight[stage, DAMPING] = -resisted / mass
+                    weight[stage, FORCE] = -1.0 / mass
+                    weight[stage, DIRECTION] = -resisted * turned / mass
+            y += step / 6.0 * (velocity[0] + 2.0 * (velocity[1] + velocity[2]) + velocity[3])
+            v += step / 6.0 * (rate[0] + 2.0 * (rate[1] + rate[2]) + rate[3])
+            if not (bounds[0] < y < bounds[1] and abs(v) < bounds[2]):  # also when either is not a number
+                return position, speed, sensitivity, n + 1
+            if p > 0:
+                for j in range(p + 2):
+                    a, b = by_position[j], by_speed[j]
+                    sum_a = sum_b = 0.0
+                    last_a = last_b = 0.0
+                    for stage in range(4):
+                        forcing = 0.0
+                        if j < p:
+                            kind = owner[j]
+                            first = slopes[row[stage], j]
+                            more = slopes[row[stage] + 1, j] - first
+                            share = beyond[stage] if kind == FORCE else inside[stage]
+                            forcing = weight[stage, kind] * (first + share * more)
+                            if kind == MASS:
+                                forcing -= squared[stage] * more
+                        at = a + reach[stage] * last_a
+                        moving = b + reach[stage] * last_b
+                        last_a = moving
+                        last_b = pull[stage] * at + drag[stage] * moving + forcing
+                        times = 1.0 if stage == 0 or stage == 3 else 2.0
+                        sum_a += times * last_a
+                        sum_b += times * last_b
+                    by_position[j] = a + step / 6.0 * sum_a
+                    by_speed[j] = b + step / 6.0 * sum_b
+        position[n + 1], speed[n + 1] = y, v
+        if p > 0:
+            sensitivity[n + 1] = by_position
+    return position, speed, sensitivity, intervals + 1

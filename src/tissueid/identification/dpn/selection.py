@@ -1,0 +1,157 @@
+"""How many bends each curve is given: as many as the record can be seen to ask for, and some to spare.
+
+At a fit, the slopes of the simulated output by coefficients that are not there yet tell what each would gain. A gain
+counts when the sum of slope and error stands out of its own long-run deviation, which a coloured residual widens
+(the robust score test: White 1982); AICc, which takes every sample for a new one, would go on bending. The strongest
+is taken in, the curves are fitted again, and so on. At the end every free curve gets degrees that were not asked for: a
+bend too small to be seen would otherwise lie outside bands that know nothing of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from tissueid.identification.base import Array
+from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.dpn.bands import coefficient_covariance
+from tissueid.identification.dpn.curves import LogCurves
+from tissueid.identification.dpn.fit import SETTLED, Fitted, Fitting, minimise
+
+SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
+
+_FEWEST = {"mass": 1, "damping": 1, "stiffness": 1, "direction": 0, "inertia": 0}
+"""Coefficients that a series cannot do without."""
+
+_ON_THE_WAY = 1e-4
+"""Relative gain of a step below which a fit that is only a step to the next is over."""
+
+_AHEAD = 2
+"""Degrees that are looked ahead: the second bend can be there without the first."""
+
+_PRICES = (10.0, 13.0)
+"""Score statistics above which one coefficient, and two together, are taken in: by chance one time in 600."""
+
+_SHARES = (-0.5, 1.5)
+"""What a share of M'(y) y'^2 can be: none, a half, or all of it, and as much again for its uncertainty."""
+
+
+def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
+    """What each series would gain by so many degrees more, for 1 .. its ``steps``.
+
+    Returns for each series and number of degrees the score statistic, which is chi-squared with that many degrees of
+    freedom where they are not needed, and the share of the squared error that they would take away.
+    """
+    steps = {name: more for name, more in steps.items() if more > 0}
+    degrees = {name: _degree(fitted, name) for name in SERIES}
+    wider = fitted.curves.with_degrees(**{name: degrees[name] + more for name, more in steps.items()})
+    there = fitting.evaluate(wider, fitted.starts) if steps else None
+    if there is None:
+        return {}
+    at = wider.places
+    new = {name: np.arange(at[name].start + degrees[name] + 1, at[name].stop) for name in steps}
+    old = np.setdiff1d(np.arange(wider.theta.size), np.concatenate(list(new.values())))
+    q, _ = np.linalg.qr(there.slopes[:, old])
+    every = np.concatenate(list(new.values()))
+    own = there.slopes[:, every] - q @ (q.T @ there.slopes[:, every])  # (m, all that are new)
+    # What all of them together would explain is no noise: left in the errors, a large gain would hide itself.
+    left = there.error_projected - own @ np.linalg.lstsq(own, there.error_projected, rcond=1e-8)[0]
+    covariance = long_run_covariance(own * left[:, None], dependence_samples(left, fitting.rate))
+    total, gram = own.T @ there.error_projected, own.T @ own
+    gains = {}
+    first = 0
+    for name, columns in new.items():
+        for more in range(1, columns.size + 1):
+            some = slice(first, first + more)
+            aim = total[some]
+            statistic = float(aim @ np.linalg.lstsq(covariance[some, some], aim, rcond=1e-10)[0])
+            explained = float(aim @ np.linalg.lstsq(gram[some, some], aim, rcond=1e-10)[0])
+            gains[name, more] = (statistic, explained / there.rss)
+        first += columns.size
+    return gains
+
+
+def grow(
+    fitting: Fitting, start: LogCurves, degrees: dict[str, int], free: Collection[str], most: int, spare: int
+) -> tuple[Fitted, dict[str, int]] | None:
+    """Fit constant curves, then bend them as far as the record asks.
+
+    Args:
+        fitting: the record.
+        start: constant curves to begin with.
+        degrees: degrees that are given, by series; they are reached one at a time.
+        free: series whose degree is to be found.
+        most: largest degree that is taken.
+        spare: degrees added to the free mass, damping and stiffness at the end.
+
+    Returns:
+        The fit, and the degree that the record asked for of each free series, -1 for one that is not there; None
+        when even the constant curves cannot be simulated.
+    """
+    fitted = minimise(fitting, start, fitting.starts(), start.theta, _ON_THE_WAY)
+    if fitted is None:
+        return None
+    for degree in range(max(degrees.values(), default=0) + 1):
+        due = {name: degree for name in SERIES if degrees.get(name, -1) >= degree > _degree(fitted, name)}
+        fitted = _raised(fitting, fitted, due, start) or fitted if due else fitted
+    growing = True
+    while free and growing:
+        growing = False
+        gains = score_gains(fitting, fitted, {name: _room(fitted, name, most) for name in free})
+        asked = [key for key, (statistic, _) in gains.items() if statistic > _PRICES[key[1] - 1]]
+        for name, more in sorted(asked, key=lambda key: -gains[key][1]):
+            better = _raised(fitting, fitted, {name: _degree(fitted, name) + more}, start)
+            if better is not None and _plausible(better):
+                fitted, growing = better, True
+                break
+    fitted = _pruned(fitting, fitted, free, start)
+    found = {name: _degree(fitted, name) for name in free}
+    shapes = {"mass", "damping", "stiffness"} & set(free)
+    wanted = {name: min(most, found[name] + spare) for name in SERIES if name in shapes and found[name] < most}
+    return _raised(fitting, fitted, wanted, start, SETTLED) or fitted, found
+
+
+def _pruned(fitting: Fitting, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
+    """The fit without the bends that were needed on the way and, by Wald's statistic, no longer are."""
+    while True:
+        covariance = coefficient_covariance(fitting, fitted)
+        weakest: tuple[float, dict[str, int]] | None = None
+        for name in free:
+            place = fitted.curves.places[name]
+            last = place.stop - 1
+            if place.stop - place.start > _FEWEST[name] and np.isfinite(covariance[last, last]):
+                statistic = float(fitted.curves.theta[last] ** 2 / covariance[last, last])
+                if statistic < _PRICES[0] and (weakest is None or statistic < weakest[0]):
+                    weakest = statistic, {name: _degree(fitted, name) - 1}
+        lighter = None if weakest is None else _raised(fitting, fitted, weakest[1], start)
+        if lighter is None:
+            return fitted
+        fitted = lighter
+
+
+def _degree(fitted: Fitted, name: str) -> int:
+    return int(getattr(fitted.curves, name).size) - 1
+
+
+def _room(fitted: Fitted, name: str, most: int) -> int:
+    """How many degrees more of a series may be looked at."""
+    if name == "inertia":  # means nothing for a constant mass
+        return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
+    return max(0, min(_AHEAD, most - _degree(fitted, name)))
+
+
+def _plausible(fitted: Fitted) -> bool:
+    """False for a share of M'(y) y'^2 that no mass has: something else is behind it, and must not pass for that."""
+    low, high = _SHARES
+    return all(low < share < high for share in fitted.curves.inertia)
+
+
+def _raised(
+    fitting: Fitting, fitted: Fitted, degrees: dict[str, int], start: LogCurves, settled: float = _ON_THE_WAY
+) -> Fitted | None:
+    """The fit with series of other degrees, None when it cannot be simulated."""
+    curves = fitted.curves.with_degrees(**degrees)
+    every = {name: int(getattr(curves, name).size) - 1 for name in SERIES}
+    centre: Array = start.with_degrees(**every).theta
+    return minimise(fitting, curves, fitted.starts, centre, settled)

@@ -1,0 +1,241 @@
+"""Free run of M(y) y'' + B(y) y' + F(y) = u through tabulated curves (Chen 2010, Eq. 3.33, F = K(y) y).
+
+The steps are those of classical Runge-Kutta, so many to a sample that the fastest local dynamics turn by a quarter
+of a radian at most in each; the force between samples is that of its band-limited course, or held. Any input is
+integrated: a motion that leaves the neighbourhood of the tables is stopped and told, so nothing here runs away.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, interpolate
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.dpn import kernel
+from tissueid.identification.second_order import Hold
+from tissueid.identification.validation import finite_runs
+
+STEP_RADIANS = 0.25
+"""How far the fastest local dynamics may turn in one step.
+
+At 2 kHz, half of it changes the motion by under 3e-5 of its spread for a force up to 200 Hz, and 4e-4 up to 600 Hz.
+"""
+
+STABLE_RADIANS = 2.0
+"""The same where the curves are only continued, beyond what was visited: there it is enough that a step is stable."""
+
+MOST_STEPS = 32
+"""Steps to a sample that are still taken; stiffer curves than these are not integrated."""
+
+_BRIDGE = 64
+"""Samples over which a run is continued past either end, so that its Fourier series closes smoothly."""
+
+_ROWS = 2049
+_REACH = 20.0
+"""Widths of the table that a motion may stray before it counts as diverged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Mass (kg), damping (N s/m) and force (N) at equal steps of position, each of shape (rows,).
+
+    ``low`` is the position (m) of the first row and ``spacing`` that from row to row. Beyond the rows mass and
+    damping stay, and the force goes on along a straight line. With ``direction`` (rows,) and a ``speed_scale`` (m/s),
+    the damping is multiplied by exp(direction * tanh(speed / speed_scale)). ``inertia`` is the share of M'(y) y'^2
+    that resists: none in Eq. 3.33, half where a mass that is recruited keeps its energy, all of it in a Wiener system
+    written as this equation. The rows within ``margin`` (m) of either
+    end are a continuation of what is known.
+    """
+
+    low: float
+    spacing: float
+    mass: Array
+    damping: Array
+    force: Array
+    direction: Array | None = None
+    speed_scale: float = 0.0
+    inertia: float = 0.0
+    margin: float = 0.0
+
+    @property
+    def position(self) -> Array:
+        """Position of each row, m, shape (rows,)."""
+        return np.asarray(self.low + self.spacing * np.arange(self.mass.size), dtype=np.float64)
+
+    @property
+    def stiffness(self) -> Array:
+        """Slope of the force, N/m, shape (rows,)."""
+        return np.gradient(self.force, self.spacing)
+
+    def table(self) -> Array:
+        """The columns that the compiled loop reads, shape (rows, 4)."""
+        direction = np.zeros_like(self.mass) if self.direction is None else self.direction
+        return np.ascontiguousarray(np.column_stack([self.mass, self.damping, self.force, direction]))
+
+    def rest(self, force: float) -> float:
+        """Position, m, at which the tissue bears a steady force, N."""
+        place = self.position
+        last = place.size - 1
+        if force < self.force[0]:
+            return float(place[0] + (force - self.force[0]) * self.spacing / (self.force[1] - self.force[0]))
+        if force > self.force[last]:
+            rise = self.force[last] - self.force[last - 1]
+            return float(place[last] + (force - self.force[last]) * self.spacing / rise)
+        return float(np.interp(force, self.force, place))
+
+    def steps(self, sample_rate_hz: float) -> int:
+        """Runge-Kutta steps that a sample needs; more than :data:`MOST_STEPS` for curves too stiff to integrate."""
+        damping = self.damping if self.direction is None else self.damping * np.exp(np.abs(self.direction))
+        with np.errstate(over="ignore", invalid="ignore"):
+            local = np.maximum(damping / self.mass, np.sqrt(np.maximum(0.0, self.stiffness / self.mass)))  # rad/s
+        visited = (self.position >= self.low + self.margin) & (self.position <= self.position[-1] - self.margin)
+        radians = max(float(np.max(local[visited])) / STEP_RADIANS, float(np.max(local)) / STABLE_RADIANS)
+        needed = radians / sample_rate_hz
+        return max(1, math.ceil(needed)) if needed <= MOST_STEPS else MOST_STEPS + 1
+
+    def bounds(self) -> Array:
+        """Lowest and highest position (m) and largest speed (m/s) that count as a motion, shape (3,)."""
+        width = self.spacing * (self.mass.size - 1)
+        fastest = math.sqrt(float(np.max(self.stiffness / self.mass)))
+        return np.array(
+            [self.low - _REACH * width, self.low + (1.0 + _REACH) * width, 10.0 * _REACH * width * max(fastest, 1.0)]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """A simulated motion: position (n,), m, and speed (n,), m/s; NaN where the input was.
+
+    ``diverged_at`` is the sample at which the motion left all bounds, None when it never did. From there to the end
+    of that run of input the position stays at the bound: a number, and one that no score will take for a fit.
+    """
+
+    position: Array
+    speed: Array
+    diverged_at: int | None
+
+
+def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Curves:
+    """Curves through points at any rising positions (k,), m, with mass (kg), damping (N s/m) and force (N), each (k,).
+
+    Between the points the curves are of the shape-preserving cubic kind (Fritsch and Carlson 1980), so a force that
+    rises from point to point rises throughout.
+
+    Raises:
+        UnusableInputError: fewer than two points, positions or forces that do not rise, a mass that is not
+            positive, or a negative damping.
+    """
+    if position.size < 2 or not np.all(np.diff(position) > 0.0):
+        raise UnusableInputError("curves against depth need two points or more, at rising positions")
+    if not np.all(np.diff(force) > 0.0):
+        raise UnusableInputError("the force must rise with the position: take the points that it does not rise to out")
+    if not (np.all(mass > 0.0) and np.all(damping >= 0.0)):
+        raise UnusableInputError("mass must be positive and damping not negative at every point of a curve")
+    grid = np.linspace(position[0], position[-1], _ROWS)
+    m, b, f = (
+        np.asarray(interpolate.PchipInterpolator(position, values)(grid), dtype=np.float64)
+        for values in (mass, damping, force)
+    )
+    return Curves(float(grid[0]), float(grid[1] - grid[0]), m, b, f)
+
+
+def simulate_dpn(
+    curves: Curves, u: Array, sample_rate_hz: float, *, rest_input: float | None = None, hold: Hold = "band-limited"
+) -> FreeRun:
+    """Free run of tabulated curves: nothing but the input u (n,), N, is seen.
+
+    Every uninterrupted run of input starts at rest where the tissue bears ``rest_input``.
+
+    Args:
+        curves: see :func:`tabulated`.
+        u: force, N, shape (n,); NaN where it was not received, and there the motion is NaN.
+        sample_rate_hz: of u.
+        rest_input: steady force, N, before every run; the mean of the received input when None.
+        hold: what the force does between samples.
+
+    Raises:
+        UnusableInputError: the curves are too stiff to integrate at this sample rate, or no input was received.
+    """
+    u = np.asarray(u, dtype=np.float64)
+    received = np.isfinite(u)
+    if not received.any():
+        raise UnusableInputError("the input holds no received sample to simulate from")
+    steps = curves.steps(sample_rate_hz)
+    if steps > MOST_STEPS:
+        raise UnusableInputError(
+            f"curves with a damping this large for the mass need {steps} steps a sample: they cannot be simulated"
+        )
+    start = np.array([curves.rest(float(u[received].mean()) if rest_input is None else rest_input), 0.0])
+    position, speed = np.full(u.size, np.nan), np.full(u.size, np.nan)
+    diverged_at: int | None = None
+    table, bounds = curves.table(), curves.bounds()
+    for first, end in finite_runs(received):
+        push = intersample(u[first:end], steps, hold)
+        y, v, _, done = integrate(curves, table, NO_SLOPES, NO_OWNERS, push, sample_rate_hz, start, bounds)
+        if done < end - first:
+            y[done:], v[done:] = (bounds[0] if y[done - 1] < start[0] else bounds[1]), 0.0
+            diverged_at = int(first) + done if diverged_at is None else diverged_at
+        position[first:end], speed[first:end] = y, v
+    return FreeRun(position, speed, diverged_at)
+
+
+NO_SLOPES = np.zeros((_ROWS, 0))
+NO_OWNERS: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+
+def integrate(
+    curves: Curves,
+    table: Array,
+    slopes: Array,
+    owner: NDArray[np.int64],
+    push: Array,
+    sample_rate_hz: float,
+    start: Array,
+    bounds: Array,
+) -> tuple[Array, Array, Array, int]:
+    """One run of input through the compiled loop; arguments and answer as :func:`kernel.free_run`."""
+    steps = (push.shape[1] - 1) // 2
+    position, speed, sensitivity, done = kernel.free_run(
+        push,
+        1.0 / (sample_rate_hz * steps),
+        curves.low,
+        curves.spacing,
+        table,
+        slopes,
+        owner,
+        curves.speed_scale,
+        curves.inertia,
+        start,
+        bounds,
+    )
+    return position, speed, sensitivity, int(done)
+
+
+def intersample(u: Array, steps: int, hold: Hold) -> Array:
+    """Input u (n,) at every half step between each two samples, shape (n - 1, 2 steps + 1).
+
+    A band-limited input is interpolated by its Fourier series. Before its first and after its last sample it is
+    continued by its own image turned about that sample, which keeps its slope, fading into a constant.
+    """
+    halves = 2 * steps
+    if hold == "zero-order" or u.size < 3:
+        return np.ascontiguousarray(np.repeat(u[:-1, None], halves + 1, axis=1))
+    reach = min(_BRIDGE, u.size - 1)
+    length = fft.next_fast_len(u.size + 2 * reach, real=True)
+    middle = 0.5 * (u[0] + u[-1])
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, reach + 1) / (reach + 1))
+    after = middle + (2.0 * u[-1] - u[-2 : -2 - reach : -1] - middle) * fade
+    before = middle + (2.0 * u[0] - u[1 : 1 + reach] - middle) * fade
+    flat = np.full(length - u.size - 2 * reach, middle)
+    periodic = np.concatenate([u, after, flat, before[::-1]])
+    spectrum = fft.rfft(periodic)
+    if length % 2 == 0:
+        spectrum[-1] *= 0.5  # half of the Nyquist frequency's power goes to either side once there is another side
+    fine = fft.irfft(spectrum, length * halves) * halves  # (length * halves,)
+    windows = np.lib.stride_tricks.sliding_window_view(fine, halves + 1)[::halves]
+    return np.ascontiguousarray(windows[: u.size - 1], dtype=np.float64)

@@ -1,0 +1,265 @@
+"""Dynamic-parameter nonlinearity: mass, damping and stiffness that depend on depth, fitted by simulation error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
+from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.dpn.bands import KnownCurves, coefficient_covariance
+from tissueid.identification.dpn.curves import LogCurves
+from tissueid.identification.dpn.fit import Fitted, Fitting
+from tissueid.identification.dpn.report import doubts, dpn_parameters, findings, settling_samples
+from tissueid.identification.dpn.selection import grow, score_gains
+from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
+from tissueid.identification.family import Family
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.validation import aic, aicc, complete_windows, scored_samples, vaf_percent
+from tissueid.records import Record
+
+_MEMORY_S = 0.125
+"""Length below which a record is not looked at, s, when no memory is given."""
+
+_LEAST_PARAMETERS = 7
+"""Level of the force, and a constant and a growth of each curve: what the spare degree leaves of the simplest fit."""
+
+_LONGEST_SHARE = 0.25
+"""A start that is felt for longer than this part of the record is told of, and scored from there on."""
+
+_TURNING_SHARE = 0.1
+"""Part of the typical speed over which the damping goes from one direction's to the other's."""
+
+_STIFFEST = 4.0
+"""Damping over mass and sample period with which a fit begins at most; the fit itself may go beyond."""
+
+
+@dataclass(frozen=True, eq=False)
+class DpnModel(Model):
+    """M(y) y'' + B(y) y' + F(y) = u, with F the integral of the tangent stiffness K(y).
+
+    ``known`` holds the curves with their bands: ``model.known.stiffness(position)`` and the like. ``degrees`` is the
+    degree that the record asked for of each series that was free, before the spare one; -1 for one that is not
+    there. ``rest_position`` is where the tissue bears the mean input of the fit: there a simulation begins.
+    """
+
+    known: KnownCurves
+    degrees: dict[str, int]
+    input_mean: float
+    rest_position: float
+    hold: Hold
+    surface_position_m: float | None
+    mechanical: bool
+
+    def free_run(self, u: Array) -> FreeRun:
+        """Position and speed for an input u (n,), each run of it from rest at the mean input of the fit.
+
+        Says whether and where the motion diverged. Samples in the memory of a gap are not yet masked.
+        """
+        return simulate_dpn(
+            self.known.curves.tables, u, self.sample_rate_hz, rest_input=self.input_mean, hold=self.hold
+        )
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample.
+
+        A motion that diverges stays at the bound that it reached; :meth:`free_run` tells where.
+        """
+        u = np.asarray(u, dtype=np.float64)
+        position = self.free_run(u).position
+        padded = np.concatenate([np.ones(self.memory_samples - 1, dtype=np.bool_), np.isfinite(u)])
+        complete: Mask = complete_windows(padded, self.memory_samples)[self.memory_samples - 1 :]
+        position[~complete] = np.nan
+        return position
+
+    def depth_profile(self) -> DepthProfile | None:
+        """Mass, damping and tangent stiffness over the central 98 % of the visited positions; None if not N and m."""
+        return self.known.profile() if self.mechanical else None
+
+
+@engine
+class Dpn(Engine):
+    """Mass, damping and stiffness as functions of depth (Chen 2010, Eq. 3.33), by the free run's error.
+
+    Assumes that the state is position and speed alone: no relaxation, no creep, no memory of the way there. The
+    logarithms of the curves are Legendre series in the position; where no degree is given the record decides.
+    """
+
+    name: ClassVar[str] = "dpn"
+    family: ClassVar[Family] = Family.PARAMETRIC
+
+    memory: float | None = Field(
+        None, gt=0.0, le=10.0, description="How long a start is felt, s; from the slower time constant when not given"
+    )
+    mass_degree: int | None = Field(
+        None, ge=0, le=12, description="Degree of log M(y): 0 constant, 1 exponential; found when not given"
+    )
+    damping_degree: int | None = Field(
+        None, ge=0, le=12, description="Degree of log B(y): 0 constant, 1 exponential; found when not given"
+    )
+    stiffness_degree: int | None = Field(
+        None, ge=0, le=12, description="Degree of log dF/dy: 0 constant, 1 exponential; found when not given"
+    )
+    max_degree: int = Field(6, ge=0, le=12, description="Largest degree that is found")
+    spare_degree: int = Field(
+        2, ge=0, le=3, description="Degrees beyond those that are found, so that the bands hold what is not seen"
+    )
+    direction: Literal["auto", "on", "off"] = Field(
+        "auto", description="Damping that differs between the way in and the way out"
+    )
+    inertia: Literal["auto", "on", "off"] = Field(
+        "auto", description="Squared speed where the mass changes, of which Eq. 3.33 has none"
+    )
+    surface_position_m: float | None = Field(
+        None, ge=-1.0, le=1.0, description="Where the tissue begins, m: then the stiffness of Eq. 3.33 is told too"
+    )
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> DpnModel:
+        """Fit the curves to a record, or to a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an output that
+                falls as the input rises.
+        """
+        prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
+        fitting = Fitting(record, prepared.part, self.hold)
+        if fitting.samples.size < _LEAST_PARAMETERS:
+            raise UnusableInputError("the record has no stretch long enough to simulate: it is full of gaps")
+        start = _constant_curves(prepared, self.hold)
+        degrees, free, off = self._wanted()
+        most = min(self.max_degree, int(fitting.samples.size) // (4 * SAMPLES_PER_PARAMETER))
+        grown = grow(fitting, start, degrees, free, most, self.spare_degree)
+        if grown is None:
+            raise UnusableInputError(
+                "not even constant mass, damping and stiffness can be simulated: use the lms engine"
+            )
+        fitted, found = grown
+        known = KnownCurves(
+            fitted.curves,
+            coefficient_covariance(fitting, fitted),
+            record.output[fitting.samples],
+            fitting.speeds(fitted),
+        )
+        gains = score_gains(
+            fitting, fitted, {name: 1 for name in off if name != "inertia" or fitted.curves.mass.size > 1}
+        )
+        return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
+
+    def _wanted(self) -> tuple[dict[str, int], list[str], list[str]]:
+        """Degrees that are given, series that are free, and terms that are switched off."""
+        given = {"mass": self.mass_degree, "damping": self.damping_degree, "stiffness": self.stiffness_degree}
+        switched = {"direction": self.direction, "inertia": self.inertia}
+        degrees = {name: degree for name, degree in given.items() if degree is not None}
+        degrees |= {name: 0 for name, switch in switched.items() if switch == "on"}
+        free = [name for name, degree in given.items() if degree is None]
+        free += [name for name, switch in switched.items() if switch == "auto"]
+        return degrees, free, [name for name, switch in switched.items() if switch == "off"]
+
+    def _model(
+        self,
+        prepared: Prepared,
+        fitted: Fitted,
+        found: dict[str, int],
+        known: KnownCurves,
+        gains: dict[str, tuple[float, float]],
+    ) -> DpnModel:
+        record = prepared.record
+        rate = record.sample_rate_hz
+        mechanical = (record.input_unit, record.output_unit) == ("N", "m")
+        warnings = [*prepared.warnings, *doubts(known)]
+        length = prepared.part.stop - prepared.part.start
+        memory = prepared.memory_samples if self.memory is not None else settling_samples(known, rate)
+        if memory > _LONGEST_SHARE * length:
+            warnings.append(
+                f"a start is felt for {memory / rate:.2g} s of the {length / rate:.2g} s fitted: record longer"
+            )
+            if self.memory is None:
+                memory = max(1, int(_LONGEST_SHARE * length))
+        used = scored_samples(record, memory, prepared.part)
+        run = simulate_dpn(fitted.curves.tables, record.input, rate, rest_input=prepared.input_mean, hold=self.hold)
+        if run.diverged_at is not None:
+            warnings.append(
+                f"the free run diverged {run.diverged_at / rate:.3g} s into the record: do not trust the curves"
+            )
+        residuals = np.where(used, record.output - run.position, np.nan)
+        p = int(fitted.curves.theta.size)
+        if used.sum() < SAMPLES_PER_PARAMETER * p and not any("fewer than" in text for text in warnings):
+            warnings.append(
+                f"{int(used.sum())} usable samples for {p} parameters is fewer than {SAMPLES_PER_PARAMETER} each"
+            )
+        return DpnModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(used.sum()),
+                n_parameters=p,
+                vaf_percent=vaf_percent(record.output[used], run.position[used]),
+                aic=aic(residuals, p),
+                aicc=aicc(residuals, p),
+                parameters=dpn_parameters(known, self.surface_position_m, mechanical),
+                warnings=tuple(warnings),
+                findings=tuple(findings(known, gains)) if mechanical else (),
+                details={
+                    f"{name}_degree": float(getattr(fitted.curves, name).size - 1)
+                    for name in ("mass", "damping", "stiffness", "direction", "inertia")
+                }
+                | {
+                    "fitted_samples": float(fitted.evaluation.error.size),
+                    "steps_per_sample": float(fitted.curves.tables.steps(rate)),
+                    "memory_s": memory / rate,
+                },
+            ),
+            sample_rate_hz=rate,
+            memory_samples=memory,
+            known=known,
+            degrees=found,
+            input_mean=prepared.input_mean,
+            rest_position=fitted.curves.tables.rest(prepared.input_mean),
+            hold=self.hold,
+            surface_position_m=self.surface_position_m,
+            mechanical=mechanical,
+        )
+
+
+def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
+    """The linear second-order system of the record as curves that do not depend on depth.
+
+    Raises:
+        UnusableInputError: the output falls as the input rises.
+    """
+    record = prepared.record
+    linear = fit_second_order(record, prepared.used, hold)
+    if linear.sign < 0.0:
+        raise UnusableInputError(
+            f"the output ({record.output_name}) falls as the input ({record.input_name}) rises: turn one of them round"
+        )
+    output = record.output[prepared.part]
+    received = output[np.isfinite(output)]
+    low, high = float(received.min()), float(received.max())
+    system = linear.system
+    damping = abs(system.damping)
+    mass = max(system.mass, damping / (_STIFFEST * record.sample_rate_hz))
+    speed = float(np.nanstd(np.diff(output))) * record.sample_rate_hz
+    middle = 0.5 * (low + high)
+    return LogCurves(
+        low=low,
+        high=high,
+        mass=np.log([mass]),
+        damping=np.log([damping]),
+        stiffness=np.log([system.stiffness]),
+        level=prepared.input_mean + system.stiffness * (middle - prepared.output_mean),
+        direction=np.zeros(0),
+        speed_scale=_TURNING_SHARE * speed,
+        inertia=np.zeros(0),
+    )
