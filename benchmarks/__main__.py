@@ -5,27 +5,58 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 import benchmarks
-from benchmarks.base import Comparison, run
+from benchmarks.base import Comparison, Latency, run, run_latency
 
 
-def comparisons(names: list[str]) -> list[Comparison]:
-    """Collect ``comparisons()`` from every module whose name begins with ``bench_``."""
-    found: list[Comparison] = []
+def collected(names: list[str], kind: str) -> list[Any]:
+    """Collect ``comparisons()`` or ``latencies()`` from every module whose name begins with ``bench_``."""
+    found: list[Any] = []
     for module in pkgutil.iter_modules(benchmarks.__path__):
         if module.name.startswith("bench_") and (not names or module.name.removeprefix("bench_") in names):
-            found += importlib.import_module(f"benchmarks.{module.name}").comparisons()
+            found += getattr(importlib.import_module(f"benchmarks.{module.name}"), kind, list)()
     return found
 
 
 def main() -> int:
+    console = Console(width=140 if not sys.stdout.isatty() else None)
+    kept = ratios(console, collected(sys.argv[1:], "comparisons"))
+    return 0 if percentiles(console, collected(sys.argv[1:], "latencies")) and kept else 1
+
+
+def percentiles(console: Console, latencies: list[Latency]) -> bool:
+    """Time single calls and print their percentiles; False when a promise is not kept."""
+    if not latencies:
+        return True
+    columns = ("50 %", "99 %", "99.9 %")
+    table = Table("one call, us", "setting", *(f"plain {c}" for c in columns), *columns, "promised", "differ by")
+    kept = True
+    for latency in latencies:
+        outcome = run_latency(latency)
+        kept &= outcome.kept
+        table.add_row(
+            latency.title,
+            latency.setting,
+            *(f"{1e6 * seconds:.1f}" for seconds in (*outcome.plain_s, *outcome.product_s)),
+            ("" if latency.limit_s is None else f"{1e6 * latency.limit_s:g}") + ("" if outcome.kept else " !"),
+            "" if latency.tolerance is None else f"{outcome.difference:.1e}",
+        )
+    console.print(table)
+    return kept
+
+
+def ratios(console: Console, comparisons: list[Comparison]) -> bool:
+    """Time two ways to one answer and print the ratios; False when a promise is not kept."""
+    if not comparisons:
+        return True
     table = Table("benchmark", "setting", "plain, ms", "here, ms", "times faster", "promised", "differ by")
     kept = True
-    for comparison in comparisons(sys.argv[1:]):
+    for comparison in comparisons:
         outcome = run(comparison)
         kept &= outcome.kept
         promised = "" if comparison.floor is None else f"{comparison.floor:g}"
@@ -38,8 +69,8 @@ def main() -> int:
             promised,
             f"{outcome.difference:.1e}",
         )
-    Console(width=140 if not sys.stdout.isatty() else None).print(table)
-    return 0 if kept else 1
+    console.print(table)
+    return kept
 
 
 if __name__ == "__main__":

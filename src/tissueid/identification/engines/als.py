@@ -1,0 +1,272 @@
+"""Adaptive least squares: a response that follows the latest errors, its average, and how it goes with depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, FitReport
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.family import Family
+from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.online import adaptive_least_squares as adaptation
+from tissueid.identification.online.identifier import (
+    Identifier,
+    OnlineEngine,
+    OnlineModel,
+    fed,
+    first_sample,
+    lags_of,
+    looked_over,
+)
+from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.records import Record
+
+_FLOOR = 0.01
+"""Share of the input's usual energy over a memory that is added to what a normalised step is divided by.
+
+Without it a quiet stretch, whose samples are noise, would be learnt from as eagerly as any other.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class AlsModel(OnlineModel):
+    """The average over time of the responses (Fig. 6.3), their course, and their order by depth (Fig. 6.4b).
+
+    ``depth_response`` (levels, lags) averages the responses while the output stood between neighbours of
+    ``depth_edges`` (levels - 1,); ``depth_position`` (levels,) is the mean output there and ``depth_support``
+    (levels,) the samples. There are no standard deviations of the responses: what they have not learnt yet, and
+    what they learnt at another depth, errs more than the noise does. For those, take ``rls`` or ``lms``.
+
+    There is no depth profile of mass, damping and stiffness either: the response trails the depth by the time that
+    it takes to adapt, so that what stands against a depth was partly learnt elsewhere.
+    """
+
+    depth_response: Array
+    depth_edges: Array
+    depth_position: Array
+    depth_support: Array
+
+    def simulate_scheduled(self, record: Record) -> Array:
+        """Simulate by the response of the depth that was measured at each sample, shape (n,); NaN where none was."""
+        self.check_rate(record)
+        x = record.input - self.input_mean
+        level = np.searchsorted(self.depth_edges, record.output)
+        scheduled = np.full(len(record), np.nan)
+        for k, response in enumerate(self.depth_response):
+            there = np.isfinite(record.output) & (level == k)
+            if there.any():
+                scheduled[there] = convolve_at_rest(response / self.sample_rate_hz, x)[there]
+        return self.output_mean + scheduled
+
+
+class AlsIdentifier(Identifier):
+    """Adaptive least squares under way; made by :meth:`Als.start`."""
+
+    def __init__(
+        self,
+        options: Als,
+        sample_rate_hz: float,
+        input_std: float,
+        operating_point: tuple[float | None, float | None],
+        units: tuple[str, str] = ("N", "m"),
+        begin: int = 0,
+        depth_edges: Array | None = None,
+    ) -> None:
+        super().__init__(sample_rate_hz, lags_of(options, sample_rate_hz), operating_point, units, begin)
+        self.options = options
+        self.depth_edges = np.zeros(0) if depth_edges is None else depth_edges
+        if options.change_factor is None:
+            step, floor = options.step, _FLOOR * self.lags * input_std**2
+        else:
+            step, floor = options.change_factor, -1.0
+        self._work, self._scalars = adaptation.start(self.lags, step, floor, centred=None in operating_point)
+        self._sums_at = np.zeros((self.depth_edges.size + 1, self.lags))
+        self._counts_at = np.zeros((self.depth_edges.size + 1, 2))  # samples, and their outputs added up
+
+    def _advance(self, u: Array, y: Array, errors: Array) -> None:
+        edges = self.depth_edges - self.output_mean
+        adaptation.advance(self._work, self._scalars, self._sums_at, self._counts_at, edges, u, y, errors)
+
+    @property
+    def centre(self) -> float:
+        """Input about which the response holds: the operating point, or the mean of all inputs when none was given."""
+        return self.input_mean + float(self._scalars[adaptation.INPUT_MEAN])
+
+    def _response(self) -> Array:
+        return np.asarray(self._work[adaptation.RESPONSE])
+
+    @property
+    def average_response(self) -> Array:
+        """Responses averaged over the samples that were learnt from, (lags,), in the unit of the impulse response."""
+        samples = max(1.0, float(self._counts_at[:, 0].sum()))
+        return np.asarray(self._sums_at.sum(axis=0) / samples * self.sample_rate_hz)
+
+    @property
+    def updates(self) -> int:
+        """How many samples were learnt from."""
+        return int(self._scalars[adaptation.UPDATES])
+
+    @property
+    def warning(self) -> str | None:
+        """One line once the response ran away: it then stays where it last did well, and learns no more."""
+        update = int(self._scalars[adaptation.DIVERGED])
+        if update == 0:
+            return None
+        taken = f"step of {self.options.step:g}"
+        if self.options.change_factor is not None:
+            taken = f"change factor of {self.options.change_factor:g}"
+        return (
+            f"unstable ALS step: with a {taken} the response ran away after {update / self.sample_rate_hz:.3g} s and "
+            "was put back; take a tenth of it"
+        )
+
+    def by_depth(self) -> tuple[Array, Array, Array]:
+        """Responses (levels, lags), in the unit of the impulse response, mean outputs (levels,), samples (levels,)."""
+        counts = self._counts_at[:, 0]
+        there = np.maximum(counts, 1.0)
+        responses = self._sums_at / there[:, None] * self.sample_rate_hz
+        responses[counts == 0.0] = self.average_response
+        return responses, self.output_mean + self._counts_at[:, 1] / there, counts.copy()
+
+    def model(self) -> AlsModel:
+        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+
+        Raises:
+            UnusableInputError: too little was received yet to be scored.
+        """
+        return self.options.described(self, looked_over(self))
+
+
+@engine
+class Als(OnlineEngine):
+    """Adaptive least-squares finite impulse response (Chen 2010, Eqs. 6.6-6.8).
+
+    At each sample the response is moved along the regressor by a share of the error. ``step`` is that share, free of
+    units: 1 undoes the whole error, 2 runs away. ``change_factor`` is the thesis' own number instead, over the unit of
+    the input squared; it runs away beyond about 2 / (lags x input power). What is simulated is the average response;
+    predictions by the response of the moment are ``vaf_tracking_percent``, which is no free run.
+    """
+
+    name: ClassVar[str] = "als"
+    family: ClassVar[Family] = Family.LINEAR
+
+    step: float = Field(
+        0.2, gt=0.0, lt=2.0, description="Share of the error that one sample corrects; beyond 2 it runs away"
+    )
+    change_factor: float | None = Field(
+        None, gt=0.0, le=1e12, description="Eq. 6.8 as it stands, one over the input's unit squared; replaces the step"
+    )
+    levels: int = Field(8, ge=1, le=50, description="Depths of equal count that the responses are sorted into")
+
+    def start(
+        self,
+        sample_rate_hz: float,
+        *,
+        input_std: float = 1.0,
+        input_mean: float | None = None,
+        output_mean: float | None = None,
+        input_unit: str = "N",
+        output_unit: str = "m",
+    ) -> AlsIdentifier:
+        """Return an identifier that knows nothing yet; see :meth:`OnlineEngine.start`.
+
+        Depths are not known before the test, so all responses go to one level. Without both means of the operating
+        point, the means of all that was received so far are taken off.
+
+        Raises:
+            UnusableInputError: the sample rate is not positive.
+        """
+        units = (input_unit, output_unit)
+        return AlsIdentifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> AlsModel:
+        """Run the adaptation over a record, or over a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an unstable step.
+        """
+        prepared = prepare(record, fit_part, self.memory)
+        self._check_step(prepared)
+        outputs = record.output[prepared.used]
+        identifier = AlsIdentifier(
+            self,
+            record.sample_rate_hz,
+            float(np.nanstd(record.input[prepared.part])),
+            (prepared.input_mean, prepared.output_mean),
+            begin=first_sample(prepared),
+            depth_edges=np.unique(np.quantile(outputs, np.linspace(0.0, 1.0, self.levels + 1)[1:-1])),
+        )
+        fed(identifier, prepared)
+        if identifier.warning is not None:
+            raise UnusableInputError(identifier.warning)
+        return self.described(identifier, prepared)
+
+    def described(self, identifier: AlsIdentifier, prepared: Prepared) -> AlsModel:
+        """Return what an identifier found as a model, scored on a prepared record."""
+        record, used = prepared.record, prepared.used
+        lags, rate = identifier.lags, identifier.sample_rate_hz
+        kernel = identifier.average_response / rate
+        modelled = convolve_at_rest(kernel, record.input - identifier.centre)
+        offset = float(np.mean(record.output[used] - modelled[used]))
+        residuals = np.where(used, record.output - modelled - offset, np.nan)
+        second_order = fit_second_order(record, used, self.hold)
+        trajectory, trajectory_s, trajectory_position = identifier.trajectory
+        depth_response, depth_position, depth_support = identifier.by_depth()
+        unstable = () if identifier.warning is None else (identifier.warning,)
+        model = AlsModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(used.sum()),
+                n_parameters=lags + 1,
+                vaf_percent=vaf_percent(record.output[used], modelled[used]),
+                aic=aic(residuals, lags + 1),
+                aicc=aicc(residuals, lags + 1),
+                parameters=second_order.parameters,
+                warnings=(*prepared.warnings, *unstable, *doubt_memory(kernel), *second_order.warnings),
+                details={
+                    "vaf_tracking_percent": identifier.tracking_vaf_percent,
+                    "n_parameters_tracking": float(lags * identifier.updates),
+                    "vaf_parametric_percent": second_order.vaf_percent,
+                },
+            ),
+            sample_rate_hz=rate,
+            memory_samples=lags,
+            impulse_response=kernel * rate,
+            lag_s=identifier.lag_s,
+            input_mean=identifier.centre,
+            output_mean=offset,
+            trajectory=trajectory,
+            trajectory_s=trajectory_s,
+            trajectory_position=trajectory_position,
+            second_order=second_order,
+            depth_response=depth_response,
+            depth_edges=identifier.depth_edges,
+            depth_position=depth_position,
+            depth_support=depth_support,
+        )
+        scheduled = model.simulate_scheduled(record)[used]
+        return model.with_report(vaf_scheduled_percent=vaf_percent(record.output[used], scheduled))
+
+    def _check_step(self, prepared: Prepared) -> None:
+        """Refuse a change factor that the input of the fitted part makes run away.
+
+        Raises:
+            UnusableInputError: it is beyond 2 / (lags x input power), where a mean square correction exceeds twice
+                the error.
+        """
+        power = float(np.nanvar(prepared.record.input[prepared.part]))
+        bound = 2.0 / (prepared.memory_samples * power)
+        if self.change_factor is not None and self.change_factor >= bound:
+            raise UnusableInputError(
+                f"unstable ALS step: a change factor of {self.change_factor:g} is beyond 2 / (lags x input power) = "
+                f"{bound:.3g}: take a tenth of that, or the normalised step"
+            )

@@ -1,0 +1,221 @@
+"""Recursive least squares: the response that fits all samples so far, better by one update a sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.identification.base import Array, FitReport
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.family import Family
+from tissueid.identification.impulse_response import doubt_memory, kernel_std
+from tissueid.identification.online import recursive_least_squares as recursion
+from tissueid.identification.online.identifier import (
+    Identifier,
+    OnlineEngine,
+    OnlineModel,
+    fed,
+    first_sample,
+    lags_of,
+    looked_over,
+)
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.registry import engine
+from tissueid.identification.second_order_fit import fit_second_order
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.records import Record
+
+_FORGOTTEN = 4.0
+"""Time constants of forgetting after which a residual no longer weighs."""
+
+
+@dataclass(frozen=True, eq=False)
+class RlsModel(OnlineModel):
+    """The response after the last sample, with ``impulse_response_std`` (lags,), its standard deviations."""
+
+    impulse_response_std: Array
+
+
+class RlsIdentifier(Identifier):
+    """Recursive least squares under way; made by :meth:`Rls.start`.
+
+    ``first_variance`` is that of every lag of the response per sample before the first sample, for output noise of unit
+    variance: one over the ridge.
+    """
+
+    def __init__(
+        self,
+        options: Rls,
+        sample_rate_hz: float,
+        input_std: float,
+        operating_point: tuple[float | None, float | None],
+        units: tuple[str, str] = ("N", "m"),
+        begin: int = 0,
+    ) -> None:
+        super().__init__(sample_rate_hz, lags_of(options, sample_rate_hz), operating_point, units, begin)
+        self.options = options
+        self._constant = input_std
+        self.first_variance = options.covariance / input_std**2
+        self._triangle, self._work, self._scalars = recursion.start(
+            self.lags, self.first_variance, self._constant, options.forgetting
+        )
+
+    def _advance(self, u: Array, y: Array, errors: Array) -> None:
+        recursion.advance(self._triangle, self._work, self._scalars, u, y, errors)
+
+    def _response(self) -> Array:
+        return self._work[recursion.COEFFICIENTS, : self.lags]
+
+    @property
+    def offset(self) -> float:
+        """Output at the operating point of the input."""
+        return self.output_mean + self._constant * float(self._work[recursion.COEFFICIENTS, self.lags])
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the response per sample, (lags, lags), for white output noise of unit variance (Eq. 6.4)."""
+        return recursion.covariance(self._triangle, self._work, self._scalars)[: self.lags, : self.lags]
+
+    @property
+    def updates(self) -> int:
+        """How many samples were learnt from."""
+        return int(self._scalars[recursion.UPDATES])
+
+    def model(self) -> RlsModel:
+        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+
+        Raises:
+            UnusableInputError: too little was received yet to be scored.
+        """
+        return self.options.described(self, looked_over(self))
+
+
+@engine
+class Rls(OnlineEngine):
+    """Recursive least-squares finite impulse response (Chen 2010, Eqs. 6.1-6.5) with an offset.
+
+    Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input. With a
+    forgetting factor of one the response is the regularised least-squares answer over all samples, to rounding; below
+    one the samples weigh less the older they are, and the ridge stays, so that the covariance is bounded.
+    """
+
+    name: ClassVar[str] = "rls"
+    family: ClassVar[Family] = Family.LINEAR
+
+    forgetting: float = Field(
+        1.0, ge=0.9, le=1.0, description="Weight of a sample in that of the next; 1 forgets nothing"
+    )
+    covariance: float = Field(
+        200.0, gt=0.0, le=1e6, description="Variance of the response at the start, over that of the noise to the input"
+    )
+
+    def start(
+        self,
+        sample_rate_hz: float,
+        *,
+        input_std: float = 1.0,
+        input_mean: float | None = None,
+        output_mean: float | None = None,
+        input_unit: str = "N",
+        output_unit: str = "m",
+    ) -> RlsIdentifier:
+        """Return an identifier that knows nothing yet; see :meth:`OnlineEngine.start`.
+
+        Raises:
+            UnusableInputError: the sample rate is not positive.
+        """
+        units = (input_unit, output_unit)
+        return RlsIdentifier(self, sample_rate_hz, input_std, (input_mean, output_mean), units)
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> RlsModel:
+        """Run the recursion over a record, or over a contiguous part of it.
+
+        Raises:
+            UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
+        """
+        prepared = prepare(record, fit_part, self.memory)
+        identifier = RlsIdentifier(
+            self,
+            record.sample_rate_hz,
+            float(np.nanstd(record.input[prepared.part])),
+            (prepared.input_mean, prepared.output_mean),
+            begin=first_sample(prepared),
+        )
+        fed(identifier, prepared)
+        return self.described(identifier, prepared)
+
+    def described(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
+        """Return what an identifier found as a model, scored on a prepared record."""
+        record, used = prepared.record, prepared.used
+        lags, rate = identifier.lags, identifier.sample_rate_hz
+        kernel = identifier.impulse_response / rate
+        x = record.input - identifier.input_mean
+        modelled = identifier.offset + convolve_at_rest(kernel, x)
+        residuals = np.where(used, record.output - modelled, np.nan)
+        covariance = identifier.covariance
+        second_order = fit_second_order(record, used, self.hold)
+        warnings, findings = self._doubts(identifier, covariance)
+        trajectory, trajectory_s, trajectory_position = identifier.trajectory
+        return RlsModel(
+            report=FitReport(
+                engine=self.name,
+                options=self.options(),
+                n_samples=int(used.sum()),
+                n_parameters=lags + 1,
+                vaf_percent=vaf_percent(record.output[used], modelled[used]),
+                aic=aic(residuals, lags + 1),
+                aicc=aicc(residuals, lags + 1),
+                parameters=second_order.parameters,
+                warnings=(*prepared.warnings, *warnings, *doubt_memory(kernel), *second_order.warnings),
+                findings=findings,
+                details={
+                    "vaf_tracking_percent": identifier.tracking_vaf_percent,
+                    "vaf_parametric_percent": second_order.vaf_percent,
+                },
+            ),
+            sample_rate_hz=rate,
+            memory_samples=lags,
+            impulse_response=kernel * rate,
+            impulse_response_std=self._std(identifier, covariance, x, residuals, prepared.part) * rate,
+            lag_s=identifier.lag_s,
+            input_mean=identifier.input_mean,
+            output_mean=identifier.offset,
+            trajectory=trajectory,
+            trajectory_s=trajectory_s,
+            trajectory_position=trajectory_position,
+            second_order=second_order,
+        )
+
+    def _std(self, identifier: RlsIdentifier, covariance: Array, x: Array, residuals: Array, part: slice) -> Array:
+        """Standard deviation of each lag (lags,) for noise of any colour, with the weights that forgetting gives."""
+        forgetting, n = self.forgetting, identifier.updates
+        weight = weight_squares = float(n)
+        begin = part.start
+        if forgetting < 1.0:
+            weight = (1.0 - forgetting**n) / (1.0 - forgetting)
+            weight_squares = (1.0 - forgetting ** (2 * n)) / (1.0 - forgetting**2)
+            remembered = round(_FORGOTTEN / (1.0 - forgetting))
+            begin = max(begin, part.stop - max(remembered, 4 * identifier.lags))
+        recent = slice(begin, part.stop)
+        known = int(np.isfinite(residuals[recent]).sum())
+        std = kernel_std(covariance * weight, x[recent], residuals[recent])
+        return std * float(np.sqrt(known * weight_squares) / weight)
+
+    def _doubts(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
+        """Warnings of a memory that outlasts what is remembered, and a finding on what the input leaves unexcited."""
+        lags, warnings = identifier.lags, []
+        remembered = 1.0 / (1.0 - self.forgetting) if self.forgetting < 1.0 else np.inf
+        if remembered < SAMPLES_PER_PARAMETER * lags:
+            warnings.append(
+                f"a forgetting factor of {self.forgetting:g} remembers {remembered:.0f} samples for {lags} lags, fewer "
+                f"than {SAMPLES_PER_PARAMETER} each: raise it, or shorten the memory"
+            )
+        untold = min(lags, round(float(np.trace(covariance)) / identifier.first_variance))
+        if untold == 0:
+            return warnings, ()
+        kept = " and is not forgotten: so the covariance stays bounded" if self.forgetting < 1.0 else ""
+        finding = f"the input leaves {untold} of {lags} directions of the response to the ridge, which holds them{kept}"
+        return warnings, (finding,)

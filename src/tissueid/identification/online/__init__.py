@@ -1,0 +1,1 @@
+"""Identification while a test runs."""

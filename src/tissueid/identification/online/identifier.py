@@ -1,0 +1,308 @@
+"""Identification while a test runs: what recursive and adaptive engines share (Chen 2010, 6.2).
+
+An online engine is a specification like any other, and ``fit`` gives a frozen model. Besides, ``start`` gives an
+identifier: the one thing here that changes, by a sample at a time. Looking at it changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine, Model
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.records import Record
+
+RECENT_S = 10.0
+"""How much of the latest samples an identifier keeps, s: what a model made of it is scored on."""
+
+SNAPSHOTS = 400
+"""Most responses that a trajectory holds. When they are reached every other one is dropped."""
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineModel(Model):
+    """A linear finite impulse response about an operating point, and the way that it came about.
+
+    ``impulse_response`` (lags,) is in output units per input unit and second, at ``lag_s`` (lags,). ``trajectory``
+    (t, lags) holds what the response was at the times ``trajectory_s`` (t,), when the output was at
+    ``trajectory_position`` (t,); t is at most 400. ``second_order`` is the parametric fit.
+    """
+
+    impulse_response: Array
+    lag_s: Array
+    input_mean: float
+    output_mean: float
+    trajectory: Array
+    trajectory_s: Array
+    trajectory_position: Array
+    second_order: SecondOrderFit
+
+    def simulate(self, u: Array) -> Array:
+        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        kernel = self.impulse_response / self.sample_rate_hz
+        return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
+
+
+class Identifier(ABC):
+    """A response under way: samples in one after another, or many at once, with the same result to the last bit.
+
+    Nothing is learnt from a sample whose output is NaN, nor until the memory holds received inputs alone, at the start
+    and after each one that was not received. Signals are counted from the operating point, which is the first
+    received sample of each when it was not given.
+    """
+
+    def __init__(
+        self,
+        sample_rate_hz: float,
+        lags: int,
+        operating_point: tuple[float | None, float | None] = (None, None),
+        units: tuple[str, str] = ("N", "m"),
+        first_sample: int = 0,
+    ) -> None:
+        self.sample_rate_hz = sample_rate_hz
+        self.lags = lags
+        self._means = operating_point
+        self._units = units
+        self._taken = first_sample
+        self._keep = max(4 * lags, round(RECENT_S * sample_rate_hz))
+        self._recent = np.zeros((3, 2 * self._keep))  # input and output, less the operating point, and errors
+        self._held = 0
+        self._trajectory = np.zeros((SNAPSHOTS, lags))
+        self._times = np.zeros((2, SNAPSHOTS))  # s, and the output there
+        self._snapshots = 0
+        self._stride = 1
+        self._sums = np.zeros(5)  # samples; errors and their squares; outputs and their squares
+
+    @abstractmethod
+    def _advance(self, u: Array, y: Array, errors: Array) -> None:
+        """Take samples (n,), less their operating point, and fill the prediction errors (n,)."""
+
+    @abstractmethod
+    def _response(self) -> Array:
+        """The present response per sample, shape (lags,); a view."""
+
+    @abstractmethod
+    def model(self) -> Model:
+        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+
+        Raises:
+            UnusableInputError: too little was received yet to be scored.
+        """
+
+    def update(self, u: float, y: float) -> float:
+        """Take one input and one output, and return the error of the prediction before the update.
+
+        NaN when nothing could be predicted or compared.
+        """
+        place = self._room(1)
+        if self._means[0] is None or self._means[1] is None:
+            self._settle(np.array([u]), np.array([y]))
+        self._put(place, u, y)
+        return self._step(place, 1)
+
+    def batch(self, u: Array, y: Array) -> Array:
+        """Take inputs (n,) and outputs (n,) and return the prediction errors (n,), each before its update.
+
+        Raises:
+            UnusableInputError: the two differ in shape.
+        """
+        u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        if u.ndim != 1 or u.shape != y.shape:
+            raise UnusableInputError(f"inputs and outputs must be of one length, not {u.shape} and {y.shape}")
+        self._settle(u, y)
+        errors = np.empty(u.size)
+        done = 0
+        while done < u.size:
+            n = min(u.size - done, self._keep, self._stride - self._taken % self._stride)
+            place = self._room(n)
+            self._put(slice(place, place + n), u[done : done + n], y[done : done + n])
+            self._step(place, n)
+            errors[done : done + n] = self._recent[2, place : place + n]
+            done += n
+        return errors
+
+    @property
+    def impulse_response(self) -> Array:
+        """The present response, shape (lags,), in output units per input unit and second; a copy."""
+        return self._response() * self.sample_rate_hz
+
+    @property
+    def lag_s(self) -> Array:
+        """Times of the lags, s, shape (lags,)."""
+        return np.arange(self.lags) / self.sample_rate_hz
+
+    @property
+    def samples(self) -> int:
+        """How many samples were taken."""
+        return self._taken
+
+    @property
+    def input_mean(self) -> float:
+        """Operating point of the input; 0 until a sample was received."""
+        return self._means[0] or 0.0
+
+    @property
+    def output_mean(self) -> float:
+        """Operating point of the output; 0 until a sample was received."""
+        return self._means[1] or 0.0
+
+    @property
+    def tracking_vaf_percent(self) -> float:
+        """Variance of the outputs that the predictions accounted for, each before its update (Eq. 3.13).
+
+        This is no free run: the response that predicts a sample has learnt from all outputs before it.
+        """
+        samples, errors, error_squares, outputs, output_squares = self._sums.tolist()
+        varied = output_squares - outputs**2 / samples if samples else 0.0
+        return 100.0 * (1.0 - (error_squares - errors**2 / samples) / varied) if varied > 0.0 else math.nan
+
+    @property
+    def trajectory(self) -> tuple[Array, Array, Array]:
+        """Responses (t, lags), in the unit of the impulse response, their times (t,), s, and the outputs (t,)."""
+        t = self._snapshots
+        return self._trajectory[:t] * self.sample_rate_hz, self._times[0, :t].copy(), self._times[1, :t].copy()
+
+    def recent(self) -> Record:
+        """The latest samples, as many as are kept, as a record.
+
+        Raises:
+            UnusableInputError: there are none.
+        """
+        held = slice(max(0, self._held - self._keep), self._held)
+        return Record(
+            self._recent[0, held] + self.input_mean,
+            self._recent[1, held] + self.output_mean,
+            self.sample_rate_hz,
+            input_unit=self._units[0],
+            output_unit=self._units[1],
+        )
+
+    def _settle(self, u: Array, y: Array) -> None:
+        """Take the operating point from the first received sample where it is not known."""
+        known = []
+        for mean, values in zip(self._means, (u, y), strict=True):
+            received = values[np.isfinite(values)] if mean is None else values[:0]
+            known.append(float(received[0]) if received.size else mean)
+        self._means = (known[0], known[1])
+
+    def _room(self, n: int) -> int:
+        """Where the next n samples go; the latest are moved to the front when the end is reached."""
+        if self._held + n > self._recent.shape[1]:
+            self._recent[:, : self._keep] = self._recent[:, self._held - self._keep : self._held].copy()
+            self._held = self._keep
+        return self._held
+
+    def _put(self, place: int | slice, u: float | Array, y: float | Array) -> None:
+        self._recent[0, place] = u - self.input_mean
+        self._recent[1, place] = y - self.output_mean
+
+    def _step(self, place: int, n: int) -> float:
+        """Learn from the n samples put at ``place``, which end at a snapshot or before it; returns the last error."""
+        some = slice(place, place + n)
+        errors = self._recent[2, some]
+        self._advance(self._recent[0, some], self._recent[1, some], errors)
+        self._held += n
+        self._taken += n
+        last = float(errors[-1])
+        if n == 1:
+            if not math.isnan(last):
+                y = float(self._recent[1, place])
+                self._sums += (1.0, last, last * last, y, y * y)
+        else:
+            used = np.isfinite(errors)
+            e, y_used = errors[used], self._recent[1, some][used]
+            self._sums += np.array([e.size, e.sum(), e @ e, y_used.sum(), y_used @ y_used])
+        if self._taken % self._stride == 0 and not math.isnan(last):
+            self._remember(float(self._recent[1, place + n - 1]))
+        return last
+
+    def _remember(self, y: float) -> None:
+        if self._snapshots == SNAPSHOTS:
+            self._stride *= 2
+            kept = np.round(self._times[0] * self.sample_rate_hz + 1.0) % self._stride == 0.0
+            self._snapshots = int(np.count_nonzero(kept))
+            self._trajectory[: self._snapshots] = self._trajectory[kept]
+            self._times[:, : self._snapshots] = self._times[:, kept]
+            if self._taken % self._stride:
+                return
+        self._trajectory[self._snapshots] = self._response()
+        self._times[:, self._snapshots] = (self._taken - 1) / self.sample_rate_hz, y + self.output_mean
+        self._snapshots += 1
+
+
+class OnlineEngine(Engine):
+    """An engine that can also learn sample by sample: ``start`` gives the identifier, ``fit`` runs it over a record."""
+
+    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
+    hold: Hold = Field(
+        "band-limited",
+        description="What the input does between samples: a measured force is band-limited, a command is held",
+    )
+
+    @abstractmethod
+    def start(
+        self,
+        sample_rate_hz: float,
+        *,
+        input_std: float = 1.0,
+        input_mean: float | None = None,
+        output_mean: float | None = None,
+        input_unit: str = "N",
+        output_unit: str = "m",
+    ) -> Identifier:
+        """Return an identifier that knows nothing yet.
+
+        Args:
+            sample_rate_hz: of the samples to come.
+            input_std: how much the input will vary, in its unit; its order of magnitude is enough.
+            input_mean: operating point of the input; the first received sample when None.
+            output_mean: that of the output, likewise.
+            input_unit: of the samples to come.
+            output_unit: likewise.
+
+        Raises:
+            UnusableInputError: the sample rate is not positive.
+        """
+
+
+def fed(identifier: Identifier, prepared: Prepared) -> None:
+    """Run an identifier that was started at :func:`first_sample` over the fitted part of a record."""
+    record, part = prepared.record, prepared.part
+    begin = first_sample(prepared)
+    y = record.output[begin : part.stop].copy()
+    y[: part.start - begin] = np.nan  # before the part, inputs are memory and outputs are not seen
+    identifier.batch(record.input[begin : part.stop], y)
+
+
+def first_sample(prepared: Prepared) -> int:
+    """Return the sample at which the memory of the first fitted output begins, or the record."""
+    return max(0, int(prepared.part.start) - prepared.memory_samples + 1)
+
+
+def looked_over(identifier: Identifier) -> Prepared:
+    """Return the latest samples of an identifier, looked over as a fit would.
+
+    Raises:
+        UnusableInputError: too little was received yet.
+    """
+    return prepare(identifier.recent(), None, identifier.lags / identifier.sample_rate_hz)
+
+
+def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:
+    """Return the lags that an engine's memory holds at a sample rate.
+
+    Raises:
+        UnusableInputError: the sample rate is not positive.
+    """
+    if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
+        raise UnusableInputError(f"the sample rate must be positive, not {sample_rate_hz}")
+    return memory_in_samples(engine.memory, sample_rate_hz)
