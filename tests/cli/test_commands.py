@@ -4,17 +4,17 @@ import json
 import os
 import signal
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from outside_data import RIG
 
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Session, Test, read_session, write_session
 
 A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
-BLIND = sorted((Path(__file__).parents[3] / "shared" / "blind").glob("*.h5"))
+BLIND = sorted(RIG.glob("*.h5"))
 KEYS = {
     "engine",
     "options",

@@ -23,8 +23,16 @@ DeviceUrl = Annotated[
         "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
     ),
 ]
-Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="lms, spectral, wiener, or one of a plug-in")]
+Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="such as lms or wiener; a wrong one lists all")]
 OneTest = Annotated[int | None, typer.Option("--test", metavar="N", help="test to fit; the first stochastic one")]
+MoreTests = Annotated[
+    list[int] | None, typer.Option("--also", metavar="N", help="another test to fit together with it; may be repeated")
+]
+Validate = Annotated[
+    int | None, typer.Option(metavar="N", help="test to validate on; otherwise the last quarter is held out")
+]
+Input = Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")]
+Output = Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")]
 
 
 def _version(asked: bool) -> None:
@@ -104,11 +112,10 @@ def identify(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
     engine: Engine,
     test: OneTest = None,
-    validate: Annotated[
-        int | None, typer.Option(metavar="N", help="test to validate on; otherwise the last quarter is held out")
-    ] = None,
-    input_name: Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")] = "force",
-    output_name: Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")] = "position",
+    also: MoreTests = None,
+    validate: Validate = None,
+    input_name: Input = "force",
+    output_name: Output = "position",
     memory: Annotated[float | None, typer.Option(metavar="SECONDS", help="memory length")] = None,
     option: Annotated[
         list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the engine")
@@ -118,7 +125,51 @@ def identify(
     """Fit one engine to one saved test, and validate it on data that was not fitted."""
     from tissueid.cli.identify import run_identify
 
-    run_identify(session, engine, test, validate, input_name, output_name, memory, option or [], json_file)
+    run_identify(session, engine, test, also or [], validate, input_name, output_name, memory, option or [], json_file)
+
+
+@app.command()
+def compare(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
+    engines: Annotated[str | None, typer.Option(metavar="A,B,...", help="engines to compare; all by default")] = None,
+    test: OneTest = None,
+    also: MoreTests = None,
+    validate: Validate = None,
+    input_name: Input = "force",
+    output_name: Output = "position",
+    memory: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="memory length of all engines that have one")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", metavar="ENGINE.NAME=VALUE", help="any option of one engine")
+    ] = None,
+    sweep: Annotated[
+        bool, typer.Option("--memory-sweep", help="scores against memory for all engines that have one; slow")
+    ] = False,
+    json_file: JsonFile = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="HTML page to make")] = None,
+    figures: Annotated[
+        Path | None, typer.Option("--figures", metavar="DIR", help="folder for every figure as SVG and PNG")
+    ] = None,
+) -> None:
+    """Fit every engine to one saved test: scores side by side, and which description the test supports."""
+    from tissueid.cli.compare import run_compare
+
+    run_compare(
+        session,
+        engines,
+        test,
+        also or [],
+        validate,
+        input_name,
+        output_name,
+        memory,
+        option or [],
+        sweep,
+        json_file,
+        out,
+        figures,
+    )
 
 
 @app.command()
@@ -140,8 +191,11 @@ def report(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="HTML page to make")],
     test: OneTest = None,
+    engines: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="engines to report; lms, spectral and wiener by default")
+    ] = None,
 ) -> None:
     """Make the report of one saved test: a self-contained HTML page."""
     from tissueid.cli.report import run_report
 
-    run_report(session, out, test)
+    run_report(session, out, test, engines)

@@ -7,20 +7,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
+from rich.table import Table
 
 from tissueid.analysis import Analysis, analyse
 from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
+from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
-from tissueid.wording import named_unit, people_unit, plus_minus
+from tissueid.wording import fixed, named_unit, people_unit, plus_minus
+
+_MOST_DEPTHS = 16
+"""Rows of the table against depth; a finer profile is thinned for people, not in the JSON."""
 
 
 def run_identify(
     path: Path,
     engine: str,
     test: int | None,
+    also: Sequence[int],
     validate: int | None,
     input_name: str,
     output_name: str,
@@ -40,18 +48,44 @@ def run_identify(
         engine,
         chosen,
         test=test,
+        also=also,
         validate=validate,
         input_name=input_name,
         output_name=output_name,
     )
-    print_analysis(analysis, people_read(json_file))
+    tests = _residual_tests(analysis)
+    out = people_read(json_file)
+    print_analysis(analysis, out)
+    for finding in () if tests is None else tests.findings:
+        out.print(f"on {analysis.validated_on}, {finding}", markup=False)
     if json_file is not None:
-        write_json(json_file, identify_answer(analysis))
+        write_json(json_file, identify_answer(analysis) | {"residual_tests": _tests_answer(tests)})
+
+
+def _residual_tests(analysis: Analysis) -> ResidualTests | None:
+    """What the held-out residual still holds; None where too little is held out to tell."""
+    try:
+        return residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
+    except UnusableInputError:
+        return None
+
+
+def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
+    if tests is None:
+        return None
+    p_values = {t.name: {"p_value": t.p_value, "adjusted_p_value": t.adjusted_p_value} for t in tests.tests}
+    return {"n_samples": tests.n_samples, "tests": p_values, "findings": list(tests.findings)}
 
 
 def identify_answer(analysis: Analysis) -> dict[str, Any]:
-    """The contract's keys, and which test was fitted and which part validated."""
-    return analysis.model.report.as_dict() | {"test": analysis.test, "validated_on": analysis.validated_on}
+    """The contract's keys, which tests were fitted and which part validated, and what is known against depth."""
+    profile = analysis.model.depth_profile()
+    return analysis.model.report.as_dict() | {
+        "test": analysis.test,
+        "tests": list(analysis.tests),
+        "validated_on": analysis.validated_on,
+        "depth_profile": None if profile is None else profile.as_rows(),
+    }
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:
@@ -80,20 +114,51 @@ def readable(name: str, found: Estimate) -> tuple[str, str, str]:
 
 
 def print_analysis(analysis: Analysis, out: Console) -> None:
-    """One engine's answer as a table."""
+    """One engine's answer: a table, what it found, mass, damping and stiffness against depth, and what to doubt."""
     report = analysis.model.report
-    rows = table(f"{report.engine} on test {analysis.test}", "quantity", "value", "unit")
+    tests = ", ".join(map(str, analysis.tests))
+    rows = table(f"{report.engine} on test{'s' * (len(analysis.tests) > 1)} {tests}", "quantity", "value", "unit")
     rows.add_row("samples fitted", str(report.n_samples), "")
     rows.add_row("parameters", str(report.n_parameters), "")
-    rows.add_row("VAF on the fitted samples", f"{report.vaf_percent:.2f}", "%")
+    rows.add_row("VAF on the fitted samples", fixed(report.vaf_percent, 2), "%")
     if report.vaf_validation_percent is not None:
-        rows.add_row(f"VAF on {analysis.validated_on}", f"{report.vaf_validation_percent:.2f}", "%")
+        rows.add_row(f"VAF on {analysis.validated_on}", fixed(report.vaf_validation_percent, 2), "%")
+    if report.vaf_scheduled_percent is not None:
+        told = f"the same, told the measured {analysis.record.output_name}"
+        rows.add_row(told, fixed(report.vaf_scheduled_percent, 2), "%")
     if report.aicc is not None:
-        rows.add_row("AICc", f"{report.aicc:.0f}", "")
+        rows.add_row("AICc", fixed(report.aicc, 0), "")
     for name, estimate in report.parameters.items():
         rows.add_row(*readable(name, estimate))
     if report.seconds is not None:
-        rows.add_row("computed in", f"{report.seconds:.3f}", "s")
+        rows.add_row("computed in", fixed(report.seconds, 3), "s")
     out.print(rows)
+    profile = analysis.model.depth_profile()
+    if profile is not None:
+        out.print(depth_table(profile))
+    for finding in report.findings:
+        out.print(finding, markup=False)
     for warning in report.warnings:
         out.print(f"warning: {warning}", markup=False)
+
+
+def depth_table(profile: DepthProfile) -> Table:
+    """Mass, damping and stiffness against depth, in the units that people read."""
+    directed = bool(np.any(profile.direction))
+    columns = ("position mm", *["direction"] * directed, "mass g", "damping N·s/m", "stiffness N/m", "samples")
+    step = -(-len(profile) // _MOST_DEPTHS)
+    rows = table("Against depth" if step == 1 else f"Against depth, every {step} rows", *columns)
+    for k in range(0, len(profile), step):
+        direction = {1: "in", -1: "out"}.get(int(profile.direction[k]), "both")
+        values = (
+            (profile.mass[k], profile.mass_std[k], 1e3),
+            (profile.damping[k], profile.damping_std[k], 1.0),
+            (profile.stiffness[k], profile.stiffness_std[k], 1.0),
+        )
+        rows.add_row(
+            fixed(1e3 * profile.position[k], 2),
+            *[direction] * directed,
+            *(plus_minus(Estimate(float(value), float(std)), scale) for value, std, scale in values),
+            str(profile.support[k]),
+        )
+    return rows

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tissueid.analysis import analyse_all
+from tissueid.analysis import REPORT_ENGINES, analyse_all
 from tissueid.cli.output import check_output, people_read
 from tissueid.errors import UnusableInputError
 from tissueid.reports import write_report
 from tissueid.sessions import read_session
 
 
-def run_report(path: Path, out: Path, test: int | None) -> None:
-    """Analyse one test with the standard engines and write its page."""
+def run_report(path: Path, out: Path, test: int | None, engines: str | None = None) -> None:
+    """Analyse one test with the standard engines, or with those named, and write its page."""
     check_output(out, ("<!DOCTYPE html",))
     session = read_session(path)
     chosen = session.test(test)
-    analyses = analyse_all(session, test=chosen)
+    names = REPORT_ENGINES if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
+    analyses = analyse_all(session, dict.fromkeys(names), test=chosen)
     try:
         write_report(out, session, {chosen.number: analyses})
     except OSError as error:

@@ -1,0 +1,29 @@
+"""From saved tests to fitted, validated and compared models: what the command line, the window and reports share."""
+
+from tissueid.analysis.ceiling import known_ceiling, repeats
+from tissueid.analysis.comparison import EngineComparison, Entry, compare, specifications
+from tissueid.analysis.fitting import REPORT_ENGINES, Analysis, analyse, analyse_all, fit_split
+from tissueid.analysis.scoring import Scored
+from tissueid.analysis.split import FIT_SHARE, Split, split, split_records
+from tissueid.analysis.trials import SWEPT_MEMORY_S, SweepRow
+
+__all__ = [
+    "FIT_SHARE",
+    "REPORT_ENGINES",
+    "SWEPT_MEMORY_S",
+    "Analysis",
+    "EngineComparison",
+    "Entry",
+    "Scored",
+    "Split",
+    "SweepRow",
+    "analyse",
+    "analyse_all",
+    "compare",
+    "fit_split",
+    "known_ceiling",
+    "repeats",
+    "specifications",
+    "split",
+    "split_records",
+]

@@ -1,0 +1,133 @@
+"""All engines on one record: the table of Chen 2010, Fig. 8.1 and Table 8.1, and what it recommends."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid.analysis.fitting import Analysis, fit_split
+from tissueid.analysis.rotation import every_quarter
+from tissueid.analysis.scoring import Scored, candidates, scored
+from tissueid.analysis.split import Split
+from tissueid.analysis.trials import Progress, SweepRow, memory_sweep, sized
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Engine
+from tissueid.identification.family import Family
+from tissueid.identification.recommendation import Recommendation, recommend
+from tissueid.identification.registry import engine_names, get_engine
+from tissueid.identification.validation.repeats import Ceiling
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row of the table: an engine with its scores, or the reason why it was refused."""
+
+    engine: str
+    family: Family
+    scored: Scored | None = None
+    refused: str | None = None
+
+
+@dataclass(frozen=True)
+class EngineComparison:
+    """Everything that ``tissueid compare`` finds. ``entries`` stand in the order in which engines were asked for."""
+
+    entries: tuple[Entry, ...]
+    split: Split
+    recommendation: Recommendation
+    ceiling: Ceiling | None
+    memory_sweep: tuple[SweepRow, ...]
+
+    @property
+    def analyses(self) -> dict[str, Analysis]:
+        """The analyses that there are, by engine: what figures and reports are made from."""
+        return {entry.engine: entry.scored.analysis for entry in self.entries if entry.scored is not None}
+
+
+def specifications(
+    names: Sequence[str] | None = None,
+    shared: Mapping[str, Any] | None = None,
+    own: Mapping[str, Mapping[str, Any]] | None = None,
+) -> tuple[Engine, ...]:
+    """The engines to compare, all that are installed for None, with their options.
+
+    ``shared`` options go to every engine that has them, ``own`` ones to the engine whose name they stand under.
+
+    Raises:
+        UnusableInputError: no engine, an unknown or repeated one, an option that none has or that is out of bounds.
+    """
+    chosen = engine_names() if names is None else tuple(names)
+    if not chosen:
+        raise UnusableInputError(f"no engine is named: choose from {', '.join(engine_names())}")
+    engines = {name: get_engine(name) for name in chosen}
+    if len(engines) < len(chosen):
+        raise UnusableInputError("an engine is named twice")
+    for name in own or {}:
+        if name not in engines:
+            raise UnusableInputError(f"options are given for {name!r}, which is not among the engines to compare")
+    for option in shared or {}:
+        if not any(option in engine.model_fields for engine in engines.values()):
+            raise UnusableInputError(f"none of these engines has an option {option!r}")
+    return tuple(
+        engine.from_options(
+            {option: value for option, value in (shared or {}).items() if option in engine.model_fields}
+            | dict((own or {}).get(name, {}))
+        )
+        for name, engine in engines.items()
+    )
+
+
+def compare(
+    engines: Sequence[Engine],
+    parts: Split,
+    *,
+    ceiling: Ceiling | None = None,
+    sweep: bool = False,
+    progress: Progress = lambda _what, _share: None,
+) -> EngineComparison:
+    """Fit engines one after another, score them on the same samples, and recommend a description.
+
+    An engine that refuses the record gets a row that says why. ``ceiling`` is what repeats allow, as
+    :func:`known_ceiling` finds it. ``sweep`` adds scores against memory.
+
+    Raises:
+        UnusableInputError: every engine refused the record, or none could be scored on held-out samples.
+    """
+    done: dict[str, Analysis] = {}
+    refused: dict[str, str] = {}
+    for engine in engines:
+        progress(engine.name, 0.0)
+        try:
+            done[engine.name] = fit_split(engine, parts)
+        except UnusableInputError as error:
+            refused[engine.name] = str(error)
+        progress(engine.name, 1.0)
+    if not done:
+        raise UnusableInputError(_why_none(refused))
+    rows = dict(zip(done, scored(list(done.values()), parts), strict=True))
+    specified = {engine.name: engine for engine in engines}
+    contenders = candidates(list(rows.values()), [specified[name].family for name in rows], parts)
+    contenders, held_out = every_quarter(contenders, specified, parts, progress)
+    found = recommend(
+        contenders,
+        held_out,
+        parts.fitted,
+        judged_on="every quarter held out in turn" if parts.records else parts.validated_on,
+        ceiling_percent=None if ceiling is None else ceiling.vaf_percent.value,
+    )
+    return EngineComparison(
+        entries=tuple(Entry(e.name, e.family, rows.get(e.name), refused.get(e.name)) for e in engines),
+        split=parts,
+        recommendation=sized(found, specified[found.engine], parts, progress),
+        ceiling=ceiling,
+        memory_sweep=memory_sweep(engines, parts, progress) if sweep else (),
+    )
+
+
+def _why_none(refused: Mapping[str, str]) -> str:
+    reason, times = Counter(refused.values()).most_common(1)[0]
+    if times == len(refused):
+        return reason
+    return f"none of {len(refused)} engines can be fitted; {times} of them: {reason}"

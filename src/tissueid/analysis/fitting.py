@@ -1,0 +1,105 @@
+"""One engine fitted to the tests of a session and scored on what was held out, with the time that it took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from numba.core.event import install_timer
+
+from tissueid.analysis.split import Split, split
+from tissueid.identification.base import Engine, Model
+from tissueid.identification.registry import get_engine
+from tissueid.identification.validation import validated
+from tissueid.records import Record
+from tissueid.sessions import Session, Test
+
+REPORT_ENGINES = ("lms", "spectral", "wiener")
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """One engine fitted to one or several tests. ``fit_part`` and ``held_out`` index the records as in ``Split``.
+
+    ``test`` is the number of the first test that was fitted, ``tests`` are those of all.
+    """
+
+    model: Model
+    record: Record
+    fit_part: slice
+    held_out_record: Record
+    held_out: slice
+    test: int
+    validated_on: str
+    tests: tuple[int, ...] = ()
+
+
+def analyse(
+    session: Session,
+    engine: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    test: int | None = None,
+    also: Sequence[int] = (),
+    validate: int | None = None,
+    input_name: str = "force",
+    output_name: str = "position",
+) -> Analysis:
+    """Fit one engine and score its free-run simulation on data that was not fitted.
+
+    ``test`` is the number of the fitted test (the first stochastic one by default); ``also`` are those of tests that
+    are fitted together with it; ``validate`` is that of the test it is scored on. Without it the last quarter of every
+    fitted test is held out.
+
+    Raises:
+        UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
+    """
+    specification = get_engine(engine).from_options(options or {})
+    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    return fit_split(specification, parts)
+
+
+def analyse_all(
+    session: Session, engines: Iterable[str] = REPORT_ENGINES, *, test: Test | None = None, validate: int | None = None
+) -> dict[str, Analysis]:
+    """Several engines on one test, by name, with their default options."""
+    number = None if test is None else test.number
+    return {name: analyse(session, name, test=number, validate=validate) for name in engines}
+
+
+def fit_split(specification: Engine, parts: Split) -> Analysis:
+    """Fit a specification to the fitted part of a split and score it on the held-out one.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit.
+    """
+    model, seconds = timed_fit(specification, parts.record, parts.fit_part)
+    model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    return Analysis(
+        model,
+        parts.record,
+        parts.fit_part,
+        parts.held_out_record,
+        parts.held_out,
+        parts.tests[0],
+        parts.validated_on,
+        parts.tests,
+    )
+
+
+def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> tuple[Model, float]:
+    """Fit, and return the model with the seconds that it took.
+
+    Compiled loops are built the first time that a machine meets them, and loaded from a cache afterwards. Neither is
+    counted, so that an engine's figure does not depend on which ran first.
+
+    Raises:
+        UnusableInputError: the record cannot carry the fit.
+    """
+    compiling: list[float] = []
+    begin = time.perf_counter()
+    with install_timer("numba:compiler_lock", compiling.append):
+        model = specification.fit(record, fit_part)
+    return model, max(0.0, time.perf_counter() - begin - sum(compiling))

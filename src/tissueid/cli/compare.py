@@ -1,0 +1,229 @@
+"""``tissueid compare``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
+from tissueid.cli.identify import identify_answer, parse_options
+from tissueid.cli.output import check_json, check_output, people_read, progress_bars, table, write_json
+from tissueid.errors import UnusableInputError
+from tissueid.identification.recommendation import Recommendation
+from tissueid.sessions import Session, read_session
+from tissueid.wording import MISSING, fixed, grouped
+
+_UNBOUND_WIDTH = 120
+"""Characters in a line where it is not a terminal that reads."""
+
+
+def run_compare(
+    path: Path,
+    engines: str | None,
+    test: int | None,
+    also: Sequence[int],
+    validate: int | None,
+    input_name: str,
+    output_name: str,
+    memory: float | None,
+    options: Sequence[str],
+    sweep: bool,
+    json_file: Path | None,
+    out: Path | None = None,
+    figures: Path | None = None,
+) -> None:
+    """Fit all engines, print the table and the recommendation, and write the JSON, the page and the figures."""
+    check_json(json_file)
+    check_output(out, ("<!DOCTYPE html",))
+    if figures is not None and figures.exists() and not figures.is_dir():
+        raise UnusableInputError(f"{figures} is a file; name a folder for the figures")
+    names = None if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
+    chosen = specifications(names, {} if memory is None else {"memory": memory}, _by_engine(options))
+    session = read_session(path)
+    parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
+    no_ceiling = ""
+    try:
+        ceiling = known_ceiling(session, parts)
+    except UnusableInputError as error:
+        ceiling, no_ceiling = None, f"What repeats allow is not known: {error}."
+    with progress_bars() as show:
+        found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
+        _draw(session, found, out, figures, show)
+    _tell(found, no_ceiling, people_read(json_file))
+    if json_file is not None:
+        write_json(json_file, compare_answer(found))
+    if out is not None:
+        people_read(json_file).print(f"report: {out}", markup=False)
+    if figures is not None:
+        people_read(json_file).print(f"figures: {figures}", markup=False)
+
+
+def _draw(
+    session: Session,
+    found: EngineComparison,
+    out: Path | None,
+    figures: Path | None,
+    show: Callable[[str, float], None],
+) -> None:
+    """Draw what was asked for.
+
+    Raises:
+        UnusableInputError: the page or a figure cannot be written.
+    """
+    if out is None and figures is None:
+        return
+    from tissueid.reports import comparison_report
+
+    report = comparison_report(session, found, show)
+    try:
+        if out is not None:
+            report.write(out)
+        if figures is not None:
+            report.write_figures(figures)
+    except OSError as error:
+        raise UnusableInputError(f"cannot write {error.filename or out or figures}: {error.strerror}") from error
+
+
+def compare_answer(found: EngineComparison) -> dict[str, Any]:
+    """The answer as JSON holds it: under ``engines`` what ``identify`` answers, and why an engine was refused."""
+    return {
+        "test": found.split.tests[0],
+        "tests": list(found.split.tests),
+        "validated_on": found.split.validated_on,
+        "ceiling_vaf_percent": None if found.ceiling is None else found.ceiling.vaf_percent.value,
+        "ceiling_vaf_std_percent": None if found.ceiling is None else found.ceiling.vaf_percent.std,
+        "engines": [_entry_answer(entry) for entry in found.entries],
+        "recommendation": found.recommendation.as_dict(),
+        "memory_sweep": [_sweep_answer(row) for row in found.memory_sweep],
+    }
+
+
+def _entry_answer(entry: Entry) -> dict[str, Any]:
+    about = {"engine": entry.engine, "family": str(entry.family), "interpretability": entry.family.interpretability}
+    if entry.scored is None:
+        return about | {"refused": entry.refused}
+    return (
+        identify_answer(entry.scored.analysis)
+        | about
+        | {
+            "refused": None,
+            "effective_parameters": entry.scored.parameters,
+            "n_samples_compared": entry.scored.n_fitted,
+            "shares_samples": not entry.scored.own_samples,
+        }
+    )
+
+
+def _sweep_answer(row: SweepRow) -> dict[str, Any]:
+    about: dict[str, Any] = {"engine": row.engine, "memory_s": row.memory, "refused": row.refused}
+    if row.analysis is None:
+        return about
+    report = row.analysis.model.report.as_dict()
+    scores = ("vaf_percent", "vaf_validation_percent", "vaf_scheduled_percent", "aicc", "n_parameters", "seconds")
+    return about | {name: report[name] for name in scores} | {"effective_parameters": row.parameters}
+
+
+def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """ENGINE.NAME=VALUE, sorted by engine.
+
+    Raises:
+        UnusableInputError: an option that does not say which engine it is for.
+    """
+    sorted_out: dict[str, dict[str, Any]] = {}
+    for name, value in parse_options(options).items():
+        engine, dot, option = name.partition(".")
+        if not dot or not option:
+            raise UnusableInputError(f"an option of one engine is ENGINE.NAME=VALUE, not {name!r}")
+        sorted_out.setdefault(engine, {})[option] = value
+    return sorted_out
+
+
+def _tell(found: EngineComparison, no_ceiling: str, out: Console) -> None:
+    if not out.is_terminal:
+        out.width = _UNBOUND_WIDTH
+    notes: dict[str, int] = {}
+    out.print(_score_table(found, notes))
+    shared = max((e.scored.n_fitted for e in found.entries if e.scored and not e.scored.own_samples), default=0)
+    out.print(
+        f"held out: {found.split.validated_on}. VAF is of free runs, which see the input alone; told: with the "
+        f"measured output as the schedule. VAF and AICc are over the {grouped(shared)} fitted samples that all share.",
+        markup=False,
+        style="dim",
+    )
+    if found.ceiling is not None:
+        best = fixed(found.ceiling.vaf_percent.value, 2)
+        out.print(
+            f"No model can do better than {best} % on unseen samples: so far {found.ceiling.repeats} repeats agree."
+        )
+    elif no_ceiling:
+        out.print(no_ceiling, markup=False)
+    for note, number in notes.items():
+        out.print(f"  {number}. {note}", markup=False)
+    if found.memory_sweep:
+        out.print(_sweep_table(found.memory_sweep))
+    out.print()
+    for line in _recommendation_lines(found.recommendation):
+        out.print(line, markup=False)
+
+
+def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
+    """Fig. 8.1 and Table 8.1 for this record; ``notes`` collects what is told by number below it."""
+    scheduled = any(a.model.report.vaf_scheduled_percent is not None for a in found.analyses.values())
+    tests = ", ".join(map(str, found.split.tests))
+    columns = ["engine", "fitted\nVAF %", "held out\nVAF %", *["told\nVAF %"] * scheduled]
+    columns += ["of the\nceiling"] * (found.ceiling is not None)
+    columns += ["AICc", "para-\nmeters", "sec-\nonds", "inter-\npretable", "notes"]
+    rows = table(f"Engines on test{'s' * (len(found.split.tests) > 1)} {tests}", *columns)
+    rows.columns[0].no_wrap = True
+    for entry in found.entries:
+        marks = ",".join(str(notes.setdefault(note, len(notes) + 1)) for note in _notes(entry))
+        if entry.scored is None:
+            cells = [MISSING] * (len(columns) - 2)
+        else:
+            report = entry.scored.analysis.model.report
+            cells = [fixed(report.vaf_percent, 1), fixed(report.vaf_validation_percent, 1)]
+            cells += [fixed(report.vaf_scheduled_percent, 1)] * scheduled
+            if found.ceiling is not None:
+                cells.append(fixed(found.ceiling.explained_percent(report.vaf_validation_percent or 0.0), 1))
+            cells += [fixed(report.aicc, 0), fixed(entry.scored.parameters, 0), fixed(report.seconds, 2)]
+            cells.append(entry.family.interpretability)
+        rows.add_row(entry.engine, *cells, marks)
+    return rows
+
+
+def _notes(entry: Entry) -> Iterator[str]:
+    if entry.refused is not None:
+        yield f"refused: {entry.refused}"
+    if entry.scored is None:
+        return
+    if entry.scored.own_samples:
+        yield "scored on samples of its own, as it needs more of the record than the others: not comparable"
+    yield from entry.scored.analysis.model.report.warnings
+
+
+def _sweep_table(sweep: Sequence[SweepRow]) -> Table:
+    rows = table("Against memory", "engine", "memory s", "fitted VAF %", "held out VAF %", "AICc", "parameters")
+    for row in sweep:
+        if row.analysis is None:
+            cells = [MISSING] * 4
+        else:
+            report = row.analysis.model.report
+            cells = [fixed(report.vaf_percent, 1), fixed(report.vaf_validation_percent, 1)]
+            cells += [fixed(report.aicc, 0), fixed(row.parameters, 0)]
+        rows.add_row(row.engine, f"{row.memory:g}", *cells)
+    return rows
+
+
+def _recommendation_lines(found: Recommendation) -> Iterator[str]:
+    headline, *rest = found.sentences
+    yield f"Judged on {found.judged_on}:"
+    yield headline
+    yield from (f"  {sentence}" for sentence in rest)
+    for title, sentences in (("doubts", found.doubts), ("to know more", found.experiments)):
+        if sentences:
+            yield f"{title}:"
+            yield from (f"  {sentence}" for sentence in sentences)

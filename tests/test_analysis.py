@@ -1,0 +1,257 @@
+"""From saved tests to models: what is fitted, what is held out, and figures that can be compared."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identification import simulated
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.analysis import (
+    analyse,
+    compare,
+    known_ceiling,
+    repeats,
+    specifications,
+    split,
+    split_records,
+)
+from tissueid.analysis.fitting import timed_fit
+from tissueid.analysis.scoring import scored
+from tissueid.errors import UnusableInputError
+from tissueid.identification import Engine, Family, Model, aicc, engine_names, vaf_percent
+from tissueid.identification.engines.lms import Lms
+from tissueid.identification.engines.wiener import Wiener
+from tissueid.records import Record
+from tissueid.sessions import Session
+
+QUICK = ("lms", "spectral")
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    repeat = make_test(3, seconds=2.5, repeat_of=1)
+    repeat.signals["position"] += 1e-5 * simulated.generator(8).standard_normal(repeat.samples)
+    return make_session(make_test(1, seconds=2.5), make_test(2, seconds=2.0, seed=5), repeat)
+
+
+class TestSplit:
+    def test_the_last_quarter_is_held_out(self, session: Session):
+        parts = split(session)
+        assert parts.tests == (1,)
+        assert parts.held_out_record is parts.record
+        assert (parts.fit_part, parts.held_out) == (slice(0, 1875), slice(1875, 2500))
+        assert parts.validated_on == "the last 25 % of test 1"
+        known = np.isfinite(parts.unseen.output)
+        assert not known[:1875].any()
+        assert known[1875:].all()
+        np.testing.assert_array_equal(parts.unseen.input, parts.record.input)
+
+    def test_another_test_is_held_out_whole(self, session: Session):
+        parts = split(session, test=2, validate=1)
+        assert (parts.tests, parts.validated, parts.validated_on) == ((2,), 1, "test 1")
+        assert (len(parts.fitted), len(parts.unseen)) == (2000, 2500)
+        assert parts.other_quarters == ()
+
+    def test_of_several_tests_the_last_quarter_of_each(self, session: Session):
+        parts = split(session, test=1, also=(2,))
+        first, second = (session.test(number).record() for number in (1, 2))
+        assert parts.validated_on == "the last 25 % each of tests 1 and 2"
+        np.testing.assert_array_equal(
+            parts.fitted.output, np.concatenate([first.output[:1875], [np.nan], second.output[:1500]])
+        )
+        np.testing.assert_array_equal(parts.unseen.input, np.concatenate([first.input, [np.nan], second.input]))
+        hidden = np.full(1, np.nan)
+        expected = [np.full(1875, np.nan), first.output[1875:], hidden, np.full(1500, np.nan), second.output[1500:]]
+        np.testing.assert_array_equal(parts.unseen.output, np.concatenate(expected))
+
+    def test_every_quarter_is_held_out_once_and_never_fitted_with_itself(self, session: Session):
+        for also in ((), (2,)):
+            parts = split(session, test=1, also=also)
+            quarters = (parts, *parts.other_quarters)
+            known = np.array([np.isfinite(quarter.unseen.output) for quarter in quarters])
+            received = np.isfinite(parts.held_out_record.input)
+            np.testing.assert_array_equal(known.sum(axis=0), received)
+            for quarter in quarters:
+                held_out = quarter.unseen.output[np.isfinite(quarter.unseen.output)]
+                assert not np.isin(held_out, quarter.fitted.output).any()
+                assert np.isfinite(quarter.fitted.output).sum() + held_out.size == received.sum()
+
+    @pytest.mark.parametrize(
+        ("choice", "told"),
+        [
+            (dict(test=9), "no test 9"),
+            (dict(also=(9,)), "no test 9"),
+            (dict(also=(1,)), "test 1 is named twice"),
+            (dict(test=2, also=(1,), validate=1), "validate on another"),
+            (dict(input_name="position"), "the same signal"),
+            (dict(output_name="torque"), "no signal 'torque'"),
+        ],
+    )
+    def test_what_cannot_be_split_is_refused(self, session: Session, choice: dict, told: str):
+        with pytest.raises(UnusableInputError, match=told) as refused:
+            split(session, **choice)
+        assert "\n" not in str(refused.value)
+
+    def test_tests_at_different_rates_are_not_fitted_together(self, session: Session):
+        slow = replace(make_test(4), sample_rate_hz=500.0)
+        with pytest.raises(UnusableInputError, match="cannot be fitted together"):
+            split(replace(session, tests=(*session.tests, slow)), also=(4,))
+
+
+class TestAnalyse:
+    def test_several_tests_give_one_fit_nearer_to_the_truth(self):
+        truth = dict(mass=0.09, damping=20.0, stiffness=4000.0)
+        records = [simulated.linear_record(seed, snr_db=10.0, n=2000, **truth) for seed in range(6)]
+        one, six = (Lms().fit(split_records(some).fitted).report for some in (records[:1], records))
+        for name, value in zip(("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"), truth.values(), strict=True):
+            found = six.parameters[name]
+            assert found.std is not None
+            assert abs(found.value - value) < 4.0 * found.std
+            assert found.std < one.parameters[name].std
+
+    def test_held_out_parts_of_several_tests_are_pooled(self, session: Session):
+        analysis = analyse(session, "lms", test=1, also=(2,))
+        assert (analysis.test, analysis.tests) == (1, (1, 2))
+        measured, simulated_output = [], []
+        for number, cut in ((1, 1875), (2, 1500)):
+            record = session.test(number).record()
+            measured.append(record.output[cut:])
+            simulated_output.append(analysis.model.simulate(record.input)[cut:])
+        pooled = vaf_percent(np.concatenate(measured), np.concatenate(simulated_output))
+        assert analysis.model.report.vaf_validation_percent == pytest.approx(pooled, abs=1e-9)
+
+    def test_compiling_is_not_counted(self):
+        from numba import njit
+
+        class Slow(Engine):
+            name = "slow"
+
+            def fit(self, record: Record, fit_part: slice | None = None) -> Model:
+                total = njit(lambda x: x.sum() + x.mean())(record.input)
+                assert np.isfinite(total)
+                return Lms().fit(record, fit_part)
+
+        record = simulated.linear_record(1)[:2000]
+        begin = time.perf_counter()
+        _, seconds = timed_fit(Slow(), record, None)
+        assert seconds < 0.5 * (time.perf_counter() - begin)
+
+
+class TestScores:
+    def test_all_engines_are_scored_on_the_samples_that_they_share(self, session: Session):
+        found = compare((Lms(memory=0.02), Wiener(memory=0.1)), split(session))
+        rows = [entry.scored for entry in found.entries]
+        assert [row.n_fitted for row in rows] == [1875 - 99] * 2
+        short = rows[0].analysis
+        own = Lms(memory=0.02).fit(short.record, short.fit_part)
+        residual = own.residuals(short.record)[99:1875]
+        assert short.model.report.aicc == pytest.approx(aicc(residual, 21), rel=1e-9)
+        assert short.model.report.vaf_percent == pytest.approx(
+            vaf_percent(short.record.output[99:1875], short.record.output[99:1875] - residual), rel=1e-9
+        )
+
+    def test_one_that_needs_most_of_the_record_does_not_cost_the_others_their_samples(self, session: Session):
+        found = compare((Lms(memory=0.02), Lms.model_construct(**Lms(memory=0.02).options())), split(session))
+        parts = split(session)
+        analyses = [entry.scored.analysis for entry in found.entries]
+        greedy = replace(analyses[1], model=replace(analyses[1].model, memory_samples=1800))
+        rows = scored([analyses[0], greedy], parts)
+        assert [row.own_samples for row in rows] == [False, True]
+        assert [row.n_fitted for row in rows] == [1875 - 19, 76]
+
+    def test_effective_parameters_count_where_they_are_told(self, session: Session):
+        parts = split(session)
+        analysis = analyse(session, "lms")
+        report = analysis.model.report
+        held_back = replace(
+            analysis.model, report=replace(report, details=report.details | {"effective_parameters": 9.5})
+        )
+        full, few = scored([analysis, replace(analysis, model=held_back)], parts)
+        assert (full.parameters, few.parameters) == (report.n_parameters, 9.5)
+        assert few.analysis.model.report.aicc < full.analysis.model.report.aicc
+
+
+class TestCompare:
+    def test_every_engine_gets_a_row(self, session: Session):
+        found = compare(specifications(QUICK), split(session))
+        assert [entry.engine for entry in found.entries] == list(QUICK)
+        assert list(found.analyses) == list(QUICK)
+        assert found.memory_sweep == ()
+        assert found.recommendation.engine in QUICK
+        assert [choice.option for choice in found.recommendation.choices] == ["memory"]
+        for analysis in found.analyses.values():
+            assert analysis.model.report.seconds > 0
+
+    def test_one_that_refuses_gets_its_reason(self, session: Session):
+        specified = specifications(("lms", "spectral"), own={"spectral": {"window": 0.05}})
+        entries = compare(specified, split(session)).entries
+        assert entries[0].refused is None
+        assert entries[1].scored is None
+        assert "shorter than the memory" in entries[1].refused
+
+    def test_when_all_refuse_there_is_nothing_to_compare(self, session: Session):
+        with pytest.raises(UnusableInputError, match="the memory of 9 s is longer"):
+            compare(specifications(QUICK, {"memory": 9.0}, {"spectral": {"window": 10.0}}), split(session))
+        with pytest.raises(UnusableInputError, match="none of 2 engines can be fitted"):
+            compare(specifications(QUICK, {}, {"lms": {"memory": 9.0}, "spectral": {"window": 0.05}}), split(session))
+
+    def test_progress_is_told_engine_by_engine(self, session: Session):
+        told: list[tuple[str, float]] = []
+        compare(specifications(QUICK), split(session), progress=lambda what, share: told.append((what, share)))
+        for name in QUICK:
+            assert told.index((name, 0.0)) < told.index((name, 1.0))
+        assert all(0.0 <= share <= 1.0 for _, share in told)
+
+    def test_scores_against_memory(self, session: Session):
+        found = compare((Lms(), Lms.from_options({})), split(session), sweep=False)
+        assert found.memory_sweep == ()
+        rows = compare((Lms(),), split(session), sweep=True).memory_sweep
+        assert len(rows) > 4
+        assert all(row.refused is None for row in rows)
+        scores = [row.analysis.model.report.vaf_percent for row in rows]
+        assert scores[0] < scores[-1] - 5.0  # 10 ms are too few for a system that rings for 30
+        assert [row.parameters for row in rows] == [round(row.memory * 1000) + 1 for row in rows]
+
+    def test_all_that_are_installed_are_compared_by_default(self):
+        assert tuple(engine.name for engine in specifications()) == engine_names()
+
+    def test_every_engine_of_ours_says_of_what_family_it_is(self):
+        ours = [e for e in specifications() if type(e).__module__.startswith("tissueid.")]
+        assert not [e.name for e in ours if e.family is Family.OTHER]
+
+    @pytest.mark.parametrize(
+        ("arguments", "told"),
+        [
+            (([],), "no engine is named"),
+            ((["magic"],), "no engine 'magic'"),
+            ((["lms", "lms"],), "named twice"),
+            ((["lms"], {"colour": 1}), "none of these engines has an option 'colour'"),
+            ((["lms"], {}, {"wiener": {"degree": 3}}), "'wiener', which is not among"),
+            ((["lms"], {}, {"lms": {"memory": -1}}), "option 'memory'"),
+        ],
+    )
+    def test_engines_that_cannot_be_had_are_refused(self, arguments: tuple, told: str):
+        with pytest.raises(UnusableInputError, match=told) as refused:
+            specifications(*arguments)
+        assert "\n" not in str(refused.value)
+
+
+class TestCeiling:
+    def test_repeats_are_found_from_either_end(self, session: Session):
+        assert [test.number for test in repeats(session, 1)] == [1, 3]
+        assert [test.number for test in repeats(session, 3)] == [3, 1]
+        assert [test.number for test in repeats(session, 2)] == [2]
+
+    def test_repeats_say_how_much_there_is_to_be_explained(self, session: Session):
+        for choice in (dict(test=1), dict(test=1, also=(3,)), dict(test=2, validate=1)):
+            found = known_ceiling(session, split(session, **choice))
+            assert found is not None
+            assert 99.0 < found.vaf_percent.value < 100.0
+
+    def test_without_repeats_nothing_is_known(self, session: Session):
+        assert known_ceiling(session, split(session, test=2)) is None
+        assert known_ceiling(session, split(session, test=1, also=(2,))) is None
