@@ -1,0 +1,1 @@
+"""Linear tests about one level after another."""

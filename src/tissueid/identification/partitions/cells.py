@@ -1,0 +1,122 @@
+"""Partitions of depth and direction, and which of them a sample belongs to (Chen 2010, Eqs. 5.1 and 5.3).
+
+A cell is a stretch of depth, and with directions a stretch of depth passed one way. Every sample whose output was
+received belongs to one cell. The outer cells go on without end, so that a motion beyond the fitted one has a cell too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.validation import finite_runs
+
+Cells = NDArray[np.int64]
+Breakpoints = Literal["count", "width"]
+
+UNKNOWN = -1
+"""Cell of a sample whose output was not received."""
+
+
+@dataclass(frozen=True, eq=False)
+class Partitions:
+    """Where depth is cut.
+
+    ``breakpoints`` (K + 1,) rise; the first and the last are the ends of the fitted motion. With ``directional`` there
+    are 2 K cells, those of a rising output first. ``pole`` is that of the first-order low-pass which the output passes
+    before it chooses a cell, zero for none: it looks back only, so that a free run can have it too.
+    """
+
+    breakpoints: Array
+    directional: bool
+    pole: float
+
+    @property
+    def depths(self) -> int:
+        """K, the number of stretches of depth."""
+        return self.breakpoints.size - 1
+
+    @property
+    def count(self) -> int:
+        """The number of cells: K, or 2 K with directions."""
+        return self.depths * (2 if self.directional else 1)
+
+    @property
+    def direction(self) -> NDArray[np.int_]:
+        """Direction of each cell, shape (cells,): 1 for a rising output, -1 for a falling one, 0 for both."""
+        if not self.directional:
+            return np.zeros(self.depths, dtype=np.int_)
+        return np.repeat(np.array([1, -1], dtype=np.int_), self.depths)
+
+    def filtered(self, output: Array) -> Array:
+        """What the output (n,) is to the choice of a cell, shape (n,); begun anew after every gap."""
+        if self.pole == 0.0:
+            return output
+        passed = np.full(output.size, np.nan)
+        for first, end in finite_runs(np.isfinite(output)):
+            start = np.array([self.pole * output[first]])
+            passed[first:end] = signal.lfilter([1.0 - self.pole], [1.0, -self.pole], output[first:end], zi=start)[0]
+        return passed
+
+    def cells(self, output: Array) -> Cells:
+        """Cell of each sample of an output (n,), shape (n,); :data:`UNKNOWN` where it was not received.
+
+        An output that stands still keeps its direction; the first sample after a gap counts as rising.
+        """
+        seen = self.filtered(output)
+        known = np.isfinite(seen)
+        place = np.searchsorted(self.breakpoints[1:-1], np.where(known, seen, 0.0), side="right")
+        cells: Cells = np.where(known, place, UNKNOWN).astype(np.int64)
+        if self.directional:
+            for first, end in finite_runs(known):
+                cells[first:end] += self.depths * _falling(seen[first:end])
+        return cells
+
+
+def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Sequence[float] | None = None) -> Array:
+    """Breakpoints (K + 1,) for an output (n,), NaN left out (Chen 2010, 5.1).
+
+    Args:
+        output: what chooses the cells, on the samples to fit.
+        count: how many partitions.
+        method: the same number of samples in each, or the same width.
+        given: the inner breakpoints themselves, rising, in the output's unit; ``count`` and ``method`` are then unused.
+
+    Raises:
+        UnusableInputError: breakpoints that do not rise within the motion, or an output with too few values to cut.
+    """
+    seen = output[np.isfinite(output)]
+    low, high = float(seen.min()), float(seen.max())
+    if given is not None:
+        points = np.array([low, *given, high])
+    elif method == "width":
+        points = np.linspace(low, high, count + 1)
+    else:
+        points = np.quantile(seen, np.linspace(0.0, 1.0, count + 1))
+    if not np.all(np.diff(points) > 0.0):
+        raise UnusableInputError(
+            f"the breakpoints must rise and lie within the motion, from {low:.6g} to {high:.6g}: "
+            + ("give others" if given is not None else "take fewer partitions")
+        )
+    return np.asarray(points, dtype=np.float64)
+
+
+def low_pass_pole(cutoff_hz: float | None, sample_rate_hz: float) -> float:
+    """Pole of the first-order low-pass with that cutoff; 0, which passes everything, for None."""
+    return 0.0 if cutoff_hz is None else math.exp(-2.0 * math.pi * cutoff_hz / sample_rate_hz)
+
+
+def _falling(seen: Array) -> NDArray[np.bool_]:
+    """Where an uninterrupted signal (n,) falls, shape (n,)."""
+    steps = np.sign(np.diff(seen, prepend=seen[0]))
+    steps[0] = 1.0
+    latest = np.maximum.accumulate(np.where(steps != 0.0, np.arange(seen.size), 0))
+    return np.asarray(steps[latest] < 0.0)

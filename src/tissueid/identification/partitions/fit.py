@@ -1,0 +1,309 @@
+"""The fit behind the engines ``depth`` and ``direction``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, FitReport, Mask
+from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.localized.levels import is_stepped
+from tissueid.identification.partitions.cells import (
+    UNKNOWN,
+    Breakpoints,
+    Cells,
+    Partitions,
+    low_pass_pole,
+    place_breakpoints,
+)
+from tissueid.identification.partitions.estimation import DepthEstimator, LocalEstimates
+from tissueid.identification.partitions.model import PartitionedModel, resting
+from tissueid.identification.partitions.parameters import local_parameters
+from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
+from tissueid.identification.partitions.simulation import free_run
+from tissueid.identification.partitions.words import details_of, doubts, found_words, named_parameters, profile_of
+from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
+from tissueid.identification.validation import aic, aicc, complete_windows, vaf_percent
+from tissueid.identification.volterra.smoothing import LagGrid, automatic_grid, lag_grid
+from tissueid.records import Record
+
+Offset = Literal["common", "mean", "partition"]
+
+_ROUNDS = 3
+"""Times that the fitted samples are placed anew by the model's own output, where that is done."""
+
+
+_FORGOTTEN = 3
+"""Memories of the kernels after which a free run has forgotten where it began."""
+
+_STEPPED = (
+    "the input is stepped: mass, damping and stiffness come out nearer with an offset for each partition, or with the "
+    "engine localized"
+)
+
+
+@dataclass(frozen=True)
+class PartitionChoice:
+    """What the two engines choose by their options; see there."""
+
+    memory: float
+    partitions: int
+    breakpoints: Breakpoints
+    breakpoints_m: Sequence[float] | None
+    filter_hz: float | None
+    downsample: int | None
+    offset: Offset
+    correct: bool
+    hold: Hold
+    directional: bool
+
+    def cut(self, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
+        """The cells, from the output (n,) at the rows of a mask (n,)."""
+        pole = low_pass_pole(self.filter_hz, sample_rate_hz)
+        whole = Partitions(np.array([-np.inf, np.inf]), self.directional, pole)
+        seen = np.where(rows, whole.filtered(output), np.nan)
+        return replace(
+            whole, breakpoints=place_breakpoints(seen, self.partitions, self.breakpoints, self.breakpoints_m)
+        )
+
+
+def fit_partitions(
+    engine: str,
+    options: dict[str, object],
+    choice: PartitionChoice,
+    record: Record,
+    fit_part: slice | None,
+) -> PartitionedModel:
+    """Fit a partitioned model to a record, or to a contiguous part of it.
+
+    Raises:
+        UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints that do not
+            cut the motion, or a partition that was hardly visited.
+    """
+    rate = record.sample_rate_hz
+    first = prepare(record, fit_part, 1.0 / rate, 1)
+    grid = _grid(choice, first)
+    rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
+    if not rows.any():
+        raise UnusableInputError("0 usable samples: the record is full of gaps, or shorten the memory")
+    partitions = choice.cut(record.output, rows, rate)
+    at_output = choice.offset == "partition"
+    n_parameters = partitions.count * (grid.lags + int(at_output)) + int(not at_output)
+    prepared = prepare(record, fit_part, grid.memory_samples / rate, n_parameters)
+    cells = partitions.cells(record.output)
+    used = _usable(prepared, cells, grid, n_parameters, at_output)
+    _check_support(partitions, cells, used, grid)
+    linear = fit_second_order(record, prepared.used, choice.hold)
+    reference = 0.0 if choice.offset == "common" else prepared.input_mean
+    if at_output:
+        solved, placed = _self_placed(record, prepared, partitions, cells, used, grid)
+    else:
+        solved = solve_along_lags(record.input, record.output, reference, cells, partitions.count, used, grid, rate)
+        placed = cells
+    local = _local(choice, prepared, partitions, solved, placed, used, grid, linear)
+    profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
+    model = _model(solved, prepared, partitions, grid, local, profile, engine, options)
+    stepped = not at_output and is_stepped(record.input, prepared.used, grid.memory_samples)
+    return _reported(model, record, prepared, used, solved, local, linear, stepped)
+
+
+def _grid(choice: PartitionChoice, first: Prepared) -> LagGrid:
+    rate = first.record.sample_rate_hz
+    if choice.downsample is not None:
+        return lag_grid(choice.memory, rate, choice.downsample)
+    return automatic_grid(choice.memory, first.record.input[first.part] - first.input_mean, rate)
+
+
+def _part_mask(prepared: Prepared) -> Mask:
+    mask = np.zeros(len(prepared.record), dtype=np.bool_)
+    mask[prepared.part] = True
+    return mask
+
+
+def _usable(prepared: Prepared, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
+    """The rows (n,): what the preparation allows, with the cell known too throughout the memory."""
+    known = cells != UNKNOWN
+    used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
+    if int(used.sum()) < n_parameters:
+        raise UnusableInputError(
+            f"{int(used.sum())} usable samples cannot carry {n_parameters} parameters: record longer, take fewer "
+            "partitions, or shorten the memory"
+        )
+    return used
+
+
+def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid) -> None:
+    support = np.bincount(cells[used], minlength=partitions.count)
+    least = int(np.argmin(support))
+    if support[least] <= grid.lags:
+        raise UnusableInputError(
+            f"partition {least + 1} of {partitions.count} holds {support[least]} samples, too few for its "
+            f"{grid.lags} lags: take fewer partitions, or cut by equal count"
+        )
+
+
+def _self_placed(
+    record: Record, prepared: Prepared, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
+) -> tuple[PartitionedKernels, Cells]:
+    """Linear models of each cell, with the samples placed by a model's own output: first by that of Eq. 5.1.
+
+    Placed by the measured output they would be sorted by the very noise, and by what the model lacks, that is to be
+    told from the response, and every kernel would come out too small. The round with the least error is kept.
+    """
+    rate, mean = record.sample_rate_hz, prepared.input_mean
+    complete = used & complete_windows(cells != UNKNOWN, grid.memory_samples)
+    first = solve_along_lags(record.input, record.output, 0.0, cells, partitions.count, complete, grid, rate)
+    _, own = _own_run(record, prepared, partitions, grid, first)
+    best: tuple[float, PartitionedKernels, Cells] | None = None
+    for placed in (own, cells):
+        for _ in range(_ROUNDS):
+            try:
+                solved = solve_at_output(record.input, record.output, mean, placed, partitions.count, used, grid, rate)
+            except UnusableInputError:
+                if placed is cells and best is None:
+                    raise
+                break
+            output, own = _own_run(record, prepared, partitions, grid, solved)
+            error = float(np.mean((record.output[used] - output[used]) ** 2))
+            if best is None or error < best[0]:
+                best = (error, solved, placed)
+            if np.array_equal(own[used], placed[used]):
+                break
+            placed = own
+        if best is not None:
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
+def _own_run(
+    record: Record, prepared: Prepared, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
+) -> tuple[Array, Cells]:
+    """Free run of kernels over the record's input, outputs and cells (n,) each; a missing input counts as its mean."""
+    mean = prepared.input_mean
+    steady = mean - solved.reference
+    rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
+    x = np.concatenate(
+        [np.full(grid.memory_samples - 1, mean), np.where(np.isfinite(record.input), record.input, mean)]
+    )
+    return free_run(
+        x - solved.reference,
+        solved.kernels,
+        solved.offsets,
+        grid.spacing,
+        solved.at_output,
+        partitions.breakpoints[1:-1],
+        partitions.directional,
+        partitions.pole,
+        rest_cell,
+        rest,
+    )
+
+
+def _local(
+    choice: PartitionChoice,
+    prepared: Prepared,
+    partitions: Partitions,
+    solved: PartitionedKernels,
+    placed: Cells,
+    used: Mask,
+    grid: LagGrid,
+    linear: SecondOrderFit,
+) -> LocalEstimates:
+    """Parameters against depth by the construction that the offset asks for."""
+    record = prepared.record
+    if solved.at_output:
+        x = np.where(_part_mask(prepared), record.input - prepared.input_mean, np.nan)
+        found = local_parameters(solved, partitions, record.output[used], placed[used], x, grid, linear)
+        return LocalEstimates(found, solved)
+    depth_only = replace(partitions, directional=False)
+    estimator = DepthEstimator(
+        prepared=prepared,
+        used=used,
+        partitions=depth_only,
+        grid=grid,
+        linear=linear,
+    )
+    if choice.correct:
+        return estimator.corrected(contrast=choice.directional)
+    return estimator.estimate(record.output)
+
+
+def _model(
+    solved: PartitionedKernels,
+    prepared: Prepared,
+    partitions: Partitions,
+    grid: LagGrid,
+    local: LocalEstimates,
+    profile: DepthProfile | None,
+    engine: str,
+    options: dict[str, object],
+) -> PartitionedModel:
+    rate = prepared.record.sample_rate_hz
+    per_second = rate / grid.spacing
+    steady = prepared.input_mean - solved.reference
+    rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
+    own_past = not solved.at_output or partitions.directional or partitions.pole > 0.0
+    return PartitionedModel(
+        report=FitReport(engine=engine, options=options, n_samples=0, n_parameters=0, vaf_percent=float("nan")),
+        sample_rate_hz=rate,
+        memory_samples=grid.memory_samples * (_FORGOTTEN if own_past else 1),
+        partitions=partitions,
+        kernels=solved.kernels * per_second,
+        kernels_std=solved.kernels_std * per_second,
+        offsets=solved.offsets,
+        lag_s=np.arange(grid.lags) * grid.spacing / rate,
+        lag_spacing=grid.spacing,
+        reference=solved.reference,
+        at_output=solved.at_output,
+        input_mean=prepared.input_mean,
+        rest_cell=rest_cell,
+        rest_position=rest,
+        operating_kernels=local.solved.kernels * per_second,
+        local=profile,
+    )
+
+
+def _reported(
+    model: PartitionedModel,
+    record: Record,
+    prepared: Prepared,
+    used: Mask,
+    solved: PartitionedKernels,
+    local: LocalEstimates,
+    linear: SecondOrderFit,
+    stepped: bool,
+) -> PartitionedModel:
+    """The model with its report: scores of the free run on the fitted samples, parameters and words."""
+    simulated = model.simulate(record.input)
+    scored = used & np.isfinite(simulated)
+    if int(scored.sum()) < 2:
+        scored = used
+    scheduled = model.simulate_scheduled(record)
+    vaf = vaf_percent(record.output[scored], simulated[scored])
+    residuals = np.where(scored, record.output - simulated, np.nan)
+    details = details_of(model, record, scored, scheduled, solved)
+    parameters = named_parameters(local, model.partitions, float(np.median(record.output[used])), linear)
+    few = int(used.sum()) < SAMPLES_PER_PARAMETER * solved.parameters
+    return model.with_report(
+        n_samples=int(used.sum()),
+        n_parameters=solved.parameters,
+        vaf_percent=vaf,
+        aic=aic(residuals, solved.parameters),
+        aicc=aicc(residuals, solved.parameters),
+        parameters=parameters,
+        warnings=(
+            *prepared.warnings,
+            *solved.warnings,
+            *doubts(vaf, details, local, few and not prepared.warnings),
+            *((_STEPPED,) if stepped else ()),
+        ),
+        findings=found_words(local, model.partitions, linear),
+        details=details,
+    )

@@ -1,0 +1,280 @@
+"""Mass, damping and stiffness at each depth from the kernels of a partitioned model.
+
+A kernel along the lags is not yet what a small test at its depth would measure. While the probe moves by a millimetre
+the kernel changes too, and the steady load then acts through another one: to first order the response is
+H / (1 - x H'), with H' the slope of the kernel's frequency response by depth and x the steady input there. That is the
+linearisation of the fitted model itself, and it takes out most of the averaging that Chen 2010, 5.2, describes. A
+kernel chosen at the output has an offset of its own and is that response already.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, optimize
+
+from tissueid.identification.base import Array
+from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.partitions.cells import Cells, Partitions
+from tissueid.identification.partitions.regression import PartitionedKernels
+from tissueid.identification.second_order import Complex, Hold, SecondOrder, sampled_response
+from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.identification.volterra.smoothing import LagGrid, input_spectrum
+from tissueid.records import Estimate
+
+_WEAKEST = 1e-4
+"""Share of the strongest input power from which a frequency takes part."""
+
+_LOST = math.log(1000.0)
+"""A kernel whose parameters lie this factor from those of the whole record says nothing of them."""
+
+_SCATTER = 0.03
+"""Relative deviation that every kernel's parameters are taken to have when a line is laid through them."""
+
+_STEP = 1e-5
+
+_LINE, _PARABOLA = 3, 5
+"""Cells from which on a line, and a parabola, is laid through them."""
+
+_UNITS = (("mass_kg", "mass_slope_kg_per_m"), ("damping_n_s_per_m", "damping_slope_n_s_per_m2"))
+_NAMES = (*_UNITS, ("stiffness_n_per_m", "stiffness_slope_n_per_m2"))
+
+
+@dataclass(frozen=True, eq=False)
+class LocalParameters:
+    """Logarithms of mass, damping and stiffness, (cells, 3), at ``position`` (cells,), NaN where there are none.
+
+    ``root`` (cells, 3, m): its products, summed over m, are covariances. ``sign`` is -1 when the output falls as the
+    input rises.
+    """
+
+    position: Array
+    log_parameters: Array
+    root: Array
+    sign: float
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Cells that have parameters, (cells,)."""
+        return np.isfinite(self.log_parameters[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Band:
+    """Where the input has power: bins of a transform of ``length`` samples, their power, and lags turned to them."""
+
+    length: int
+    bins: NDArray[np.intp]
+    power: Array
+    turn: Complex  # (bins, lags)
+    sample_rate_hz: float
+    hold: Hold
+
+    def response(self, log_parameters: Array) -> tuple[Complex, Complex]:
+        """Sampled response (bins,) and its slopes (3, bins) by log M, log B, log K."""
+        mass, damping, stiffness = np.exp(log_parameters)
+        system = SecondOrder(float(mass), float(damping), float(stiffness))
+        response, slopes = sampled_response(system, self.length, self.sample_rate_hz, self.hold)
+        return response[self.bins], slopes[:, self.bins]
+
+    def fit(self, target: Complex, start: Array) -> tuple[Array, Array] | None:
+        """Log M, B, K (3,) nearest to a response (bins,), and the rows (3, 2 bins) that carry its changes to them.
+
+        Errors count as much as the output that they make under the record's input. None when nothing near fits.
+        """
+        weight = np.sqrt(self.power) / float(np.sqrt(np.sum(self.power * np.abs(target) ** 2)))
+
+        def split(values: Complex) -> Array:
+            weighted = values * weight
+            return np.concatenate([weighted.real, weighted.imag], axis=-1)
+
+        low, high = start - _LOST, start + _LOST
+        found = optimize.least_squares(
+            lambda trial: split(self.response(trial)[0] - target),
+            start,
+            jac=lambda trial: split(self.response(trial)[1]).T,
+            bounds=(low, high),
+        )
+        theta = np.asarray(found.x, dtype=np.float64)
+        slopes = split(self.response(theta)[1])  # (3, 2 bins)
+        if not found.success or np.any((theta < low + 0.01) | (theta > high - 0.01)):
+            return None
+        gram = slopes @ slopes.T
+        if np.linalg.cond(gram) > 1e12:
+            return None
+        carried = np.linalg.solve(gram, slopes) * np.concatenate([weight, weight])
+        return theta, carried
+
+
+def local_parameters(
+    solved: PartitionedKernels,
+    partitions: Partitions,
+    output: Array,
+    cells: Cells,
+    x: Array,
+    grid: LagGrid,
+    linear: SecondOrderFit,
+) -> LocalParameters:
+    """Parameters of each cell's kernel, with the covariance of all of them.
+
+    Args:
+        solved: the kernels; those along the lags about the mean input, or the steady input is poorly known.
+        partitions: the cells.
+        output: of the fitted part, (n,).
+        cells: of the same samples, (n,).
+        x: input (n,), its mean removed, NaN where it is not fitted.
+        grid: the lags.
+        linear: second-order system of the whole record: where the search begins, and the hold.
+    """
+    band = _band(x, grid, linear)
+    position = np.array([_centre(output[cells == cell], solved.at_output) for cell in range(partitions.count)])
+    begin = np.log([linear.system.mass, linear.system.damping, linear.system.stiffness])
+    count, width = partitions.count, solved.kernel_root.shape[2]
+    log_parameters, root = np.full((count, 3), np.nan), np.zeros((count, 3, width))
+    for cell in range(count):
+        fitted = band.fit(linear.sign * (band.turn @ solved.kernels[cell]), begin)
+        if fitted is not None:
+            log_parameters[cell], carried = fitted
+            root[cell] = carried @ _split(linear.sign * (band.turn @ solved.kernel_root[cell]))
+    direct = LocalParameters(position, log_parameters, root, linear.sign)
+    if solved.at_output:
+        return direct
+    return _linearised(direct, partitions, solved, band)
+
+
+def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.int_]) -> DepthProfile:
+    """The parameters as a depth profile; ``support`` (cells,) is how many samples lie in each cell."""
+    values = local.sign * np.exp(local.log_parameters)
+    std = np.exp(local.log_parameters) * np.sqrt(np.einsum("kim,kim->ki", local.root, local.root))
+    place = np.arange(partitions.count) % partitions.depths
+    return DepthProfile(
+        position=local.position,
+        low=partitions.breakpoints[place],
+        high=partitions.breakpoints[place + 1],
+        direction=partitions.direction,
+        mass=values[:, 0],
+        mass_std=std[:, 0],
+        damping=values[:, 1],
+        damping_std=std[:, 1],
+        stiffness=values[:, 2],
+        stiffness_std=std[:, 2],
+        support=support,
+    )
+
+
+def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estimate]:
+    """Mass, damping and stiffness at a position (m) and their slopes by depth there.
+
+    Weighted curves through the logarithms at the cells: parabolas from five cells on, lines from three. What the cells
+    scatter about them beyond their own deviations widens the deviations found.
+    """
+    known = local.known
+    found: dict[str, Estimate] = {}
+    count = int(known.sum())
+    if count == 0:
+        return found
+    distance = local.position[known] - position
+    size = float(np.max(np.abs(distance))) or 1.0
+    degree = 2 if count >= _PARABOLA else int(count >= _LINE)
+    powers = np.vander(distance / size, degree + 1, increasing=True)
+    for index, (name, slope_name) in enumerate(_NAMES):
+        root = local.root[known, index]
+        weight = 1.0 / np.sqrt(np.einsum("km,km->k", root, root) + _SCATTER**2)
+        pick = np.linalg.pinv(powers * weight[:, None]) * weight
+        coefficients = pick @ local.log_parameters[known, index]
+        left = local.log_parameters[known, index] - powers @ coefficients
+        spare = max(1, count - degree - 1)
+        scatter = float(np.sum((weight * left) ** 2) / np.sum(weight**2)) * count / spare
+        std = np.sqrt(np.sum((pick @ root) ** 2, axis=1) + scatter * np.sum(pick**2, axis=1))
+        value = local.sign * math.exp(float(coefficients[0]))
+        found[name] = Estimate(value, abs(value) * float(std[0]))
+        if degree:
+            slope = value * float(coefficients[1]) / size
+            found[slope_name] = Estimate(slope, math.hypot(value * float(std[1]) / size, slope * float(std[0])))
+    return found
+
+
+def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
+    rate = linear.sample_rate_hz
+    frequency, power = input_spectrum(x, rate)
+    length = 2 * (frequency.size - 1)
+    used = np.flatnonzero((power > _WEAKEST * float(power[1:].max())) & (frequency > 0.0))
+    turn = np.exp(-2j * np.pi * np.outer(frequency[used], np.arange(grid.lags) * grid.spacing / rate))
+    assert fft.rfftfreq(length, 1.0 / rate).size == frequency.size
+    return _Band(length, used, power[used], turn, rate, linear.hold)
+
+
+def _centre(output: Array, at_output: bool) -> float:
+    """The position that a cell's kernel speaks for, from the outputs in it.
+
+    A line through a parabola has the parabola's slope not at the mean but further towards the longer tail.
+    """
+    mean = float(np.mean(output))
+    if not at_output:
+        return mean
+    away = output - mean
+    moved = float(np.mean(away**3)) / (2.0 * max(float(np.mean(away**2)), 1e-300))
+    return float(np.clip(mean + moved, output.min(), output.max()))
+
+
+def _linearised(
+    direct: LocalParameters, partitions: Partitions, solved: PartitionedKernels, band: _Band
+) -> LocalParameters:
+    """What the fitted model answers to small inputs about its rest at each depth, as a second-order system."""
+    known = direct.known
+    slope = _depth_slopes(direct, partitions.direction)  # (cells, cells): slope at each cell from all logarithms
+    log_parameters, root = np.full_like(direct.log_parameters, np.nan), np.zeros_like(direct.root)
+    offset, offset_root = float(solved.offsets[0]), solved.offset_root[0]
+    filled = np.where(known[:, None], direct.log_parameters, 0.0)
+    turning = slope @ filled  # (cells, 3)
+    turning_root = np.einsum("ck,kim->cim", slope, direct.root)
+    for cell in np.flatnonzero(known):
+        own = direct.log_parameters[cell]
+        depth = direct.sign * (direct.position[cell] - offset)
+
+        def answer(values: Array, depth: float = depth) -> Complex:
+            """Response (bins,) from log M, B, K, their slopes, and a shift of the offset."""
+            response, slopes = band.response(values[:3])
+            steady = (depth - values[6]) * math.exp(values[2])
+            turned = np.einsum("i,ij->j", values[3:6], slopes)
+            return np.asarray(response / (1.0 - direct.sign * steady * turned), dtype=np.complex128)
+
+        at = np.concatenate([own, turning[cell], [0.0]])
+        fitted = band.fit(answer(at), own)
+        if fitted is None:
+            continue
+        log_parameters[cell], carried = fitted
+        size = np.array([1.0, 1.0, 1.0, *([1.0 / _span(partitions)] * 3), _span(partitions)])
+        moves = np.array(
+            [answer(at + _STEP * size * unit) - answer(at - _STEP * size * unit) for unit in np.eye(7)], np.complex128
+        )
+        slopes_by = carried @ _split((moves / (2.0 * _STEP * size[:, None])).T)  # (3, 7)
+        changes = np.vstack([direct.root[cell], turning_root[cell], direct.sign * offset_root[None]])
+        root[cell] = slopes_by @ changes
+    return LocalParameters(direct.position, log_parameters, root, direct.sign)
+
+
+def _depth_slopes(direct: LocalParameters, direction: NDArray[np.int_]) -> Array:
+    """Rows (cells, cells) that give each cell the slope of a line through the logarithms of its direction's cells."""
+    rows = np.zeros((direct.position.size, direct.position.size))
+    for way in np.unique(direction):
+        mine = np.flatnonzero(direct.known & (direction == way))
+        if mine.size < 2:
+            continue
+        spread = np.einsum("kim,kim->k", direct.root[mine], direct.root[mine]) / 3.0
+        weight = 1.0 / (spread + _SCATTER**2)
+        away = direct.position[mine] - np.average(direct.position[mine], weights=weight)
+        rows[np.ix_(np.flatnonzero(direction == way), mine)] = weight * away / np.sum(weight * away**2)
+    return rows
+
+
+def _span(partitions: Partitions) -> float:
+    return float(partitions.breakpoints[-1] - partitions.breakpoints[0])
+
+
+def _split(values: Complex) -> Array:
+    """Real part above imaginary part along the first axis."""
+    return np.concatenate([values.real, values.imag], axis=0)

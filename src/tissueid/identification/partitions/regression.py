@@ -1,0 +1,236 @@
+"""Kernels of a partitioned record by exact least squares, with the covariance of them all.
+
+Two constructions. Along the lags (Chen 2010, Eqs. 5.1-5.4) the cell of each lag's own sample chooses the kernel, so the
+input of each cell is a channel of its own and a sample passes from kernel to kernel while it is remembered. At the
+output, the cell of the output's sample chooses for all lags, so each cell is a linear model of its own with an offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Mask
+from tissueid.identification.dependence import dependence_samples
+from tissueid.identification.lagged_gram import LaggedRegressors
+from tissueid.identification.least_squares import Factor, factor
+from tissueid.identification.partitions.cells import Cells
+from tissueid.identification.volterra.prior import residual_dependence
+from tissueid.identification.volterra.smoothing import LagGrid
+
+_SHORTEST_BLOCK = 12
+_QUARTERS = 4
+
+_LEAST_SPARE = 0.25
+"""Share of the rows that is taken to be left over, however many the coefficients take with them."""
+
+_ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class PartitionedKernels:
+    """Kernels per sample (cells, lags) and offsets (cells,) for an input less ``reference``.
+
+    ``kernel_root`` (cells, lags, m) and ``offset_root`` (cells, m) are such that their products, summed over m, are
+    covariances. ``modelled`` (n,) is the response in the cells that were fitted, NaN outside the fitted rows.
+    ``at_output`` tells the construction; along the lags all offsets are one.
+    """
+
+    kernels: Array
+    offsets: Array
+    reference: float
+    at_output: bool
+    kernel_root: Array
+    offset_root: Array
+    modelled: Array
+    condition: float
+    parameters: int
+    warnings: tuple[str, ...]
+
+    @property
+    def kernels_std(self) -> Array:
+        """Standard deviations of the kernels, (cells, lags)."""
+        return np.asarray(np.sqrt(np.einsum("kjm,kjm->kj", self.kernel_root, self.kernel_root)))
+
+
+def channels_of(x: Array, cells: Cells, count: int) -> Array:
+    """The input of each cell and zero elsewhere, (count, n), from an input x (n,) and the cells (n,)."""
+    return np.where(cells == np.arange(count)[:, None], x, 0.0)
+
+
+def lagged_regressors(x: Array, cells: Cells, count: int, used: Mask, grid: LagGrid) -> _LaggedRows:
+    """The regressors P of Eq. 5.1, or 5.3: a constant, then lag by lag the input of each cell.
+
+    Args:
+        x: input (n,), less what it is counted from.
+        cells: cell of each sample (n,).
+        count: number of cells.
+        used: mask of the rows (n,); input and cell must be known throughout the memory of each.
+        grid: the lags.
+    """
+    return _LaggedRows(channels_of(x, cells, count), (grid.lags,) * count, grid.spacing, used)
+
+
+def solve_along_lags(
+    x: Array,
+    y: Array,
+    reference: float,
+    cells: Cells,
+    count: int,
+    used: Mask,
+    grid: LagGrid,
+    sample_rate_hz: float,
+) -> PartitionedKernels:
+    """Kernels of Eqs. 5.1-5.4 with the one offset that all of them share.
+
+    Arguments as :func:`lagged_regressors`, with ``y`` the output (n,) and ``reference`` the input that counts as zero.
+    """
+    regressors = lagged_regressors(x - reference, cells, count, used, grid)
+    solved = factor(regressors.gram(), regressors)
+    theta = solved.solve(y[used])
+    fitted = regressors.apply(theta)
+    modelled = np.full(y.size, np.nan)
+    modelled[used] = fitted
+    root = _root([(regressors, solved)], [y[used] - fitted], modelled, sample_rate_hz)
+    return PartitionedKernels(
+        kernels=theta[1:].reshape(count, grid.lags),
+        offsets=np.full(count, theta[0]),
+        reference=reference,
+        at_output=False,
+        kernel_root=root[1:].reshape(count, grid.lags, -1),
+        offset_root=np.broadcast_to(root[0], (count, root.shape[1])),
+        modelled=modelled,
+        condition=solved.condition,
+        parameters=solved.rank,
+        warnings=solved.warnings,
+    )
+
+
+def solve_at_output(
+    x: Array, y: Array, reference: float, cells: Cells, count: int, used: Mask, grid: LagGrid, sample_rate_hz: float
+) -> PartitionedKernels:
+    """A linear model with an offset for each cell, on the rows whose output lies in it.
+
+    Arguments as :func:`solve_along_lags`; only the cell of the rows themselves need be known.
+
+    Raises:
+        UnusableInputError: a cell has fewer rows than parameters.
+    """
+    lagged = LaggedRegressors((x - reference)[None], (grid.lags,), grid.spacing, used).matrix()  # (rows, 1 + lags)
+    parts: list[tuple[_Rows, Factor]] = []
+    thetas, errors = [], []
+    modelled = np.full(y.size, np.nan)
+    for cell in range(count):
+        mine = used & (cells == cell)
+        if int(mine.sum()) <= grid.lags:
+            raise UnusableInputError(
+                f"partition {cell + 1} of {count} holds {int(mine.sum())} samples, too few for its {grid.lags + 1} "
+                "parameters: take fewer partitions, or record longer"
+            )
+        regressors = _Rows(lagged[mine[used]], mine)
+        solved = factor(regressors.explicit.T @ regressors.explicit, regressors)
+        theta = solved.solve(y[mine])
+        modelled[mine] = regressors.apply(theta)
+        parts.append((regressors, solved))
+        thetas.append(theta)
+        errors.append(y[mine] - modelled[mine])
+    found = np.array(thetas)  # (cells, 1 + lags)
+    root = _root(parts, errors, modelled, sample_rate_hz).reshape(count, 1 + grid.lags, -1)
+    return PartitionedKernels(
+        kernels=found[:, 1:],
+        offsets=found[:, 0],
+        reference=reference,
+        at_output=True,
+        kernel_root=root[:, 1:],
+        offset_root=root[:, 0],
+        modelled=modelled,
+        condition=max(solved.condition for _, solved in parts),
+        parameters=sum(solved.rank for _, solved in parts),
+        warnings=tuple(dict.fromkeys(warning for _, solved in parts for warning in solved.warnings)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Regressors (rows, p) as they stand, at the samples of a mask ``used`` (n,)."""
+
+    explicit: Array
+    used: Mask
+
+    def apply(self, theta: Array) -> Array:
+        return self.explicit @ theta
+
+    def adjoint(self, r: Array) -> Array:
+        return r @ self.explicit
+
+    def matrix(self) -> Array:
+        return self.explicit
+
+    def block_sums(self, error: Array, block: Cells) -> Array:
+        """Sums of P e over the rows of each block, (p, blocks)."""
+        sums = np.zeros((self.explicit.shape[1], int(block[-1]) + 1))
+        _add_block_sums(sums, self.explicit, error, block[self.used])
+        return sums
+
+
+class _LaggedRows(LaggedRegressors):
+    """Lagged regressors that are too many to stand all at once."""
+
+    def block_sums(self, error: Array, block: Cells) -> Array:
+        """As :meth:`_Rows.block_sums`, so many rows at a time."""
+        sums = np.zeros((self.columns, int(block[-1]) + 1))
+        rows = np.flatnonzero(self.used)
+        for first in range(0, rows.size, _ROWS_AT_ONCE):
+            some = rows[first : first + _ROWS_AT_ONCE]
+            mask = np.zeros_like(self.used)
+            mask[some] = True
+            explicit = LaggedRegressors(self.channels, self.lags, self.spacing, mask).matrix()
+            _add_block_sums(sums, explicit, error[first : first + some.size], block[some])
+        return sums
+
+
+def _add_block_sums(sums: Array, explicit: Array, error: Array, block: Cells) -> None:
+    """Add the sums of P e over stretches of equal block (rows,) to the columns of ``sums`` (p, blocks)."""
+    if error.size:
+        begins = np.flatnonzero(np.diff(block, prepend=-1))
+        sums[:, block[begins]] += np.add.reduceat(explicit * error[:, None], begins, axis=0).T
+
+
+def _root(
+    parts: Sequence[tuple[_Rows | _LaggedRows, Factor]],
+    errors: Sequence[Array],
+    modelled: Array,
+    sample_rate_hz: float,
+) -> Array:
+    """Root (p, m) of the covariance of the coefficients of all parts together, one below the other.
+
+    The sandwich of least squares (White 1982), with sums of P e over blocks of time within which residuals depend on
+    each other, shifted by quarters of a block (which is Bartlett's weighting). What a kernel leaves of tissue is
+    coloured and not unrelated to the input. It is widened for what the estimation of the covariance costs (Kiefer and
+    Vogelsang 2005), and for the coefficients that the residuals were bent to, each of which takes as many rows with it
+    as say as much as an independent one. ``modelled`` (n,) is the response at the rows of all parts.
+    """
+    samples = modelled.size
+    residual = np.full(samples, np.nan)
+    for (regressors, _), error in zip(parts, errors, strict=True):
+        residual[regressors.used] = error
+    rows = np.isfinite(residual)
+    known = residual[rows]
+    block = max(_SHORTEST_BLOCK, dependence_samples(known, sample_rate_hz))
+    block = max(_QUARTERS, min(block, known.size // 8))
+    share = block / known.size
+    widening = 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
+    dependence = residual_dependence(known, modelled[rows])
+    quarter = np.arange(samples) // max(1, block // _QUARTERS)
+    roots = []
+    for (regressors, solved), error in zip(parts, errors, strict=True):
+        sums = regressors.block_sums(error, quarter)
+        padded = np.pad(sums, ((0, 0), (_QUARTERS, _QUARTERS - 1)))
+        running = np.cumsum(padded, axis=1)
+        blocks = (running[:, _QUARTERS:] - running[:, :-_QUARTERS]) / np.sqrt(_QUARTERS)
+        spare = max(error.size - dependence * solved.rank, _LEAST_SPARE * error.size)
+        roots.append(solved.gram_solve(blocks) * widening * np.sqrt(error.size / spare))
+    return np.vstack(roots)
