@@ -18,7 +18,7 @@ from reports.synthetic_sitting import make_session, make_test
 from tissueid.analysis import Analysis, analyse, analyse_all
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
-from tissueid.reports import Comparison, ComparisonRow, html, page, report_html, write_report
+from tissueid.reports import Comparison, ComparisonRow, blocks, html, report_html, write_report
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
@@ -71,7 +71,7 @@ def source(session: Session, analyses: Analyses) -> str:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made but not drawn, where a test is about words."""
-    monkeypatch.setattr(page, "to_svg", lambda _figure, _key, alt: f'<svg role="img" aria-label="{alt}"></svg>')
+    monkeypatch.setattr(blocks, "to_svg", lambda _figure, _key, alt: f'<svg role="img" aria-label="{alt}"></svg>')
 
 
 def without_times(text: str) -> str:
@@ -295,7 +295,7 @@ def test_written_whole_or_not_at_all(
 
 def test_template_refuses_what_it_does_not_know() -> None:
     with pytest.raises(UndefinedError):
-        html._template().render(title="only this")
+        html.template("report.html.j2").render(title="only this")
 
 
 def test_users_own_settings_neither_matter_nor_change(session: Session) -> None:

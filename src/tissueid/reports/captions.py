@@ -7,13 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
-from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Prediction, power_edge
-from tissueid.reports.model_figures import excited_band
 from tissueid.reports.signal_figures import lost_samples, skewness
 from tissueid.sessions import Test
 from tissueid.wording import engine_label, fixed, number, people_unit, with_unit
@@ -47,67 +44,6 @@ def distributions(record: Record) -> str:
         "A linear system turns a Gaussian input (dashed) into a Gaussian output. Tissue that stiffens with depth leans "
         f"the output over, so that its skewness differs from the input’s: here {fixed(skew_in, 2)} for the "
         f"{record.input_name}, {fixed(skew_out, 2)} for the {record.output_name}."
-    )
-
-
-def coherence(model: SpectralModel) -> str:
-    """Under the coherence."""
-    band = excited_band(model)
-    mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
-    return (
-        "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "
-        f"The mean over the excited band is {fixed(mean, 2)}. Unrelated signals exceed the dashed level of "
-        f"{fixed(model.spectra.coherence_floor, 2)} at one frequency in twenty."
-    )
-
-
-def bode(model: SpectralModel) -> str:
-    """Under the Bode diagram."""
-    return (
-        "Over the band where the input has power. The magnitude should be level up to the natural frequency and then "
-        "fall with the square of the frequency, while the phase goes from 0° towards −180°. "
-        f"{_second_order(model.second_order)}"
-    )
-
-
-def impulse_response(model: LmsModel) -> str:
-    """Under the impulse response."""
-    memory_ms = 1e3 * model.memory_samples / model.sample_rate_hz
-    return (
-        f"The response rises, and should be over well before the end of the memory of {number(memory_ms, 3)} ms; the "
-        "points should scatter about the curve within the band. The last lags also carry what comes after the memory. "
-        f"A curve that dips below zero is that of a damping ratio below one. {_second_order(model.second_order)}"
-    )
-
-
-def nonlinearity(model: WienerModel, record: Record, surface_position_m: float) -> str:
-    """Under the static nonlinearity."""
-    text = (
-        "Left: the points should follow one rising curve; their spread about it is what a static curve cannot explain. "
-        "Tissue that stiffens flattens the curve. Right: the stiffness is the inverse of its slope"
-    )
-    z = model.linear_output(record.input)
-    z = z[np.isfinite(z)]
-    if z.size and (record.input_unit, record.output_unit) == ("N", "m"):
-        slopes = model.nonlinearity.slope(np.quantile(z, (0.005, 0.995)))
-        if np.all(slopes > 0.0):
-            shallow, deep = (number(1.0 / slope, 3) for slope in slopes)
-            text += f", here from {shallow} to {deep} N/m over the depths visited"
-            if slopes[1] > slopes[0]:
-                text += "; tissue does not soften with depth, so look for drift in the signals"
-    text += "."
-    if np.isfinite(surface_position_m) and record.output_name == "position":
-        text += f" The surface of the tissue is at {fixed(1e3 * surface_position_m, 2)} mm on the actuator."
-    return text
-
-
-def iterations(model: WienerModel) -> str:
-    """Under the history of the Wiener iteration."""
-    refined = ", and then refined jointly" if model.refined else ""
-    return (
-        f"The passes should level off within a few. Pass {model.chosen} (dotted) was kept, by its simulation error"
-        f"{refined}. The linear stage is scored against the output that it was fitted to, which from the second pass "
-        "on is the measured output taken back through the nonlinearity."
     )
 
 
@@ -145,7 +81,8 @@ RESIDUALS = (
 )
 
 
-def _second_order(fit: SecondOrderFit) -> str:
+def second_order(fit: SecondOrderFit) -> str:
+    """What the dashed curve under a linear figure is."""
     frequency_hz = fit.system.natural_frequency_rad_per_s / (2.0 * np.pi)
     return (
         f"The dashed second-order system has a natural frequency of {number(frequency_hz, 3)} Hz and a damping ratio "

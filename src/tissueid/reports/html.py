@@ -45,7 +45,7 @@ def report_html(
     pages = [test_page(session, number, engines, full=place == 0) for place, (number, engines) in enumerate(tests)]
     number, engines = tests[0]
     main = session.test(number)
-    return _template().render(
+    return template("report.html.j2").render(
         title=title or (main.site[:1].upper() + main.site[1:]) or "Tissue measurement",
         research_line=RESEARCH_LINE,
         session=session,
@@ -70,17 +70,26 @@ def write_report(
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    page = report_html(session, analyses, comparison=comparison, title=title)
+    write_whole(path, report_html(session, analyses, comparison=comparison, title=title))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file so that it is whole or untouched.
+
+    Raises:
+        OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(page, encoding="utf-8", newline="\n")
+        partial.write_text(text, encoding="utf-8", newline="\n")
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
 
 @cache
-def _template() -> Template:
+def template(name: str) -> Template:
+    """A page's template; what it is given is escaped, and what it does not know is refused."""
     environment = Environment(
         loader=PackageLoader("tissueid.reports"),
         autoescape=True,
@@ -90,7 +99,7 @@ def _template() -> Template:
         finalize=_without_control_characters,
     )
     environment.filters["svg"] = Markup
-    return environment.get_template("report.html.j2")
+    return environment.get_template(name)
 
 
 def _without_control_characters(value: Any) -> Any:

@@ -10,11 +10,13 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from pathlib import Path
+from typing import IO, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from matplotlib import style as matplotlib_style
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
@@ -36,6 +38,30 @@ POINTS = ("#4a94cf", "#dd7a33", "#2fa583", "#9a74c4")
 """The same hues for rasterised points, of middling lightness: a raster does not follow the page from light to dark."""
 DASHES = ("-", (0, (5, 1.6)), (0, (1.4, 1.4)), (0, (6, 1.5, 1.2, 1.5)))
 
+DEPTHS = (
+    "#22a785",
+    "#1f958b",
+    "#25838e",
+    "#2d718f",
+    "#365d8d",
+    "#404688",
+    "#472f7d",
+    "#48186a",
+    "#440255",
+)
+"""From shallow to deep: even steps in lightness towards what stands out most, on light pages and on dark ones."""
+
+_NEGATIVE, _POSITIVE = (0.11, 0.47, 0.78), (0.85, 0.38, 0.05)
+DIVERGING = LinearSegmentedColormap.from_list(
+    "diverging",
+    [(0.0, (*_NEGATIVE, 1.0)), (0.5, (*_NEGATIVE, 0.0)), (0.5, (*_POSITIVE, 0.0)), (1.0, (*_POSITIVE, 1.0))],
+    N=512,
+)
+"""Blue below zero, orange above, and nothing at zero: the page shows through, be it light or dark."""
+SEQUENTIAL = LinearSegmentedColormap.from_list("sequential", [(*_NEGATIVE, 0.0), (*_NEGATIVE, 1.0)])
+RELIEF = LinearSegmentedColormap.from_list("relief", [_NEGATIVE, (0.66, 0.68, 0.70), _POSITIVE])
+"""The same hues for surfaces, which hide what is behind them: the middle is a grey that can be told from any page."""
+
 FULL_WIDTH = 9.2
 HALF_WIDTH = 4.6
 """Inches; a page shows about 100 pixels to the inch, so a 9-point letter is 12 pixels high."""
@@ -48,6 +74,7 @@ _CSS_COLOURS = {
     PAPER: "var(--fig-paper)",
     LOST: "var(--fig-lost)",
     **{colour: f"var(--fig-series-{number})" for number, colour in enumerate(SERIES, 1)},
+    **{colour: f"var(--fig-depth-{number})" for number, colour in enumerate(DEPTHS, 1)},
 }
 
 _STYLE: dict[str, Any] = {
@@ -150,6 +177,21 @@ def _power_label(value: float, *, plain: bool) -> str:
     mantissa = round(value / 10.0**exponent)
     times = "" if mantissa == 1 else f"{mantissa}·"
     return f"{times}10{superscript(exponent)}"
+
+
+def plain_image(
+    figure: Figure, target: IO[bytes] | Path, form: Literal["svg", "png"], dots_per_inch: float = 144.0
+) -> None:
+    """Write the figure for use outside of a page: on white, in colours that need no style sheet.
+
+    Raises:
+        OSError: the target cannot be written.
+    """
+    with _house_style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
+        figure.savefig(
+            target, format=form, dpi=dots_per_inch, metadata={"Date": None} if form == "svg" else {"Software": None}
+        )
 
 
 # -- pages ----------------------------------------------------------------------------------------------------

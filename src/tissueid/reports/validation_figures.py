@@ -37,14 +37,14 @@ def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slic
 
 
 @drawing
-def prediction_figure(predictions: Sequence[Prediction]) -> Figure:
-    """Measured and simulated output over half a second of held-out data, and the difference (Chen 2010, Fig. 3.10).
+def prediction_figure(predictions: Sequence[Prediction], seconds: float = STRETCH_S) -> Figure:
+    """Measured and simulated output over a stretch of held-out data, and the difference (Chen 2010, Fig. 3.10).
 
     Raises:
         UnusableInputError: there is nothing to compare.
     """
     first = _comparable(predictions)
-    stretch = readable_stretch(first)
+    stretch = readable_stretch(first, seconds)
     unit, scale = people_unit(first.output_unit)
     figure = new_figure(FULL_WIDTH, 4.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))

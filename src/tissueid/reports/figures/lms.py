@@ -1,0 +1,61 @@
+"""Figure of the impulse response by correlation."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from tissueid.identification.engines.lms import LmsModel
+from tissueid.records import Record
+from tissueid.reports.captions import second_order
+from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.style import BLUE, DASHES, HALF_WIDTH, MUTED, ORANGE, drawing, new_figure
+from tissueid.reports.units import ratio_unit
+from tissueid.wording import number
+
+
+@figure(
+    LmsModel,
+    "impulse",
+    "Impulse response",
+    "Impulse response against lag: points with a band of one deviation, and the second-order curve.",
+    group="linear",
+    wide=False,
+    place=40,
+    standard="LMS",
+)
+def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
+    return impulse_response_figure(subject.model, subject.record), _caption(subject.model)
+
+
+@drawing
+def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
+    """Impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
+    per_unit, scale = ratio_unit(record)
+    figure = new_figure(HALF_WIDTH, 4.6)
+    axes = figure.subplots()
+    lag_ms = 1e3 * model.lag_s
+    response, std = scale * model.impulse_response, scale * model.impulse_response_std
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    axes.fill_between(
+        lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0, label="± 1 standard deviation"
+    )
+    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=4.0, label="each lag by itself")
+    fit_s = np.linspace(0.0, float(model.lag_s[-1]), 400)
+    fitted = scale * model.second_order.sign * model.second_order.system.impulse_response(fit_s)
+    axes.plot(1e3 * fit_s, fitted, color=ORANGE, linestyle=DASHES[1], linewidth=1.6, label="second order")
+    axes.set_xlim(0.0, float(lag_ms[-1]) or 1.0)
+    axes.set_xlabel("Lag (ms)")
+    axes.set_ylabel(f"Impulse response ({per_unit} per s)")
+    axes.legend(loc="upper right")
+    return figure
+
+
+def _caption(model: LmsModel) -> str:
+    """Under the impulse response."""
+    memory_ms = 1e3 * model.memory_samples / model.sample_rate_hz
+    return (
+        f"The response rises, and should be over well before the end of the memory of {number(memory_ms, 3)} ms; the "
+        "points should scatter about the curve within the band. The last lags also carry what comes after the memory. "
+        f"A curve that dips below zero is that of a damping ratio below one. {second_order(model.second_order)}"
+    )

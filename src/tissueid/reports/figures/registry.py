@@ -1,0 +1,168 @@
+"""Which figures there are of a model: each is declared for a class of models, and drawn for all that derive from it.
+
+Whoever makes a page asks for the figures of a model and puts them in the group that each belongs to. A figure
+declared for :class:`~tissueid.identification.base.Model` itself is drawn for every engine, ours or not.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any, Generic, Literal, TypeVar
+
+from matplotlib.figure import Figure
+
+from tissueid.analysis import Analysis
+from tissueid.identification.base import Array, Model
+from tissueid.records import Record
+from tissueid.reports.blocks import Picture, picture
+from tissueid.reports.style import drawing
+from tissueid.wording import engine_label
+
+M_co = TypeVar("M_co", bound=Model, covariant=True)
+M = TypeVar("M", bound=Model)
+
+Group = Literal["record", "linear", "nonlinear", "validation"]
+"""What a figure tells of: what was recorded, the dynamics, what is not linear, or how it does on unseen samples."""
+
+Drawn = tuple[Figure, str]
+"""A figure and its caption."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject(Generic[M_co]):
+    """A model to be drawn, with what it was fitted to and tried on; ``name`` is its engine's."""
+
+    name: str
+    model: M_co
+    analysis: Analysis
+    surface_position_m: float = math.nan
+
+    @property
+    def label(self) -> str:
+        """The engine as people write it."""
+        return engine_label(self.name)
+
+    @property
+    def record(self) -> Record:
+        """What was fitted, with what came before and after the fitted part."""
+        return self.analysis.record
+
+    @property
+    def fitted_input(self) -> Array:
+        """Input of the fitted part, (n,)."""
+        return self.record.input[self.analysis.fit_part]
+
+    @property
+    def fitted_output(self) -> Array:
+        """Output of the fitted part, (n,)."""
+        return self.record.output[self.analysis.fit_part]
+
+    def with_model(self, model: M) -> Subject[M]:
+        """Another model of the same record."""
+        return Subject(self.name, model, self.analysis, self.surface_position_m)
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A figure that can be drawn of some models; arguments as :func:`figure`."""
+
+    model: type[Model]
+    key: str
+    heading: str
+    alt: str
+    group: Group
+    wide: bool
+    place: int
+    standard: str
+    short: bool
+    applies: Callable[[Subject[Any]], bool]
+    draw: Callable[[Subject[Any]], Drawn]
+
+    def picture(self, subject: Subject[Model], prefix: str = "", *, suffix: str = "") -> Picture:
+        """Draw it, under a key that begins with ``prefix``, or say why not."""
+        make = drawing(self.draw)
+        key = "-".join(part for part in (prefix, subject.name, self.key) if part)
+        return picture(key, self.heading + suffix, self.alt, lambda: make(subject), wide=self.wide)
+
+
+_declared: dict[tuple[type[Model], str], Declared] = {}
+
+
+def figure(
+    model: type[M],
+    key: str,
+    heading: str,
+    alt: str,
+    *,
+    group: Group,
+    wide: bool = True,
+    place: int = 50,
+    standard: str = "",
+    short: bool = False,
+    applies: Callable[[Subject[M]], bool] = lambda _subject: True,
+) -> Callable[[Callable[[Subject[M]], Drawn]], Callable[[Subject[M]], Drawn]]:
+    """Declare a figure of a class of models; decorates the function that draws it and words its caption.
+
+    The function raises :class:`~tissueid.errors.UnusableInputError` where this record does not hold what it takes;
+    the line then stands in place of the figure.
+
+    Args:
+        model: the class; the figure is drawn for those that derive from it too.
+        key: short name, of lower-case letters, digits and hyphens, one of its kind for the class.
+        heading: what stands over it.
+        alt: what a screen reader says.
+        group: where on a page it belongs.
+        wide: whether it takes the full width of the page, or half.
+        place: order in its group.
+        standard: the engine, as the standard report names it, whose absence that report tells of; "" for others.
+        short: whether it stands in the short section of a further test too.
+        applies: whether the figure has any meaning for a model; where it has none nothing is said of it.
+
+    Raises:
+        ValueError: the class has a figure of that key already.
+    """
+
+    def declare(draw: Callable[[Subject[M]], Drawn]) -> Callable[[Subject[M]], Drawn]:
+        made = Declared(model, key, heading, alt, group, wide, place, standard, short, applies, draw)
+        held = _declared.setdefault((model, key), made)
+        if held is not made and held.draw.__qualname__ != draw.__qualname__:
+            raise ValueError(f"two figures of {model.__name__} are called {key!r}")
+        return draw
+
+    return declare
+
+
+def figures_of(subject: Subject[Model]) -> tuple[Declared, ...]:
+    """The figures that can be drawn of a model, in their order; one of a class overrides that of the classes above."""
+    _load()
+    found: dict[str, Declared] = {}
+    for kind in type(subject.model).__mro__:
+        for (model, key), one in _declared.items():
+            if model is kind:
+                found.setdefault(key, one)
+    return tuple(sorted((one for one in found.values() if one.applies(subject)), key=lambda one: one.place))
+
+
+def all_figures() -> tuple[Declared, ...]:
+    """Every figure that is declared, in the order of place."""
+    _load()
+    return tuple(sorted(_declared.values(), key=lambda one: one.place))
+
+
+@cache
+def _load() -> None:
+    package = importlib.import_module("tissueid.reports.figures")
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
+    for plugin in entry_points(group="tissueid.figures"):
+        try:
+            plugin.load()
+        except Exception as error:  # noqa: BLE001 - a plug-in may fail in any way, and must fail alone
+            warnings.warn(f"the figures {plugin.name!r} ({plugin.value}) were left out: {error}", stacklevel=2)

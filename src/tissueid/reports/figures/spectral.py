@@ -1,0 +1,181 @@
+"""Figures of spectra: coherence and Bode diagram."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.records import Record
+from tissueid.reports.captions import second_order
+from tissueid.reports.diagnostics import CONFIDENCE, Array, power_edge
+from tissueid.reports.figures.registry import Drawn, Subject, figure
+from tissueid.reports.style import (
+    BLUE,
+    DASHES,
+    HALF_WIDTH,
+    MUTED,
+    ORANGE,
+    SHADE,
+    drawing,
+    frequency_axis,
+    log_axis,
+    new_figure,
+)
+from tissueid.reports.units import ratio_unit
+from tissueid.wording import fixed
+
+
+@figure(
+    SpectralModel,
+    "coherence",
+    "Mean squared coherence",
+    "Coherence between 0 and 1 against frequency, with its significance level as a dashed line.",
+    group="record",
+    wide=False,
+    place=30,
+    standard="spectral",
+    short=True,
+)
+def _coherence(subject: Subject[SpectralModel]) -> Drawn:
+    return coherence_figure(subject.model), _coherence_caption(subject.model)
+
+
+@figure(
+    SpectralModel,
+    "bode",
+    "Bode diagram",
+    "Magnitude and phase of output over input against frequency, measured and as a second-order system.",
+    group="linear",
+    wide=False,
+    place=30,
+    standard="spectral",
+    short=True,
+)
+def _bode(subject: Subject[SpectralModel]) -> Drawn:
+    return bode_figure(subject.model, subject.record), _bode_caption(subject.model)
+
+
+def excited_band(model: SpectralModel) -> NDArray[np.bool_]:
+    """Mask (bins,) of the frequencies that hold 99 % of the input's power, zero apart."""
+    spectra = model.spectra
+    edge = power_edge(spectra.frequency_hz, spectra.input_psd)
+    return (spectra.frequency_hz > 0.0) & (spectra.frequency_hz <= edge)
+
+
+@drawing
+def coherence_figure(model: SpectralModel) -> Figure:
+    """Mean squared coherence with the level that unrelated signals seldom exceed (Chen 2010, Fig. 3.2b, Eq. 3.1)."""
+    spectra = model.spectra
+    figure = new_figure(HALF_WIDTH, 3.3)
+    axes = figure.subplots()
+    frequency_hz = spectra.frequency_hz[1:]
+    edge = float(spectra.frequency_hz[excited_band(model)].max(initial=frequency_hz[0]))
+    if edge < frequency_hz[-1]:
+        axes.axvspan(edge, frequency_hz[-1], color=SHADE, zorder=0)
+        axes.annotate(
+            "hardly\nany input",
+            (frequency_hz[-1], 1.0),
+            (-3, 0),
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            color=MUTED,
+            fontsize=8.5,
+        )
+    axes.plot(frequency_hz, spectra.coherence[1:], color=BLUE)
+    floor = spectra.coherence_floor
+    axes.axhline(floor, color=ORANGE, linewidth=1.0, linestyle=DASHES[1], label="5 % significance level")
+    frequency_axis(axes, float(frequency_hz[0]), float(frequency_hz[-1]))
+    axes.set_ylim(0.0, 1.06)
+    axes.set_ylabel("Mean squared coherence")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, floor + 0.01)))
+    return figure
+
+
+@drawing
+def bode_figure(model: SpectralModel, record: Record) -> Figure:
+    """Compliance and phase over the band with input power, 95 % bands, and the second-order fit (Chen 2010, Fig. 3.3).
+
+    Args:
+        model: the spectra and the second-order fit.
+        record: what was fitted, for the units.
+
+    Raises:
+        UnusableInputError: the input has no power but at a single frequency.
+    """
+    band = excited_band(model)
+    if band.sum() < 3:
+        raise UnusableInputError("the input has power at fewer than three frequencies")
+    spectra = model.spectra
+    frequency_hz = spectra.frequency_hz[band]
+    per_unit, scale = ratio_unit(record)
+    response = scale * spectra.response[band]
+    relative = _finite_or(spectra.phase_std_rad[band], 1e3) * CONFIDENCE
+    fit_hz = np.geomspace(frequency_hz[0], frequency_hz[-1], 300)
+    fitted = scale * model.second_order.sign * model.second_order.system.frequency_response(fit_hz)
+
+    figure = new_figure(HALF_WIDTH, 4.6)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    magnitude = np.abs(response)
+    upper.fill_between(
+        frequency_hz,
+        magnitude / (1.0 + relative),
+        magnitude * (1.0 + relative),
+        color=BLUE,
+        alpha=0.22,
+        linewidth=0.0,
+        label="95 % band",
+    )
+    upper.plot(frequency_hz, magnitude, color=BLUE, marker=".", markersize=3.5, linewidth=0.8, label="measured")
+    upper.plot(fit_hz, np.abs(fitted), color=ORANGE, linestyle=DASHES[1], label="second order")
+    trusted = np.concatenate([magnitude, np.abs(fitted)])
+    upper.set_ylim(0.5 * trusted[trusted > 0.0].min(), 2.0 * trusted.max())
+    log_axis(upper)
+    upper.set_ylabel(f"Magnitude ({per_unit})")
+    upper.legend(loc="lower left")
+
+    phase, fitted_phase = _phase_degrees(response), _phase_degrees(fitted)
+    phase += 360.0 * np.round((np.median(fitted_phase) - np.median(phase)) / 360.0)
+    half_width = np.minimum(np.degrees(relative), 180.0)
+    lower.fill_between(frequency_hz, phase - half_width, phase + half_width, color=BLUE, alpha=0.22, linewidth=0.0)
+    lower.plot(frequency_hz, phase, color=BLUE, marker=".", markersize=3.5, linewidth=0.8)
+    lower.plot(fit_hz, fitted_phase, color=ORANGE, linestyle=DASHES[1])
+    both = np.concatenate([phase, fitted_phase])
+    lower.set_ylim(45.0 * np.floor(both.min() / 45.0 - 0.2), 45.0 * np.ceil(both.max() / 45.0 + 0.2))
+    lower.yaxis.set_major_locator(MultipleLocator(45.0) if np.ptp(both) < 400.0 else MaxNLocator(6))
+    lower.set_ylabel("Phase (°)")
+    frequency_axis(lower, float(frequency_hz[0]), float(frequency_hz[-1]))
+    figure.align_ylabels()
+    return figure
+
+
+def _coherence_caption(model: SpectralModel) -> str:
+    """Under the coherence."""
+    band = excited_band(model)
+    mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
+    return (
+        "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "
+        f"The mean over the excited band is {fixed(mean, 2)}. Unrelated signals exceed the dashed level of "
+        f"{fixed(model.spectra.coherence_floor, 2)} at one frequency in twenty."
+    )
+
+
+def _bode_caption(model: SpectralModel) -> str:
+    """Under the Bode diagram."""
+    return (
+        "Over the band where the input has power. The magnitude should be level up to the natural frequency and then "
+        "fall with the square of the frequency, while the phase goes from 0° towards −180°. "
+        f"{second_order(model.second_order)}"
+    )
+
+
+def _phase_degrees(response: NDArray[np.complex128]) -> Array:
+    return np.asarray(np.degrees(np.unwrap(np.angle(response))), dtype=np.float64)
+
+
+def _finite_or(values: Array, other: float) -> Array:
+    return np.where(np.isfinite(values), values, other)

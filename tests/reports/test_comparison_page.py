@@ -1,0 +1,141 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reports.page_check import checked
+from reports.synthetic_sitting import make_session, make_test
+
+from tissueid.analysis import EngineComparison, compare, known_ceiling, specifications, split
+from tissueid.errors import UnusableInputError
+from tissueid.reports import ComparisonReport, blocks, comparison_report
+from tissueid.reports.blocks import absent
+from tissueid.reports.comparison_figures import scores_figure, sweep_figure
+from tissueid.sessions import Session
+
+ENGINES = ("lms", "als", "depth")
+OPTIONS = {
+    "depth": {"partitions": 2, "memory": 0.03, "correct": False},
+    "als": {"levels": 3},
+}
+
+
+def made(session: Session, *engines: str, sweep: bool = False) -> EngineComparison:
+    parts = split(session)
+    own = {name: OPTIONS[name] for name in engines if name in OPTIONS}
+    chosen = specifications(engines, {"memory": 0.03}, own)
+    return compare(chosen, parts, ceiling=known_ceiling(session, parts), sweep=sweep)
+
+
+@pytest.fixture(scope="module")
+def session() -> Session:
+    first = make_test(1, seconds=2.5)
+    noise = np.random.default_rng(8).normal(0.0, 1e-5, first.samples)
+    again = replace(
+        first, number=2, repeat_of=1, signals=first.signals | {"position": first.signals["position"] + noise}
+    )
+    return make_session(first, again)
+
+
+@pytest.fixture(scope="module")
+def report(session: Session) -> ComparisonReport:
+    return comparison_report(session, made(session, *ENGINES))
+
+
+@pytest.fixture(scope="module")
+def source(report: ComparisonReport) -> str:
+    return report.html()
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, where a test is about words."""
+    monkeypatch.setattr(blocks, "to_svg", lambda _figure, _key, alt: f'<svg role="img" aria-label="{alt}"></svg>')
+
+
+def test_page_has_recommendation_table_and_every_engine(report: ComparisonReport, source: str) -> None:
+    assert len(source.encode()) < 6_000_000
+    page = checked(source)
+    text = " ".join(page.text.split())
+    found = report.found.recommendation
+    assert " ".join(found.headline.split()) in text
+    assert text.index(found.headline) < text.index("VAF, fitted (%)")
+    for name in ("LMS", "ALS", "Depth"):
+        assert any(section.heading == name for section in report.sections), name
+    for heading in (
+        "Side by side",
+        "What was recorded",
+        "Impulse response by depth",
+        "Kernels by depth",
+        "What repeats allow",
+    ):
+        assert heading.lower() in text.lower(), heading
+    assert "No model can do better than" in text
+    assert page.named("nav")
+    assert "memory-sweep" in text
+    drawn = [one for section in report.sections for one in section.pictures if one.figure is not None]
+    assert len(page.named("svg")) == len(drawn)
+    assert all(svg.get("aria-label") for svg in page.named("svg"))
+
+
+def test_every_section_is_in_the_contents(report: ComparisonReport, source: str) -> None:
+    page = checked(source)
+    for section in report.sections:
+        assert section.key in page.targets
+        assert section.key in page.ids
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_figures_are_written_as_svg_and_png(report: ComparisonReport, tmp_path: Path) -> None:
+    lms = next(section for section in report.sections if section.heading == "LMS")
+    overview = replace(report.sections[0], pictures=report.sections[0].pictures[:2])
+    small = replace(report, sections=(overview, replace(lms, pictures=lms.pictures[:2])))
+    written = small.write_figures(tmp_path / "figures")
+    names = {path.name for path in written}
+    assert {"scores.svg", "scores.png", "lms-impulse.svg", "lms-impulse.png"} <= names
+    assert all(path.stat().st_size > 1000 for path in written)
+    assert (tmp_path / "figures" / "lms-impulse.png").read_bytes().startswith(b"\x89PNG")
+    assert "#24292f" in (tmp_path / "figures" / "lms-impulse.svg").read_text(encoding="utf-8")
+    small.write(tmp_path / "page.html")
+    assert checked((tmp_path / "page.html").read_text(encoding="utf-8"))
+
+
+def test_one_engine_says_what_takes_two(session: Session) -> None:
+    overview = comparison_report(session, made(session, "spectral")).sections[0]
+    missing = {one.key: one.missing for one in overview.pictures}
+    assert "fewer than two engines" in missing["impulse-responses"]
+    assert "no engine that sees depth" in missing["depth"]
+    assert "--memory-sweep" in missing["memory"]
+
+
+def test_memory_sweep_is_drawn(session: Session) -> None:
+    found = made(session, "lms", sweep=True)
+    figure = sweep_figure(found.memory_sweep)
+    assert [axes.get_ylabel() for axes in figure.axes] == ["VAF, fitted (%)", "VAF, held out (%)", "AICc (thousands)"]
+    with pytest.raises(UnusableInputError, match="memory-sweep"):
+        sweep_figure(())
+
+
+def test_scores_hold_the_line_of_repeats(report: ComparisonReport) -> None:
+    figure = scores_figure(report.found)
+    _, labels = figure.axes[0].get_legend_handles_labels()
+    assert "what repeats allow" in labels
+    assert "held out, told the depth" in labels
+    _, without = scores_figure(replace(report.found, ceiling=None)).axes[0].get_legend_handles_labels()
+    assert "what repeats allow" not in without
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_refused_engines_are_told(session: Session) -> None:
+    found = made(session, "lms", "localized")
+    page = checked(comparison_report(session, found).html())
+    assert "refused: the input holds no steps" in page.text
+    assert "Refused: Localized" in page.text
+
+
+def test_absent_picture_is_one_line() -> None:
+    block = absent("k", "Heading", "there is nothing").block
+    assert block.svg == ""
+    assert block.missing == "Left out: there is nothing."
