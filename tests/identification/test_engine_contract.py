@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from identification import simulated
 from pydantic import ValidationError
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification import FitReport, Model, engine_names, get_engine
+from tissueid.identification import Engine, FitReport, Model, engine_names, get_engine
 from tissueid.records import Estimate, Record
 
 CONTRACT = {
@@ -27,7 +28,16 @@ CONTRACT = {
     "seconds",
     "warnings",
 }
-OURS = ("lms", "spectral", "wiener")
+NAMED = {"lms", "spectral", "rls", "als", "wiener", "hammerstein", "volterra", "depth", "direction", "localized", "dpn"}
+"""The engines that scripts may rely on."""
+
+EVERY = engine_names()
+A_WEIGHT_A_LAG = ("lms", "spectral", "rls", "als", "wiener")
+QUICKER: dict[str, dict[str, Any]] = {"cascade": {"structure": "wiener"}, "depth": {"correct": False}}
+
+
+def specification(name: str) -> Engine:
+    return get_engine(name).from_options(QUICKER.get(name, {}))
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +45,9 @@ def record() -> Record:
     return simulated.wiener_record(1)
 
 
-@pytest.fixture(scope="module", params=OURS)
+@pytest.fixture(scope="module", params=[name for name in EVERY if name != "localized"])
 def model(request: pytest.FixtureRequest, record: Record) -> Model:
-    return get_engine(request.param)().fit(record)
+    return specification(request.param).fit(record)
 
 
 def test_report_has_the_keys_of_the_contract(model: Model):
@@ -94,8 +104,11 @@ def test_a_missing_input_leaves_its_memory_unknown_and_nothing_else(model: Model
     output = model.simulate(u)
     unknown = np.flatnonzero(np.isnan(output))
     np.testing.assert_array_equal(unknown, np.arange(3000, 3000 + model.memory_samples))
-    known = np.isfinite(output)
-    np.testing.assert_allclose(output[known], model.simulate(record.input)[known], atol=1e-9)
+    error = np.abs(output - model.simulate(record.input))[np.isfinite(output)]
+    just_before = slice(2990, 3000)  # between samples, a band-limited force depends on the one that is missing
+    assert np.max(error[just_before]) < 1e-4 * np.std(record.output)
+    error[just_before] = 0.0
+    assert np.max(error) < 1e-9
 
 
 def test_another_sample_rate_is_refused(model: Model, record: Record):
@@ -114,7 +127,7 @@ def test_models_and_engines_are_frozen(model: Model):
     assert model.report.seconds is None
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize(
     ("options", "told"),
     [
@@ -129,7 +142,7 @@ def test_bad_options_are_told_in_one_line(name: str, options: dict[str, float], 
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", EVERY)
 def test_options_carry_bounds_and_descriptions_for_a_form(name: str):
     for option, schema in get_engine(name).model_json_schema()["properties"].items():
         assert schema.get("description"), option
@@ -138,37 +151,63 @@ def test_options_carry_bounds_and_descriptions_for_a_form(name: str):
             assert {"maximum", "exclusiveMaximum"} & set(schema), option
 
 
-def _bad_records() -> list[tuple[str, Record, str]]:
+def _empty_records() -> list[tuple[str, Record, str]]:
     noise = simulated.generator(9).standard_normal(4000)
     missing = np.full(4000, np.nan)
-    holed = noise.copy()
-    holed[::100] = np.nan
     return [
         ("constant input", Record(np.ones(4000), noise, 2000.0), r"the input \(force\) is constant"),
         ("constant output", Record(noise, np.ones(4000), 2000.0), r"the output \(position\) is constant"),
         ("no input", Record(missing, noise, 2000.0), r"the input \(force\) holds no received sample"),
         ("no output", Record(noise, missing, 2000.0), r"the output \(position\) holds no received sample"),
-        ("short", Record(noise[:100], noise[:100], 2000.0), "memory of 0.125 s is longer than the 0.05 s"),
-        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 25[02] parameters"),
-        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 25[02] parameters"),
     ]
 
 
-@pytest.mark.parametrize("name", OURS)
-@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _bad_records()])
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _empty_records()])
+def test_records_that_hold_nothing_are_refused_in_one_line(name: str, record: Record, told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        get_engine(name)().fit(record)
+    assert "\n" not in str(refused.value)
+
+
+def _scant_records() -> list[tuple[str, Record, str]]:
+    noise = simulated.generator(9).standard_normal(4000)
+    holed = noise.copy()
+    holed[::100] = np.nan
+    return [
+        ("short", Record(noise[:100], noise[:100], 2000.0), "memory of 0.125 s is longer than the 0.05 s"),
+        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 25[0-9] parameters"),
+        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 25[0-9] parameters"),
+    ]
+
+
+@pytest.mark.parametrize("name", A_WEIGHT_A_LAG)
+@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _scant_records()])
 def test_records_that_carry_no_fit_are_refused_in_one_line(name: str, record: Record, told: str):
     with pytest.raises(UnusableInputError, match=told) as refused:
         get_engine(name)().fit(record)
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", sorted(set(EVERY) - set(A_WEIGHT_A_LAG)))
+@pytest.mark.parametrize("record", [pytest.param(r, id=i) for i, r, _ in _scant_records()])
+def test_engines_of_few_parameters_fit_a_scant_record_or_refuse_it_in_one_line(name: str, record: Record):
+    refusal = ""
+    try:
+        model = get_engine(name)().fit(record)
+    except UnusableInputError as refused:
+        refusal = str(refused)
+    assert "\n" not in refusal
+    assert refusal or model.report.n_samples >= model.report.n_parameters
+
+
+@pytest.mark.parametrize("name", A_WEIGHT_A_LAG)
 def test_fewer_than_three_samples_a_parameter_warns(name: str, record: Record):
     model = get_engine(name).from_options({"window": 0.2} if name == "spectral" else {}).fit(record[:900])
     assert any("fewer than 3 each" in warning for warning in model.report.warnings)
 
 
-@pytest.mark.parametrize("name", OURS)
+@pytest.mark.parametrize("name", EVERY)
 def test_a_part_that_is_not_there_is_refused(name: str, record: Record):
     with pytest.raises(UnusableInputError, match="holds no received sample"):
         get_engine(name)().fit(record, slice(9000, 9500))
@@ -176,6 +215,10 @@ def test_a_part_that_is_not_there_is_refused(name: str, record: Record):
         get_engine(name)().fit(record, slice(0, 8000, 2))
 
 
-def test_every_engine_of_the_contract_that_is_here_fits_a_plain_record(record: Record):
-    for name in set(engine_names()) & set(OURS):
-        assert get_engine(name)().fit(record).report.vaf_percent > 90.0
+def test_the_engines_that_scripts_rely_on_are_here():
+    assert set(EVERY) >= NAMED
+
+
+def test_every_engine_fits_a_plain_record(model: Model):
+    assert model.report.vaf_percent > 90.0
+    assert model.report.options == specification(model.report.engine).options()
