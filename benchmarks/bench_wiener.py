@@ -37,6 +37,8 @@ def comparisons() -> Iterable[Comparison]:
         return max(abs(a / b - 1.0) for a, b in zip(ours, theirs, strict=True))
 
     setting = f"{PASSES} passes, {LAGS} lags, {len(record)} samples"
-    yield Comparison("Wiener iteration", setting, iterated, plainly, apart, 1e-4, floor=20.0, blocks=4, runs_in_block=10)
+    yield Comparison(
+        "Wiener iteration", setting, iterated, plainly, apart, 1e-4, floor=20.0, blocks=4, runs_in_block=10
+    )
     whole = "the same, refined jointly, with uncertainties"
     yield Comparison("Wiener engine against plain iteration", whole, fitted, plainly, apart, 0.03)
