@@ -188,8 +188,8 @@ class Polynomial(StaticNonlinearity):
 
 
 @dataclass(frozen=True, eq=False)
-class MonotoneSpline(StaticNonlinearity):
-    """Cubic spline that never turns back: its B-spline coefficients rise, or fall, from one to the next."""
+class Spline(StaticNonlinearity):
+    """Cubic spline, continued beyond its range by straight lines."""
 
     knots: tuple[float, ...]
 
@@ -209,6 +209,10 @@ class MonotoneSpline(StaticNonlinearity):
     def jacobian(self, z: Array) -> Array:
         """Return the B-splines at z, shape (n, p)."""
         return _b_splines(np.clip(z, self.low, self.high), np.array(self.knots))
+
+
+class MonotoneSpline(Spline):
+    """A spline that never turns back: its B-spline coefficients rise, or fall, from one to the next."""
 
     def refit(self, z: Array, y: Array) -> MonotoneSpline:
         """Fit a spline of as many pieces anew."""

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
-from scipy import interpolate
 
 from tissueid.identification.base import Array
 from tissueid.identification.static_nonlinearity import (
     Exponential,
     Form,
+    Spline,
     StaticNonlinearity,
     fit_exponential,
     fit_polynomial,
@@ -21,48 +20,25 @@ _RIDGE = 1e-9
 """Share of the mean curvature that keeps the piece of a spline where there are few data in place."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spline(StaticNonlinearity):
-    """Cubic spline with free coefficients, continued beyond its range by straight lines."""
+class FreeSpline(Spline):
+    """A spline that may turn back: nothing holds its coefficients."""
 
-    knots: tuple[float, ...]
-
-    @cached_property
-    def _curve(self) -> interpolate.BSpline:
-        return interpolate.BSpline(np.array(self.knots), self.coefficients, 3)
-
-    def __call__(self, z: Array) -> Array:
-        """Return g(z), shape of z."""
-        inside = np.clip(z, self.low, self.high)
-        return np.asarray(self._curve(inside) + self.slope(z) * (z - inside))
-
-    def slope(self, z: Array) -> Array:
-        """Return dg/dz, shape of z."""
-        return np.asarray(self._curve(np.clip(z, self.low, self.high), nu=1))
-
-    def jacobian(self, z: Array) -> Array:
-        """Return the B-splines at z, shape (n, p)."""
-        inside = np.clip(z, self.low, self.high)
-        return np.asarray(
-            interpolate.BSpline.design_matrix(inside, np.array(self.knots), 3).toarray(), dtype=np.float64
-        )
-
-    def refit(self, z: Array, y: Array) -> Spline:
+    def refit(self, z: Array, y: Array) -> FreeSpline:
         """Fit a spline of as many pieces anew."""
         return fit_free_spline(z, y, self.coefficients.size - 3)
 
 
-def fit_free_spline(z: Array, y: Array, pieces: int) -> Spline:
+def fit_free_spline(z: Array, y: Array, pieces: int) -> FreeSpline:
     """Fit a cubic spline of so many pieces, with knots at quantiles of z (n,), to y (n,)."""
     low, high = float(z.min()), float(z.max())
     inner = np.quantile(z, np.linspace(0.0, 1.0, pieces + 1)[1:-1])
     knots = np.concatenate([[low] * 4, inner, [high] * 4])
-    shape = Spline(np.zeros(pieces + 3), low, high, tuple(knots.tolist()))
+    shape = FreeSpline(np.zeros(pieces + 3), low, high, tuple(knots.tolist()))
     basis = shape.jacobian(z)
     gram = basis.T @ basis
     ridge = _RIDGE * float(np.trace(gram)) / gram.shape[0]
     coefficients = np.linalg.solve(gram + ridge * np.eye(gram.shape[0]), basis.T @ y)
-    return Spline(np.asarray(coefficients, dtype=np.float64), low, high, tuple(knots.tolist()))
+    return FreeSpline(np.asarray(coefficients, dtype=np.float64), low, high, tuple(knots.tolist()))
 
 
 def fit_curve(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity:
@@ -127,7 +103,7 @@ def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
             high=high,
             centre=factor * curve.centre,
         )
-    if isinstance(curve, Spline):
+    if isinstance(curve, FreeSpline):
         turn = slice(None, None, -1) if mirrored else slice(None)
         knots = tuple(factor * knot for knot in curve.knots)[turn]
         return replace(curve, coefficients=curve.coefficients[turn], low=low, high=high, knots=knots)
@@ -137,7 +113,7 @@ def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
 
 def _constant(curve: StaticNonlinearity) -> Array:
     """Change of the coefficients (p,) that adds one to the curve everywhere."""
-    if isinstance(curve, Spline):
+    if isinstance(curve, FreeSpline):
         return np.ones(curve.coefficients.size)
     first = np.zeros(curve.coefficients.size)
     first[0] = 1.0
