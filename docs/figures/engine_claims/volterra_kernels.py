@@ -132,7 +132,7 @@ def told(name: str, found: list[Outcome]) -> Claim:
     )
 
 
-def wiener(runs: int) -> Claim:
+def wiener(runs: int) -> Iterator[Claim]:
     """The same where the shape of h2 is known: that of h x h, which is rougher than the filter lets through."""
     found = [compare(simulated.wiener_record(62, run)) for run in range(runs)]
     natural = simulated.SCALED_MASS**-0.5
@@ -144,14 +144,12 @@ def wiener(runs: int) -> Claim:
         [float(np.sum(k * truth) / np.linalg.norm(k) / np.linalg.norm(truth)) for k in one.second] for one in found
     ]
     near = np.median(cosine, axis=0)
-    vaf = np.median([one.held_out for one in found], axis=0)
-    rough = np.median([one.rough for one in found], axis=0)
-    return Claim(
-        "second-order kernel, exact, filtered as in 4.3.2, regularised, both: Wiener systems, 200 Hz, 30 dB",
-        f"regularised nearer the true one than filtered, and at most {LOST_POINTS:g} points of held-out VAF lost",
-        f"cosine with the truth {listed(near, 3)}; roughness {listed(rough, 4)}, of the truth {roughness(truth):.4f}; "
-        f"held-out VAF {listed(vaf, 2)} %",
-        bool(near[2] > near[1] and vaf[0] - vaf[2] < LOST_POINTS),
+    yield told("Wiener systems, 200 Hz, 30 dB (the true h2 is rougher than the filtered one)", found)
+    yield Claim(
+        "the same: cosine of h2 with the true one",
+        "regularised nearer than filtered",
+        f"{listed(near, 3)}; roughness of the true one {roughness(truth):.4f}",
+        bool(near[2] > near[1]),
     )
 
 
@@ -261,7 +259,7 @@ def bands() -> Iterator[Claim]:
 
 def claims() -> Iterator[Claim]:
     """All of them."""
-    yield wiener(2)
+    yield from wiener(2)
     skin = [compare(simulated_dpn.record(simulated_dpn.SKIN, 62, run, snr_db=30.0)) for run in range(2)]
     yield told("DPN systems, 200 Hz, 30 dB", skin)
     records = rig_records()
