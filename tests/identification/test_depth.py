@@ -223,9 +223,18 @@ def test_stepped_tests_of_fig_5_2_recover_parameters_within_five_percent(continu
 
 def test_a_stepped_record_is_told_of():
     record = simulated_stepped.stepped_wiener(5, continuous=300, repetitions=1)
-    report = Depth(memory=0.12, partitions=4, downsample=1, hold="zero-order", correct=False).fit(record).report
+    engine = Depth(memory=0.12, partitions=4, downsample=1, offset="common", hold="zero-order", correct=False)
+    report = engine.fit(record).report
     assert any("the input is stepped" in warning for warning in report.warnings)
     assert not any("the input is stepped" in warning for warning in fitted(simulated_dpn.SKIN)[1].report.warnings)
+
+
+def test_by_default_a_stepped_record_has_an_offset_for_each_partition():
+    record = simulated_stepped.stepped_wiener(5, continuous=300, repetitions=1)
+    options = {"memory": 0.12, "partitions": 4, "downsample": 1, "hold": "zero-order", "correct": False}
+    chosen, asked = Depth(**options).fit(record), Depth(**options, offset="partition").fit(record)
+    np.testing.assert_array_equal(chosen.kernels, asked.kernels)
+    assert any("an offset of its own" in finding for finding in chosen.report.findings)
 
 
 def test_an_output_that_falls_with_the_input_has_negative_parameters():

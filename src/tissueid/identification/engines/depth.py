@@ -45,9 +45,9 @@ class Depth(Engine):
         None, ge=1, le=1000, description="Samples between the lags of the kernels; chosen by the input when not given"
     )
     offset: Offset = Field(
-        "common",
-        description="One offset and the force as measured (Eq. 5.1), one offset and the force about its mean, or a "
-        "linear model with an offset of its own for each partition",
+        "auto",
+        description="One offset and the force as measured (common, Eq. 5.1), one offset and the force about its mean, "
+        "or a linear model with an offset of its own for each partition; auto takes that for stepped records",
     )
     correct: bool = Field(
         True, description="Take off the bias that the estimator shows on a tissue simulated with what it found"

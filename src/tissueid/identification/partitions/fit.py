@@ -33,7 +33,7 @@ from tissueid.identification.validation import aic, aicc, complete_windows, vaf_
 from tissueid.identification.volterra.smoothing import LagGrid, automatic_grid, lag_grid
 from tissueid.records import Record
 
-Offset = Literal["common", "mean", "partition"]
+Offset = Literal["auto", "common", "mean", "partition"]
 
 _ROUNDS = 3
 """Times that the fitted samples are placed anew by the model's own output, where that is done."""
@@ -46,6 +46,7 @@ _STEPPED = (
     "the input is stepped: mass, damping and stiffness come out nearer with an offset for each partition, or with the "
     "engine localized"
 )
+_STEPPED_APART = "the input is stepped: every partition has an offset of its own"
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,9 @@ def fit_partitions(
     if not rows.any():
         raise UnusableInputError("0 usable samples: the record is full of gaps, or shorten the memory")
     partitions = choice.cut(record.output, rows, rate)
+    stepped = is_stepped(record.input, rows, grid.memory_samples)
+    if choice.offset == "auto":
+        choice = replace(choice, offset="partition" if stepped else "common")
     at_output = choice.offset == "partition"
     n_parameters = partitions.count * (grid.lags + int(at_output)) + int(not at_output)
     prepared = prepare(record, fit_part, grid.memory_samples / rate, n_parameters)
@@ -109,8 +113,13 @@ def fit_partitions(
     local = _local(choice, prepared, partitions, solved, placed, used, grid, linear)
     profile = profile_of(local, partitions, cells, used) if linear.mechanical else None
     model = _model(solved, prepared, partitions, grid, local, profile, engine, options)
-    stepped = not at_output and is_stepped(record.input, prepared.used, grid.memory_samples)
-    return _reported(model, record, prepared, used, solved, local, linear, stepped)
+    fitted = _reported(model, record, prepared, used, solved, local, linear)
+    if not stepped:
+        return fitted
+    report = fitted.report
+    if at_output:
+        return fitted.with_report(findings=(*report.findings, _STEPPED_APART))
+    return fitted.with_report(warnings=(*report.warnings, _STEPPED))
 
 
 def _grid(choice: PartitionChoice, first: Prepared) -> LagGrid:
@@ -278,7 +287,6 @@ def _reported(
     solved: PartitionedKernels,
     local: LocalEstimates,
     linear: SecondOrderFit,
-    stepped: bool,
 ) -> PartitionedModel:
     """The model with its report: scores of the free run on the fitted samples, parameters and words."""
     simulated = model.simulate(record.input)
@@ -302,7 +310,6 @@ def _reported(
             *prepared.warnings,
             *solved.warnings,
             *doubts(vaf, details, local, few and not prepared.warnings),
-            *((_STEPPED,) if stepped else ()),
         ),
         findings=found_words(local, model.partitions, linear),
         details=details,
