@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
+from scipy import signal
 
 from tissueid.analysis import EngineComparison, compare, known_ceiling, specifications, split
 from tissueid.errors import UnusableInputError
@@ -139,3 +140,28 @@ def test_absent_picture_is_one_line() -> None:
     block = absent("k", "Heading", "there is nothing").block
     assert block.svg == ""
     assert block.missing == "Left out: there is nothing."
+
+
+def test_distortion_is_drawn_where_the_stimulus_was_an_odd_multisine():
+    test = make_test(1, seconds=4.7)
+    period, n = 1000, test.samples
+    rng = np.random.default_rng(3)
+    driven = np.setdiff1d(np.arange(1, 150, 2), np.arange(7, 150, 10))  # odd lines, every fifth of them left out
+    t = np.arange(n)
+    phase = rng.uniform(0.0, 2.0 * np.pi, driven.size)
+    force = 5.0 + 0.25 * np.sum(np.cos(2.0 * np.pi * driven[:, None] * t / period + phase[:, None]), axis=0)
+    load = signal.lfilter([0.2], [1.0, -0.8], force - 5.0)
+    position = 0.013 + 1e-3 * load + 1e-4 * load**2 + 1e-7 * rng.standard_normal(n)
+    sitting = make_session(
+        replace(
+            test,
+            signals=test.signals | {"force": force, "position": position},
+            stimulus={"type": "multisine", "period_s": 1.0},
+        )
+    )
+    page = comparison_report(sitting, made(sitting, "lms")).html()
+    section = page[page.index('id="distortion"') :]
+    section = section[: section.index("</figure>")]
+    assert "<svg" in section
+    assert "even" in section
+    assert "dB" in section
