@@ -6,6 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.built
 
+# Linear algebra on one thread: on a busy machine two of them wait for each other, and that can take twenty times as long.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: help env demo test lint bench soak run clean
 
 help: ## list the targets
@@ -21,7 +24,7 @@ demo: env ## run one guided test on a simulated forearm; leaves demo/report.html
 
 test: lint ## every check and test
 	@echo "== tests"
-	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest
+	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 lint: env
 	@echo "== ruff"; $(BIN)/ruff check . && $(BIN)/ruff format --check .
