@@ -25,6 +25,17 @@ def test_a_joint_is_told_from_a_sample_that_was_lost():
     assert both[4:7].joints == ()
 
 
+def test_infinity_is_a_sample_that_was_not_received():
+    record = Record(np.array([0.0, np.inf, 1.0]), np.array([0.0, 1.0, -np.inf]), 100.0)
+    np.testing.assert_array_equal(record.valid, [True, False, False])
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+def test_sizes_that_no_instrument_measures_are_refused(size: float):
+    with pytest.raises(UnusableInputError, match=r"the output of a record goes to .*: no instrument measures that"):
+        Record(np.arange(3.0), size * np.arange(3.0), 100.0)
+
+
 def test_one_record_joined_is_itself():
     only = Record(np.arange(3.0), np.ones(3), 100.0)
     np.testing.assert_array_equal(joined([only]).input, only.input)

@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 
+_LARGEST = 1e30
+"""Sizes beyond this, or under one over it, are no measurements, and their squares would overflow."""
+
 
 @dataclass(frozen=True)
 class Record:
     """Input and output of a system, sampled together.
 
     ``input`` and ``output`` have shape (n,), float64, SI units named by ``input_unit`` and ``output_unit``.
-    NaN marks a sample that was not received; it is never filled in. ``joints`` are the places, in order, of samples
-    that stand between records that were joined: they were never to be received.
+    NaN marks a sample that was not received, and infinity is taken for one; it is never filled in. ``joints`` are the
+    places, in order, of samples that stand between records that were joined: they were never to be received.
 
     Raises:
-        UnusableInputError: lengths differ, the sample rate is not positive, or there are no samples.
+        UnusableInputError: lengths differ, the sample rate is not positive, there are no samples, or sizes that no
+            instrument measures.
     """
 
     input: NDArray[np.float64]
@@ -37,6 +41,13 @@ class Record:
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 1:
                 raise UnusableInputError(f"the {name} of a record must have one dimension, not {values.ndim}")
+            if np.isinf(values).any():
+                values = np.where(np.isinf(values), np.nan, values)
+            largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+            if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
+                raise UnusableInputError(
+                    f"the {name} of a record goes to {largest:.3g}: no instrument measures that, check the units"
+                )
             object.__setattr__(self, name, values)
         if self.input.size != self.output.size:
             raise UnusableInputError(

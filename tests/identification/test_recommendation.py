@@ -115,7 +115,7 @@ class TestChoice:
         assert [s.engine for s in found.standings] == ["volterra", "lms"]
         assert found.standings[1].beaten
         assert not found.standings[0].beaten
-        assert "points more than LMS with 9" in " ".join(found.sentences)
+        assert "points more than LMS on the same samples" in " ".join(found.sentences)
 
     def test_a_lead_within_chance_is_not(self, held_out: Record):
         found = recommend(linear_and_kernels(0.0, 3.05e-4, 3e-4), held_out, held_out)
@@ -269,9 +269,30 @@ class TestWords:
 
     def test_other_signals_are_not_called_depth(self):
         record = Record(coloured(1, 1.0), coloured(2, 1.0), RATE, output_name="current", output_unit="A")
-        found = recommend([candidate("wiener", Family.STATIC, coloured(3, 0.1))], record, record)
+        both = [
+            candidate("wiener", Family.STATIC, coloured(3, 0.1)),
+            candidate("lms", Family.LINEAR, coloured(4, 0.3)),
+        ]
+        found = recommend(both, record, record)
         assert found.headline.startswith("Current matters")
         assert "motion" not in found.headline
+
+    def test_a_family_alone_is_not_praised(self, held_out: Record):
+        found = recommend([candidate("lms", Family.LINEAR, coloured(3, 3e-4))], held_out, held_out)
+        assert found.headline.startswith("Of the linear models, the only ones that were tried")
+
+    def test_what_describes_nothing_is_called_so(self, held_out: Record):
+        both = [
+            candidate("lms", Family.LINEAR, coloured(3, 1.1e-3)),
+            candidate("volterra", Family.KERNELS, coloured(4, 1.5e-3)),
+        ]
+        assert recommend(both, held_out, held_out).headline.startswith("None of these descriptions holds")
+
+    def test_hundredths_of_a_point_do_not_make_a_description(self, held_out: Record):
+        """Near 100 % a richer model may be better beyond any doubt, and the simpler one says all the same."""
+        found = recommend(linear_and_kernels(0.0, 3e-5, 1e-6), held_out, held_out)
+        assert found.engine == "lms"
+        assert "too little to matter" in " ".join(found.reasons)
 
 
 def recommended(record: Record, names: tuple[str, ...]) -> Recommendation:
@@ -282,7 +303,7 @@ def test_a_linear_record_needs_a_line():
     found = recommended(simulated.linear_record(5, snr_db=30.0), ("lms", "spectral", "wiener"))
     assert found.family is Family.LINEAR
     assert found.second_order
-    assert found.headline.startswith("A linear model says all")
+    assert found.headline.startswith("A linear model describes this record as well as any")
 
 
 def test_a_wiener_record_needs_a_curve():

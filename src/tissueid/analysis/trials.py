@@ -19,6 +19,9 @@ Progress = Callable[[str, float], None]
 SWEPT_MEMORY_S = (0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.125)
 
 _MEMORY_SHARES = (0.125, 0.25, 0.5, 1.0)
+_FEWEST_LAGS = 8
+"""A memory of fewer samples is not worth trying."""
+
 _TRIED: Mapping[str, Sequence[float]] = {"partitions": (2, 3, 5, 7, 10, 15), "order": (1, 2, 3)}
 """Options by which a description is sized, wherever an engine has them, and what is tried beside the value in use."""
 
@@ -79,7 +82,9 @@ def sized(found: Recommendation, specification: Engine, parts: Split, progress: 
         present = options.get(option)
         if option not in fields or isinstance(present, bool) or not isinstance(present, int | float):
             continue
-        values = [m * present for m in _MEMORY_SHARES] if option == "memory" else sorted({present, *_TRIED[option]})
+        shortest = _FEWEST_LAGS / parts.record.sample_rate_hz
+        shares = [m * present for m in _MEMORY_SHARES if m * present >= shortest]
+        values = shares if option == "memory" else sorted({present, *_TRIED[option]})
         trials: list[tuple[float, Array]] = []
         for number, value in enumerate(values):
             progress("sizing the recommended one", number / len(values))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,8 @@ def run_compare(
     check_output(out, ("<!DOCTYPE html",))
     if figures is not None and figures.exists() and not figures.is_dir():
         raise UnusableInputError(f"{figures} is a file; name a folder for the figures")
+    _check_writable(out if out is None else out.parent)
+    _check_writable(figures if figures is None or figures.is_dir() else figures.parent)
     names = None if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
     chosen = specifications(names, {} if memory is None else {"memory": memory}, _by_engine(options))
     session = read_session(path)
@@ -60,6 +63,16 @@ def run_compare(
         people_read(json_file).print(f"report: {out}", markup=False)
     if figures is not None:
         people_read(json_file).print(f"figures: {figures}", markup=False)
+
+
+def _check_writable(folder: Path | None) -> None:
+    """Refuse, before any work, a folder that nothing can be written to.
+
+    Raises:
+        UnusableInputError: it is there, and not for us to write.
+    """
+    if folder is not None and folder.is_dir() and not os.access(folder, os.W_OK):
+        raise UnusableInputError(f"nothing can be written to {folder}")
 
 
 def _draw(

@@ -34,6 +34,9 @@ above 200 Hz would leave that part of the response to the noise.
 _AT_REST = 0.1
 """Share of its peak under which a kernel counts as over."""
 
+_FEWEST_LAGS = 5
+"""A memory of fewer samples holds no response."""
+
 
 @dataclass(frozen=True, eq=False)
 class ImpulseResponses:
@@ -134,6 +137,8 @@ def doubt_memory(kernel: Array) -> tuple[str, ...]:
 
     The very last lags are left out: they also carry what lies beyond the memory.
     """
+    if kernel.size < _FEWEST_LAGS:
+        return (f"the memory holds {kernel.size} samples only: lengthen it, or the parameters cannot be trusted",)
     late = kernel[int(0.8 * kernel.size) : int(0.95 * kernel.size)]
     if late.size < 3 or abs(float(np.mean(late))) <= _AT_REST * float(np.max(np.abs(kernel))):
         return ()

@@ -29,6 +29,9 @@ LEVEL = 0.05
 RELEVANT = 0.05
 """Nor does one that takes away less than this share of the error variance, such as what fewer parameters save."""
 
+WORTH_POINTS = 0.1
+"""Nor one of fewer percentage points of VAF: where two models account for nearly all, the simpler one is enough."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -190,7 +193,8 @@ def recommend(
 
 def beaten(lead: Difference, level: float = LEVEL) -> bool:
     """Whether a lead is one that chance does not explain and that matters."""
-    return lead.p_value is not None and lead.p_value < level and lead.reduction > RELEVANT
+    sure = lead.p_value is not None and lead.p_value < level
+    return sure and lead.reduction > RELEVANT and lead.points > WORTH_POINTS
 
 
 def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float:

@@ -24,7 +24,13 @@ _COARSE_POINTS = 2.0
 _NARROW, _BEYOND = 0.8, 0.05
 """Shares of the fitted range: a held-out range below the first is narrow; what exceeds it by the second is new."""
 
+_DESCRIBES_PERCENT = 50.0
+"""Held-out VAF below which a description is none."""
+
 _POINTS_WORTH_TELLING = 5.0
+_POINTS_SHOWN = 0.1
+"""A lead of fewer points does not matter, however sure it is."""
+
 _LEFT_TO_CEILING = 3.0
 _LONGEST_WORTH_ASKING = 20.0
 _QUANTILES = (0.01, 0.99)
@@ -78,9 +84,13 @@ def headline(told: Told) -> str:
     name, score = _name(chosen), f"{fixed(chosen.vaf_percent, 1)} % of motion that it had not seen"
     if told.held_out.output_name != "position":
         score = score.replace("motion", "what was measured")
+    if chosen.vaf_percent < _DESCRIBES_PERCENT:
+        return f"None of these descriptions holds; the least bad is {name}: {score}. Check the signals."
+    if len({standing.family for standing in told.standings}) == 1:
+        return f"Of {_KINDS[chosen.family]}, the only ones that were tried, {name} does best: {score}."
     first = {
-        Family.LINEAR: "A linear model says all that this record holds",
-        Family.STATIC: f"{place.capitalize()} matters in the simplest way: linear dynamics and one curve say it all",
+        Family.LINEAR: "A linear model describes this record as well as any that was tried",
+        Family.STATIC: f"{place.capitalize()} matters in the simplest way: linear dynamics and one curve",
         Family.PARAMETRIC: f"{place.capitalize()} matters: mass, damping and stiffness each follow it in their own way",
         Family.DEPTH: f"{place.capitalize()} matters: the response is another one in each range of it",
         Family.DIRECTION: f"{place.capitalize()} and direction matter: the response differs between going in and out",
@@ -113,13 +123,14 @@ def reasons(told: Told) -> Iterator[str]:
         below = standing.below
         yield (
             f"{_name(chosen)} accounts for {_plus_minus(below.points, below.std_points)} points more than "
-            f"{_name(standing)} with {fixed(standing.vaf_percent, 1)} %, the best of {_KINDS[standing.family]}"
-            f"{_chance(below.p_value)}."
+            f"{_name(standing)} on the same samples, the best of {_KINDS[standing.family]}{_chance(below.p_value)}."
         )
     if best is not chosen:
         lead = chosen.behind
         why = (
             f"takes away only {fixed(100.0 * lead.reduction, 1)} % of what is left unexplained"
+            if lead.p_value is not None and lead.p_value < 0.05 and lead.points > _POINTS_SHOWN
+            else f"is {fixed(lead.points, 2)} points away, too little to matter"
             if lead.p_value is not None and lead.p_value < 0.05
             else f"is within chance ({_plus_minus(lead.points, lead.std_points)} points{_chance(lead.p_value)})"
         )

@@ -42,12 +42,14 @@ class KnownCurves:
     position: Array
     speed: Array
 
-    def mass(self, position: Array) -> CurveBand:
+    def mass(self, position: Array | float) -> CurveBand:
         """M(y) at positions (k,), kg."""
+        position = _places(position)
         return self._band("mass", self.curves.masses(position), position)
 
-    def damping(self, position: Array, direction: int = 0) -> CurveBand:
+    def damping(self, position: Array | float, direction: int = 0) -> CurveBand:
         """B(y) at positions (k,), N s/m: fast into the tissue (1), fast out of it (-1), or between the two (0)."""
+        position = _places(position)
         curves = self.curves
         basis = curves.basis(position, max(curves.damping.size, curves.direction.size))
         slopes = np.zeros((position.size, curves.theta.size))
@@ -56,22 +58,25 @@ class KnownCurves:
         turned = basis[:, : curves.direction.size] @ curves.direction
         return self._logarithmic(curves.dampings(position) * np.exp(direction * turned), slopes, position)
 
-    def stiffness(self, position: Array) -> CurveBand:
+    def stiffness(self, position: Array | float) -> CurveBand:
         """Tangent stiffness dF/dy at positions (k,), N/m: what a small test there measures."""
+        position = _places(position)
         return self._band("stiffness", self.curves.stiffnesses(position), position)
 
-    def force(self, position: Array) -> CurveBand:
+    def force(self, position: Array | float) -> CurveBand:
         """F(y) at positions (k,), N."""
+        position = _places(position)
         slopes = self.curves.force_slopes(position)
         std = self._std(slopes)
         value = self.curves.forces(position)
         return CurveBand(position, value, std, value - NORMAL_95 * std, value + NORMAL_95 * std)
 
-    def secant(self, position: Array, surface: float) -> CurveBand:
+    def secant(self, position: Array | float, surface: float) -> CurveBand:
         """K(y) of Eq. 3.33 at positions (k,), N/m: force over the depth below a known surface (m).
 
-        NaN at the surface and above it.
+        NaN at the surface and above it, and negative where tissue that clings pulls the probe in.
         """
+        position = _places(position)
         depth = np.where(position > surface, position - surface, np.nan)
         force = self.force(position)
         return CurveBand(position, force.value / depth, force.std / depth, force.low / depth, force.high / depth)
@@ -151,6 +156,10 @@ class KnownCurves:
     def _std(self, slopes: Array) -> Array:
         variance = np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+
+def _places(position: Array | float) -> Array:
+    return np.atleast_1d(np.asarray(position, dtype=np.float64))
 
 
 def coefficient_covariance(fitting: Fitting, fitted: Fitted) -> Array:
