@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -255,3 +256,19 @@ class TestCeiling:
     def test_without_repeats_nothing_is_known(self, session: Session):
         assert known_ceiling(session, split(session, test=2)) is None
         assert known_ceiling(session, split(session, test=1, also=(2,))) is None
+
+
+class FailsUnforeseen(Engine):
+    """An engine of somebody else's package with a fault of its own."""
+
+    name: ClassVar[str] = "fails_unforeseen"
+
+    def fit(self, record: Record, fit_part: slice | None = None) -> Model:
+        raise TypeError("a fault of its own")
+
+
+def test_a_fault_in_an_engine_of_another_package_costs_no_other():
+    record = simulated.linear_record(1, n=3000)
+    found = compare((*specifications(["lms"]), FailsUnforeseen()), split_records([record]))
+    assert set(found.analyses) == {"lms"}
+    assert found.entries[1].refused == "this engine of another package failed: TypeError: a fault of its own"
