@@ -258,17 +258,35 @@ class TestCeiling:
         assert known_ceiling(session, split(session, test=1, also=(2,))) is None
 
 
-class FailsUnforeseen(Engine):
-    """An engine of somebody else's package with a fault of its own."""
+class Faulty(Engine):
+    """An engine of somebody else's package with faults of its own."""
 
-    name: ClassVar[str] = "fails_unforeseen"
+    name: ClassVar[str] = "faulty"
+    fault: str = "raises"
 
     def fit(self, record: Record, fit_part: slice | None = None) -> Model:
-        raise TypeError("a fault of its own")
+        if self.fault == "raises":
+            raise TypeError("a fault of its own\nover two lines")
+        return None  # type: ignore[return-value]
 
 
-def test_a_fault_in_an_engine_of_another_package_costs_no_other():
+@pytest.mark.parametrize(
+    ("fault", "told"), [("raises", "TypeError: a fault of its own"), ("nothing", "TypeError: fit returned NoneType")]
+)
+def test_a_fault_in_an_engine_of_another_package_costs_no_other(fault: str, told: str):
     record = simulated.linear_record(1, n=3000)
-    found = compare((*specifications(["lms"]), FailsUnforeseen()), split_records([record]))
+    found = compare((*specifications(["lms"]), Faulty(fault=fault)), split_records([record]))
     assert set(found.analyses) == {"lms"}
-    assert found.entries[1].refused == "this engine of another package failed: TypeError: a fault of its own"
+    refused = found.entries[1].refused
+    assert refused is not None
+    assert refused.startswith(f"the engine faulty, of another package, failed: {told}")
+    assert "\n" not in refused
+
+
+def test_a_fault_in_an_engine_of_ours_is_a_defect(monkeypatch: pytest.MonkeyPatch):
+    def fail(*_: object, **__: object) -> Model:
+        raise TypeError("ours")
+
+    monkeypatch.setattr(Lms, "fit", fail)
+    with pytest.raises(TypeError, match="ours"):
+        compare(specifications(["lms"]), split_records([simulated.linear_record(1, n=3000)]))

@@ -103,10 +103,6 @@ def compare(
             done[engine.name] = fit_split(engine, parts)
         except UnusableInputError as error:
             refused[engine.name] = str(error)
-        except Exception as error:
-            if type(engine).__module__.startswith("tissueid."):
-                raise
-            refused[engine.name] = f"this engine of another package failed: {type(error).__name__}: {error}"
         progress(engine.name, 1.0)
     if not done:
         raise UnusableInputError(_why_none(refused))

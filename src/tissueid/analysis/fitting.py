@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from numba.core.event import install_timer
 
 from tissueid.analysis.split import Split, split
+from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
 from tissueid.identification.registry import get_engine
 from tissueid.identification.validation import validated
@@ -76,7 +78,8 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         UnusableInputError: the record cannot carry the fit.
     """
     model, seconds = timed_fit(specification, parts.record, parts.fit_part)
-    model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
+    with _its_own_fault(specification):
+        model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     return Analysis(
         model,
         parts.record,
@@ -100,6 +103,26 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
     """
     compiling: list[float] = []
     begin = time.perf_counter()
-    with install_timer("numba:compiler_lock", compiling.append):
+    with _its_own_fault(specification), install_timer("numba:compiler_lock", compiling.append):
         model = specification.fit(record, fit_part)
+        if not isinstance(model, Model):
+            raise TypeError(f"fit returned {type(model).__name__}, not a model")
     return model, max(0.0, time.perf_counter() - begin - sum(compiling))
+
+
+@contextmanager
+def _its_own_fault(engine: Engine) -> Iterator[None]:
+    """Tell a fault of another package's engine as that engine's, so that it costs no other; ours are defects.
+
+    Raises:
+        UnusableInputError: the engine of another package failed.
+    """
+    try:
+        yield
+    except UnusableInputError:
+        raise
+    except Exception as error:
+        if type(engine).__module__.startswith("tissueid."):
+            raise
+        said = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise UnusableInputError(f"the engine {engine.name}, of another package, failed: {said}") from error
