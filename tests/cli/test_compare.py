@@ -122,8 +122,6 @@ def test_one_memory_for_all(session_file: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_identify_tells_what_is_known_against_depth(session_file: Path, capsys: pytest.CaptureFixture[str]):
-    if "dpn" not in engine_names():
-        pytest.skip("no engine of ours gives a profile yet")
     found = answer(capsys, "identify", session_file, "--engine", "dpn")
     assert found["depth_profile"]
     assert found["depth_profile"][0].keys() >= {"position_m", "stiffness_n_per_m", "support", "direction"}

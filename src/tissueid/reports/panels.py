@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from tissueid.reports.diagnostics import Array
-from tissueid.reports.style import DASHES, DEPTHS, DIVERGING, INK, MUTED, PAPER, POINTS, RELIEF, SEQUENTIAL
+from tissueid.reports.style import DASHES, DEPTHS, DIVERGING, INK, MUTED, POINTS, RELIEF, SEQUENTIAL
 
 _MOST_POINTS = 3000
 _SURFACE_STEPS = 60
@@ -162,11 +162,3 @@ def diagonal(axes: Axes, low: float, high: float, label: str | None = None) -> N
     axes.set_xlim(low - margin, high + margin)
     axes.set_ylim(low - margin, high + margin)
     axes.set_box_aspect(1.0)
-
-
-def box(axes: Axes) -> None:
-    """An axes without ticks, for words or a symbol."""
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.grid(visible=False)
-    axes.set_facecolor(PAPER)
