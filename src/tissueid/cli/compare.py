@@ -170,7 +170,8 @@ def _tell(found: EngineComparison, no_ceiling: str, out: Console) -> None:
     if found.ceiling is not None:
         best = fixed(found.ceiling.vaf_percent.value, 2)
         out.print(
-            f"No model can do better than {best} % on unseen samples: so far {found.ceiling.repeats} repeats agree."
+            f"No model can do better than {best} % on unseen samples: "
+            f"that is how far {found.ceiling.repeats} repeats agree."
         )
     elif no_ceiling:
         out.print(no_ceiling, markup=False)
