@@ -11,7 +11,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.plant import SAMPLE_RATE_HZ, Plant, PlantParameters
 from firmware_sim.presets import load_preset, preset_names
 from tissueid.records import Record
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 SKIN = tuple(name for name in preset_names() if name.endswith(("forearm", "arm")))
 MATERIALS = ("acrylamide-10", "acrylamide-20", "acrylamide-30", "buna", "latex")

@@ -22,7 +22,7 @@ from firmware_sim.presets import load_preset, preset_names
 from firmware_sim.tissue import Tissue
 from tissueid.identification import get_engine
 from tissueid.records import Record
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

@@ -10,7 +10,7 @@ from scipy import signal, stats
 
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import rebuild
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 DISTRIBUTIONS = ("gaussian", "uniform")
 

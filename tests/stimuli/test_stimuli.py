@@ -10,11 +10,11 @@ import pytest
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
-from tissueid.stimuli import Stimulus, StimulusKind, base, get_stimulus, guided, rebuild, stimulus_names, to_voltage
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli import OpenLoopKind, Stimulus, base, get_stimulus, guided, rebuild, stimulus_names, to_voltage
+from tissueid.stimuli.kinds.noise import Noise
 
 
-class Silence(StimulusKind):
+class Silence(OpenLoopKind):
     """A stimulus of somebody else's package."""
 
     name: ClassVar[str] = "silence"

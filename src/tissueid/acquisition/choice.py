@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tissueid.stimuli.base import Stimulus, guided
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 PRELOAD_S = 0.5
 """Thesis 7.1.1: the mean load is held this long to acclimate the tissue."""

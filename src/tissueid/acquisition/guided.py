@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, LimitError, TissueIDError, UnusableInputError
+from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run, check_stimulus
 from tissueid.stimuli.base import Stimulus, to_voltage
 
@@ -158,10 +158,7 @@ def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float6
             f"the stimulus has {test.stimulus.sample_rate_hz:g} samples a second, "
             f"the instrument {device.sample_rate_hz:g}"
         )
-    peak = float(np.abs(test.stimulus.values).max())
-    if peak > test.limits.max_force_n:
-        raise LimitError(f"the stimulus reaches {peak:.1f} N; the limit is {test.limits.max_force_n:g} N")
-    command = to_voltage(test.stimulus.values, device)
+    command = to_voltage(test.stimulus.values, device, test.stimulus.unit)
     check_stimulus(command, device, test.limits)
     return command
 

@@ -98,7 +98,7 @@ def measure(
         try:
             device, limits = instrument.device, PROFILES[plan.limits]
             stimulus = plan.stimulus(device.sample_rate_hz)
-            check_stimulus(to_voltage(stimulus.values, device), device, limits)
+            check_stimulus(to_voltage(stimulus.values, device, stimulus.unit), device, limits)
             if stop.is_set():
                 raise CancelledError("stopped before the coil was energised")
             recorder = SessionRecorder(plan.path, device, Subject(plan.pseudonym))

@@ -12,7 +12,7 @@ from platformdirs import user_documents_path
 from tissueid.acquisition import PRELOAD_S, NoiseChoice
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 DEFAULT_URL = "simulated://forearm"
 ANONYMOUS = "anonymous"

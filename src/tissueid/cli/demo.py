@@ -29,7 +29,7 @@ from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, write_report
 from tissueid.sessions import Session, Subject
 from tissueid.stimuli.base import guided
-from tissueid.stimuli.noise import Noise
+from tissueid.stimuli.kinds.noise import Noise
 
 LARGE_N = (-5.0, 11.8)
 """Force range of the main test. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""

@@ -1,8 +1,11 @@
-"""Stimuli: what to play. Specifications that build the same force history every time."""
+"""Stimuli: what to play. Specifications that build the same history every time, or generate it while a test runs."""
 
 from tissueid.stimuli.base import (
+    OpenLoopKind,
+    Ranged,
     Stimulus,
     StimulusKind,
+    build_stimulus,
     get_stimulus,
     guided,
     rebuild,
@@ -10,10 +13,16 @@ from tissueid.stimuli.base import (
     stimulus_names,
     to_voltage,
 )
+from tissueid.stimuli.feedback import FeedbackKind, FeedbackSource
 
 __all__ = [
+    "FeedbackKind",
+    "FeedbackSource",
+    "OpenLoopKind",
+    "Ranged",
     "Stimulus",
     "StimulusKind",
+    "build_stimulus",
     "get_stimulus",
     "guided",
     "rebuild",

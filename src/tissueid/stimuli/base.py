@@ -1,8 +1,9 @@
-"""What can be played: specifications that build a force history, and how they are found.
+"""What can be played: specifications that build a force or voltage history, and how they are found.
 
-A kind of stimulus registers by one declaration in a file of its own in this package; other packages add theirs by
-an entry point in the group ``tissueid.stimuli``. A built stimulus carries a description from which it can be built
-again, sample for sample.
+A kind of stimulus registers by one declaration in a file of its own under ``kinds/``; other packages add theirs by
+an entry point in the group ``tissueid.stimuli``. Open-loop kinds are built before the test, and a built stimulus
+carries a description from which it can be built again, sample for sample. Feedback kinds are generated while the test
+runs (:mod:`tissueid.stimuli.feedback`).
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
@@ -27,9 +28,12 @@ RISE_S = 0.05
 Array = NDArray[np.float64]
 
 
+Unit = Literal["N", "V"]
+
+
 @dataclass(frozen=True, eq=False)
 class Stimulus:
-    """A force history to be played: ``values`` (n,) in N at ``sample_rate_hz``.
+    """A history to be played: ``values`` (n,) in ``unit``, N or V, at ``sample_rate_hz``.
 
     ``description`` is plain data, enough for :func:`rebuild`. ``crest_factor`` is the peak over the
     root-mean-square of the part about its mean. ``preload_s`` seconds at the start hold the mean load.
@@ -41,6 +45,7 @@ class Stimulus:
     seed: int
     crest_factor: float
     preload_s: float = 0.0
+    unit: Unit = "N"
 
     def __len__(self) -> int:
         return self.values.size
@@ -57,10 +62,6 @@ class StimulusKind(BaseModel, ABC):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: ClassVar[str]
-
-    @abstractmethod
-    def build(self) -> Stimulus:
-        """Build the force history. The same specification always gives the same samples."""
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -81,8 +82,44 @@ class StimulusKind(BaseModel, ABC):
         return {"type": self.name} | self.model_dump(mode="json")
 
 
+class OpenLoopKind(StimulusKind):
+    """A stimulus that is known before the test."""
+
+    @abstractmethod
+    def build(self) -> Stimulus:
+        """Build the history. The same specification always gives the same samples."""
+
+
+class Ranged(OpenLoopKind):
+    """An open-loop stimulus that keeps to a range: of force, or of voltage when both its ends are given."""
+
+    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description="Least force, N")
+    force_max_n: float = Field(8.0, ge=-100.0, le=100.0, description="Greatest force, N")
+    voltage_min_v: float | None = Field(
+        None, ge=-1000.0, le=1000.0, description="Least voltage, V: designs the voltage instead of the force"
+    )
+    voltage_max_v: float | None = Field(None, ge=-1000.0, le=1000.0, description="Greatest voltage, V")
+
+    @model_validator(mode="after")
+    def _range_holds(self) -> Self:
+        if (self.voltage_min_v is None) != (self.voltage_max_v is None):
+            raise UnusableInputError("a range of voltage needs both its ends, voltage_min_v and voltage_max_v")
+        low, high, unit = self.span
+        if low >= high:
+            what = "force" if unit == "N" else "voltage"
+            raise UnusableInputError(f"the least {what} ({low:g} {unit}) must be below the greatest ({high:g} {unit})")
+        return self
+
+    @property
+    def span(self) -> tuple[float, float, Unit]:
+        """Least and greatest value, and their unit."""
+        if self.voltage_min_v is None or self.voltage_max_v is None:
+            return self.force_min_n, self.force_max_n, "N"
+        return self.voltage_min_v, self.voltage_max_v, "V"
+
+
 _Kind = TypeVar("_Kind", bound=type[StimulusKind])
-_kinds: Registry[StimulusKind] = Registry("stimulus", StimulusKind, "tissueid.stimuli", "tissueid.stimuli")  # type: ignore[type-abstract]
+_kinds: Registry[StimulusKind] = Registry("stimulus", StimulusKind, "tissueid.stimuli.kinds", "tissueid.stimuli")  # type: ignore[type-abstract]
 
 
 def stimulus(declared: _Kind) -> _Kind:
@@ -109,11 +146,26 @@ def stimulus_names() -> tuple[str, ...]:
     return _kinds.names()
 
 
+def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:
+    """Build a stimulus of an open-loop kind from named options.
+
+    Raises:
+        UnusableInputError: no such kind, an option does not hold, or the kind is generated while a test runs.
+    """
+    specification = get_stimulus(name).from_options(options)
+    if not isinstance(specification, OpenLoopKind):
+        raise UnusableInputError(
+            f"the stimulus {name!r} is generated while the test runs: what was played is the recorded command"
+        )
+    return specification.build()
+
+
 def rebuild(description: Mapping[str, Any]) -> Stimulus:
     """Build a stimulus again from its description, as a session holds it.
 
     Raises:
-        UnusableInputError: the description is of no known kind, or its options do not hold.
+        UnusableInputError: the description is of no known kind, its options do not hold, or it was generated while
+            the test ran.
     """
     fields = dict(description)
     kind = fields.pop("type", None)
@@ -121,7 +173,7 @@ def rebuild(description: Mapping[str, Any]) -> Stimulus:
         return guided(rebuild(fields.get("stimulus", {})), preload_s=float(fields.get("preload_s", 0.5)))
     if not isinstance(kind, str):
         raise UnusableInputError("the description of the stimulus does not say its type")
-    return get_stimulus(kind).from_options(fields).build()
+    return build_stimulus(kind, fields)
 
 
 def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
@@ -150,21 +202,22 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
         seed=played.seed,
         crest_factor=played.crest_factor,
         preload_s=preload_s,
+        unit=played.unit,
     )
 
 
-def to_voltage(force: Array, device: DeviceDescription) -> Array:
-    """Volts, shape (n,), that would hold each force (n,) in N on a coil at rest.
+def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Array:
+    """The command, V, shape (n,), for values (n,): volts as they are, newtons as held by a coil at rest.
 
     Raises:
         LimitError: the amplifier cannot give that voltage.
     """
-    voltage = np.asarray(force, dtype=np.float64) * device.voltage_for_force(1.0)
+    voltage = np.asarray(values, dtype=np.float64) * (device.voltage_for_force(1.0) if unit == "N" else 1.0)
     peak = float(np.max(np.abs(voltage), initial=0.0))
     if peak > device.amplifier_limit_v:
         raise LimitError(
             f"the stimulus asks for {peak:.3g} V and the amplifier gives {device.amplifier_limit_v:g} V: "
-            "lower the force range"
+            f"lower the {'force' if unit == 'N' else 'voltage'} range"
         )
     return voltage
 

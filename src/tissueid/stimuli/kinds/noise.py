@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli.base import Array, Stimulus, StimulusKind, crest_factor, stimulus
+from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 _SETTLE_CYCLES = 40
 """Periods of the cut-off frequency after which the start of the filter has died away."""
@@ -18,7 +18,7 @@ _ALTERNATIONS = 30
 
 
 @stimulus
-class Noise(StimulusKind):
+class Noise(Ranged):
     """White noise through a Butterworth low-pass, brought to a range of force (Chen 2010, 3.1.1).
 
     Gaussian: the filtered noise is scaled so that the share ``clipped`` of its samples reaches the ends of the
@@ -40,8 +40,6 @@ class Noise(StimulusKind):
     seconds: float = Field(4.0, gt=0.0, le=600.0, description="Length, s")
     sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
     seed: int = Field(0, ge=0, le=2**63 - 1, description="The same seed gives the same samples")
-    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description="Least force, N")
-    force_max_n: float = Field(8.0, ge=-100.0, le=100.0, description="Greatest force, N")
     clipped: float = Field(0.0027, ge=0.0, le=0.1, description="Gaussian: share of samples held at the range's ends")
 
     @model_validator(mode="after")
@@ -50,10 +48,6 @@ class Noise(StimulusKind):
             raise UnusableInputError(
                 f"a cut-off of {self.cutoff_hz:g} Hz needs more than {2 * self.cutoff_hz:g} samples a second, "
                 f"not {self.sample_rate:g}"
-            )
-        if self.force_min_n >= self.force_max_n:
-            raise UnusableInputError(
-                f"the least force ({self.force_min_n:g} N) must be below the greatest ({self.force_max_n:g} N)"
             )
         if round(self.seconds * self.sample_rate) < 16:
             raise UnusableInputError(f"{self.seconds:g} s at {self.sample_rate:g} Hz is too short for noise")
@@ -69,13 +63,15 @@ class Noise(StimulusKind):
         start = _mean_crossing(filtered[: settle + 1])
         shape = filtered[start : start + n]
         unit = _uniform(shape) if self.distribution == "uniform" else _gaussian(shape, self.clipped)
-        values = self.force_min_n + 0.5 * (unit + 1.0) * (self.force_max_n - self.force_min_n)
+        low, high, quantity = self.span
+        values = low + 0.5 * (unit + 1.0) * (high - low)
         return Stimulus(
             values=values,
             sample_rate_hz=self.sample_rate,
             description=self.describe(),
             seed=self.seed,
             crest_factor=crest_factor(values),
+            unit=quantity,
         )
 
 

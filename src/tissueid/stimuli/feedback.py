@@ -1,0 +1,54 @@
+"""Stimuli that are generated while the test runs, from what it measures (Chen 2010, 6.3).
+
+Set-points go out in blocks, a few blocks ahead of what was measured, because a cable lies between the two. The source
+of a running test is the one thing here that changes; its specification is frozen like any other.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from pydantic import Field
+
+from tissueid.stimuli.base import Array, StimulusKind
+
+BLOCK = 50
+"""Samples in a block of set-points: 25 ms at 2 kHz, the thesis' feedback cycle (6.3.1)."""
+
+
+class FeedbackSource(ABC):
+    """One stimulus under way: what was measured goes in, blocks of set-points come out. Reads no clock."""
+
+    @abstractmethod
+    def take(self, force: Array, position: Array, first: int) -> None:
+        """Take in measured force (k,), N, and position (k,), m, in the order of time; NaN where a sample was lost.
+
+        ``first`` is the number of the first of them, counted from the first set-point: negative during the preload.
+        """
+
+    @abstractmethod
+    def next_block(self) -> Array:
+        """The next ``BLOCK`` set-points, N, shape (BLOCK,), within the range of the specification."""
+
+    @abstractmethod
+    def report(self) -> dict[str, Any]:
+        """What came of it so far, plain values fit for JSON."""
+
+
+class FeedbackKind(StimulusKind):
+    """The specification of a stimulus that is generated while the test runs."""
+
+    seconds: float = Field(5.0, gt=0.0, le=600.0, description="Length, s; the preload comes before it")
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="The same seed and the same answers give the same samples")
+    lead: int = Field(2, ge=1, le=20, description="Blocks by which the set-points are ahead of what was measured")
+
+    @property
+    @abstractmethod
+    def preload_n(self) -> float:
+        """The load, N, that is held before, and again when set-points fail to come."""
+
+    @abstractmethod
+    def start(self, surface_m: float) -> FeedbackSource:
+        """A source for one test. ``surface_m`` is the position where the tissue begins."""
