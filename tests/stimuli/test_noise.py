@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,6 +87,68 @@ def test_the_first_sample_lies_within_one_step_of_the_mean(distribution: str):
 
 
 @pytest.mark.parametrize(
+    ("distribution", "played"),
+    [
+        ("gaussian", [4.2663448389564165, 4.297991895903367, 6.530485720162437, 4.433720111821927]),
+        ("uniform", [3.9260532566570823, 3.423740467558445, 0.8885485685710715, 4.535129391173897]),
+    ],
+)
+def test_what_sessions_have_played_is_what_their_description_builds(distribution: str, played: list[float]):
+    description = {
+        "type": "noise",
+        "distribution": distribution,
+        "force_min_n": 0.5,
+        "force_max_n": 7.5,
+        "cutoff_hz": 200.0,
+        "order": 8,
+        "seconds": 4.0,
+        "sample_rate": 2000.0,
+        "seed": 7,
+        "clipped": 0.0027,
+    }
+    np.testing.assert_allclose(rebuild(description).values[[0, 1, 1000, 7999]], played, rtol=1e-9)
+
+
+TABLES: dict[str, dict[str, object]] = {
+    "quantiles": {"quantiles": (0.0, 1.0, 4.0), "probabilities": (0.0, 0.2, 1.0)},
+    "power": {"frequencies_hz": (20.0, 50.0, 300.0), "densities": (0.0, 3.0, 0.0)},
+    "autocorrelation": {"lags_s": (0.0, 0.01), "correlations": (1.0, 0.0)},
+}
+SPECTRA = ("butterworth", "band", "white", "exponential", "second_order", "power", "autocorrelation")
+
+
+@pytest.mark.parametrize("spectrum", SPECTRA)
+@pytest.mark.parametrize("distribution", ["gaussian", "uniform", "rayleigh", "exponential", "quantiles"])
+def test_every_distribution_with_every_spectrum(distribution: str, spectrum: str):
+    options = {"distribution": distribution, "spectrum": spectrum, "seconds": 30.0, "seed": 1}
+    noise = Noise.from_options(options | TABLES.get(distribution, {}) | TABLES.get(spectrum, {}))
+    built = noise.build()
+    if distribution != "gaussian":
+        levels = noise.wanted_distribution().levels(60_000)
+        np.testing.assert_array_equal(np.sort(built.values), noise.over_range(levels))
+    about = (built.values - built.values.mean()) / built.values.std()
+    found = np.array([1.0] + [np.mean(about[:-k] * about[k:]) for k in range(1, 101)])
+    wanted = noise.wanted_spectrum().autocorrelation(100, 2000.0)
+    assert np.max(np.abs(found - wanted)) < 0.06  # four standard deviations of the estimate from 30 s, at the widest
+    assert abs(about[0]) <= np.max(np.abs(np.diff(about)))
+
+
+def test_a_binary_signal_keeps_its_two_values_and_most_of_its_spectrum():
+    built = Noise(distribution="binary", seconds=30.0, force_min_n=1.0, force_max_n=3.0).build()
+    assert np.count_nonzero(built.values == 1.0) == np.count_nonzero(built.values == 3.0) == 30_000
+    assert share_above(built.values, 250.0) < 0.2
+    assert built.crest_factor == pytest.approx(1.0)
+
+
+def test_tables_survive_json():
+    options = {"distribution": "quantiles", "spectrum": "autocorrelation", "seconds": 1.0}
+    first = Noise.from_options(options | TABLES["quantiles"] | TABLES["autocorrelation"]).build()
+    again = rebuild(json.loads(json.dumps(first.description)))
+    np.testing.assert_array_equal(again.values, first.values)
+    assert again.description == first.description
+
+
+@pytest.mark.parametrize(
     ("options", "told"),
     [
         ({"cutoff_hz": 1000.0}, r"a cut-off of 1000 Hz needs more than 2000 samples a second"),
@@ -94,9 +158,13 @@ def test_the_first_sample_lies_within_one_step_of_the_mean(distribution: str):
         ({"seconds": -1.0}, "option 'seconds'"),
         ({"order": 0}, "option 'order'"),
         ({"colour": "pink"}, "option 'colour'"),
+        ({"spectrum": "band", "cutoff_hz": 1000.0}, r"a cut-off of 1000 Hz needs more than 2000 samples a second"),
+        ({"spectrum": "power", "frequencies_hz": (1.0, 2.0), "densities": (1.0, -1.0)}, "cannot be negative"),
+        ({"lags_s": (0.0, 1.0)}, "lags_s are given, and belong to spectrum 'autocorrelation'"),
+        ({"distribution": "quantiles", "quantiles": (2.0, 1.0)}, "must not fall"),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, float], told: str):
+def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, object], told: str):
     with pytest.raises(UnusableInputError, match=told) as refused:
         Noise.from_options(options)
     assert "\n" not in str(refused.value)

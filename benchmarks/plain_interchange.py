@@ -1,0 +1,55 @@
+"""The interchange as it was published (Hunter and Kearney 1983), with the whole autocorrelation for every swap.
+
+By Fourier transform, which is the fastest way to the whole of it: at 10,000 samples, 500 scalar products take longer.
+The energy, which no swap changes, is taken once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Arranged:
+    """Values (n,) and the sum of squares over the lags that they come to."""
+
+    values: Array
+    error: float
+    tried: int
+
+
+def interchange(start: Array, target: Array, seed: int, tolerance: float, max_trials: int) -> Arranged:
+    """Swap drawn pairs, each kept when the error falls, until it is at most the tolerance or the trials are used up."""
+    values = start - start.mean()
+    n, lags = values.size, target.size - 1
+    padded = int(fft.next_fast_len(n + lags, real=True))
+    energy = float(values @ values)
+
+    def error_now() -> float:
+        spectrum = fft.rfft(values, padded)
+        correlation = fft.irfft(spectrum.real**2 + spectrum.imag**2, padded)[1 : lags + 1]
+        apart = correlation / energy - target[1:]
+        return float(apart @ apart)
+
+    draw = np.random.Generator(np.random.PCG64(seed))
+    order = np.arange(n)
+    error, tried = error_now(), 0
+    while error > tolerance and tried < max_trials:
+        for one, other in draw.integers(1, n, (min(10_000, max_trials - tried), 2)):
+            if error <= tolerance:
+                break
+            tried += 1
+            values[one], values[other] = values[other], values[one]
+            found = error_now()
+            if found < error:
+                error = found
+                order[one], order[other] = order[other], order[one]
+            else:
+                values[one], values[other] = values[other], values[one]
+    return Arranged(start[order], error, tried)

@@ -1,0 +1,1 @@
+"""What docs/stimuli.md claims, measured: one module a topic, each with ``claims()``."""

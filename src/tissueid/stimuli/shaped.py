@@ -1,0 +1,132 @@
+"""Options that stimuli with an amplitude distribution and a spectrum have in common."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli import distributions, spectra
+from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor
+from tissueid.stimuli.distributions import Distribution, DistributionName
+from tissueid.stimuli.spectra import Spectrum, SpectrumName
+
+_MOST_ROWS = 10_000
+
+_TABLES = {
+    "quantiles": ("distribution", "quantiles"),
+    "probabilities": ("distribution", "quantiles"),
+    "frequencies_hz": ("spectrum", "power"),
+    "densities": ("spectrum", "power"),
+    "lags_s": ("spectrum", "autocorrelation"),
+    "correlations": ("spectrum", "autocorrelation"),
+}
+"""Which choice a table belongs to."""
+
+
+class Shaped(Ranged):
+    """A stimulus that is asked for by its distribution over the range and by its spectrum."""
+
+    distribution: DistributionName = Field("gaussian", description="Distribution over the range")
+    spectrum: SpectrumName = Field(
+        "butterworth",
+        description="Spectrum: a filter's, flat (white, or up to the cut-off: band), a form of autocorrelation "
+        "(exponential, second_order), or a table (power, autocorrelation)",
+    )
+    cutoff_hz: float = Field(200.0, gt=0.0, description="butterworth, band: cut-off frequency, Hz")
+    order: int = Field(8, ge=1, le=12, description="butterworth: order of the low-pass")
+    time_constant_s: float = Field(0.005, gt=0.0, le=60.0, description="exponential: decay to 1/e of it, s")
+    natural_hz: float = Field(40.0, gt=0.0, description="second_order: undamped natural frequency, Hz")
+    damping: float = Field(0.3, gt=0.0, lt=1.0, description="second_order: damping ratio")
+    frequencies_hz: tuple[float, ...] = Field((), max_length=_MOST_ROWS, description="power: frequencies, Hz, rising")
+    densities: tuple[float, ...] = Field((), max_length=_MOST_ROWS, description="power: density at each, in any unit")
+    lags_s: tuple[float, ...] = Field((), max_length=_MOST_ROWS, description="autocorrelation: lags, s, from 0, rising")
+    correlations: tuple[float, ...] = Field((), max_length=_MOST_ROWS, description="autocorrelation: value at each lag")
+    quantiles: tuple[float, ...] = Field((), max_length=_MOST_ROWS, description="quantiles: values, not falling")
+    probabilities: tuple[float, ...] = Field(
+        (), max_length=_MOST_ROWS, description="quantiles: probability of each value, 0 to 1; evenly spaced without"
+    )
+    cut: float = Field(
+        3.0, ge=1.0, le=6.0, description="Where an endless tail is cut, in standard deviations from the mean"
+    )
+    seconds: float = Field(4.0, gt=0.0, le=600.0, description="Length, s")
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="The same seed gives the same samples")
+
+    @model_validator(mode="after")
+    def _shape_holds(self) -> Self:
+        for table, (option, choice) in _TABLES.items():
+            if getattr(self, table) and getattr(self, option) != choice:
+                raise UnusableInputError(f"{table} are given, and belong to {option} {choice!r}: choose that too")
+        if self.samples < 16:
+            raise UnusableInputError(f"{self.seconds:g} s at {self.sample_rate:g} Hz is too short for {self.name}")
+        self.check_size()
+        self.wanted_distribution()
+        self.wanted_spectrum().check(self.sample_rate)
+        return self
+
+    @property
+    def samples(self) -> int:
+        """Length in samples."""
+        return round(self.seconds * self.sample_rate)
+
+    def wanted_distribution(self) -> Distribution:
+        """The distribution, over -1 to 1.
+
+        Raises:
+            UnusableInputError: the table of quantiles is none.
+        """
+        match self.distribution:
+            case "gaussian":
+                return distributions.Gaussian(self.cut)
+            case "uniform":
+                return distributions.Uniform()
+            case "rayleigh":
+                return distributions.Rayleigh(self.cut)
+            case "exponential":
+                return distributions.Exponential(self.cut)
+            case "binary":
+                return distributions.Binary()
+            case "quantiles":
+                return distributions.Quantiles(self.quantiles, self.probabilities)
+
+    def wanted_spectrum(self) -> Spectrum:
+        """The spectrum.
+
+        Raises:
+            UnusableInputError: the table of the power or of the autocorrelation is none.
+        """
+        match self.spectrum:
+            case "butterworth":
+                return spectra.Butterworth(self.cutoff_hz, self.order)
+            case "white":
+                return spectra.White()
+            case "band":
+                return spectra.Band(self.cutoff_hz)
+            case "exponential":
+                return spectra.ExponentialDecay(self.time_constant_s)
+            case "second_order":
+                return spectra.SecondOrder(self.natural_hz, self.damping)
+            case "power":
+                return spectra.PowerTable(self.frequencies_hz, self.densities)
+            case "autocorrelation":
+                return spectra.AutocorrelationTable(self.lags_s, self.correlations)
+
+    def over_range(self, unit: Array) -> Array:
+        """Values (n,) over the range for values (n,) over -1 to 1."""
+        low, high, _ = self.span
+        return np.asarray(low + 0.5 * (unit + 1.0) * (high - low), dtype=np.float64)
+
+    def as_stimulus(self, unit: Array) -> Stimulus:
+        """The stimulus whose values over -1 to 1 are these (n,)."""
+        values = self.over_range(unit)
+        return Stimulus(
+            values=values,
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=self.seed,
+            crest_factor=crest_factor(values),
+            unit=self.span[2],
+        )

@@ -1,0 +1,146 @@
+"""Spectra: power and autocorrelation belong together, are those named, and impossible ones are refused."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import integrate, signal
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli.spectra import (
+    AutocorrelationTable,
+    Band,
+    Butterworth,
+    ExponentialDecay,
+    PowerTable,
+    SecondOrder,
+    Spectrum,
+    White,
+)
+
+RATE = 2000.0
+TRIANGLE = AutocorrelationTable((0.0, 0.01), (1.0, 0.0))
+SLOPES = PowerTable((10.0, 50.0, 200.0, 300.0), (1.0, 4.0, 2.0, 0.0))
+SMOOTH = (
+    White(),
+    Butterworth(200.0),
+    Butterworth(30.0, order=3),
+    ExponentialDecay(0.005),
+    SecondOrder(40.0, 0.3),
+    TRIANGLE,
+)
+
+
+@pytest.mark.parametrize("spectrum", [*SMOOTH, Band(200.0), SLOPES], ids=repr)
+def test_both_are_normalised(spectrum: Spectrum):
+    spectrum.check(RATE)
+    correlation, power = spectrum.autocorrelation(50, RATE), spectrum.power(100_000, RATE)
+    assert correlation.shape == (51,)
+    assert correlation[0] == 1.0
+    assert np.max(np.abs(correlation)) <= 1.0
+    assert np.min(power) >= 0.0
+    assert np.mean(power) == pytest.approx(1.0, abs=1e-3)
+    assert spectrum.power(15, RATE).shape == (8,)
+
+
+@pytest.mark.parametrize("spectrum", SMOOTH, ids=repr)
+def test_power_and_autocorrelation_are_a_pair(spectrum: Spectrum):
+    n = 1 << 15
+    whole = np.fft.irfft(spectrum.power(n, RATE), n)
+    np.testing.assert_allclose(spectrum.autocorrelation(500, RATE), whole[:501], atol=1e-9)
+
+
+def test_a_butterworth_is_what_the_filter_makes_of_white_noise():
+    response = signal.sosfilt(signal.butter(8, 200.0, fs=RATE, output="sos"), np.eye(1, 6000)[0])
+    expected = np.correlate(response, response, "full")[5999:6500]
+    np.testing.assert_allclose(Butterworth(200.0).autocorrelation(500, RATE), expected / expected[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("spectrum", [SLOPES, Band(200.0), PowerTable((5.0, 6.0, 6.5), (0.0, 1.0, 0.0))], ids=repr)
+def test_an_autocorrelation_is_the_integral_of_the_power(spectrum: Spectrum):
+    f, s = ((0.0, 200.0), (1.0, 1.0)) if isinstance(spectrum, Band) else (spectrum.frequencies_hz, spectrum.densities)
+    found = spectrum.autocorrelation(300, RATE)
+    whole = np.trapezoid(s, f)
+    for lag in (1, 7, 60, 300):
+        expected = sum(
+            integrate.quad(lambda x, w=2 * np.pi * lag / RATE: np.interp(x, f, s) * np.cos(w * x), a, b, limit=200)[0]
+            for a, b in pairwise(f)
+        )
+        assert found[lag] == pytest.approx(expected / whole, abs=1e-9)
+
+
+def test_the_forms_of_the_thesis():
+    t = np.arange(101) / RATE
+    np.testing.assert_allclose(ExponentialDecay(0.01).autocorrelation(100, RATE), np.exp(-100.0 * t), rtol=1e-12)
+    w, z = 2.0 * np.pi * 16.0, 0.3
+    expected = np.exp(-w * z * t) * np.cos(w * np.sqrt(1.0 - z**2) * t)
+    np.testing.assert_allclose(SecondOrder(16.0, 0.3).autocorrelation(100, RATE), expected, atol=1e-12)
+
+
+def test_a_table_of_an_autocorrelation_gives_the_power_of_what_it_was_taken_from():
+    lags = np.arange(400) / RATE
+    taken = tuple(np.exp(-lags / 0.005))
+    table = AutocorrelationTable(tuple(lags), taken)
+    table.check(RATE)
+    np.testing.assert_allclose(table.autocorrelation(399, RATE), taken, atol=1e-12)
+    np.testing.assert_allclose(table.power(1000, RATE), ExponentialDecay(0.005).power(1000, RATE), atol=1e-9)
+    assert table.autocorrelation(500, RATE)[400:].max() == 0.0
+    assert table.power(200, RATE).mean() == pytest.approx(1.0, abs=0.1)  # longer than the record: comes round
+
+
+def test_rounding_to_three_digits_does_not_make_an_autocorrelation_impossible():
+    lags = np.arange(200) / RATE
+    window = 1.0 - np.arange(200) / 200.0
+    rounded = np.round(Band(200.0).autocorrelation(199, RATE) * window, 3)
+    AutocorrelationTable(tuple(lags), tuple(rounded)).check(RATE)
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "told"),
+    [
+        (Butterworth(1000.0), r"a cut-off of 1000 Hz needs more than 2000 samples a second, not 2000"),
+        (Band(1500.0), r"a cut-off of 1500 Hz needs more than 3000 samples a second"),
+        (SecondOrder(1000.0, 0.3), r"a natural frequency of 1000 Hz needs more than 2000 samples a second"),
+        (PowerTable((0.0, 1200.0), (1.0, 1.0)), r"a power spectrum up to 1200 Hz needs at least 2400 samples a second"),
+        (
+            AutocorrelationTable((0.0, 0.0005, 0.001), (1.0, 0.9, 0.0)),
+            r"no signal has this autocorrelation: its spectrum would be negative, at 1000 Hz by 0\.8 times the mean",
+        ),
+        (AutocorrelationTable((0.0, 0.01, 0.0101), (1.0, 1.0, 0.0)), "its spectrum would be negative"),
+    ],
+    ids=repr,
+)
+def test_what_no_sampled_signal_has_is_refused_in_one_line(spectrum: Spectrum, told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        spectrum.check(RATE)
+    assert "\n" not in str(refused.value)
+
+
+def test_power_that_ends_at_half_the_sample_rate_is_not_above_it():
+    PowerTable((0.0, 1000.0), (1.0, 1.0)).check(RATE)
+    PowerTable((0.0, 1000.0, 5000.0, 6000.0), (1.0, 0.0, 0.0, 0.0)).check(RATE)
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: PowerTable((1.0, 2.0), (1.0,)), "2 frequencies, 1 densities"),
+        (lambda: PowerTable((), ()), "at least 2 frequencies"),
+        (lambda: PowerTable((1.0, 1.0), (1.0, 1.0)), "must rise"),
+        (lambda: PowerTable((-1.0, 1.0), (1.0, 1.0)), "from 0 or above"),
+        (lambda: PowerTable((1.0, 2.0, 3.0), (1.0, -0.5, 1.0)), r"at 2 Hz is -0\.5: it cannot be negative"),
+        (lambda: PowerTable((1.0, 2.0), (0.0, 0.0)), "no power at any frequency"),
+        (lambda: AutocorrelationTable((0.0,), (1.0,)), "1 lags, 1 values"),
+        (lambda: AutocorrelationTable((0.0, 0.1), (1.0,)), "2 lags, 1 values"),
+        (lambda: AutocorrelationTable((0.1, 0.2), (1.0, 0.5)), "begin at 0"),
+        (lambda: AutocorrelationTable((0.0, 0.2, 0.1), (1.0, 0.5, 0.4)), "rise from one to the next"),
+        (lambda: AutocorrelationTable((0.0, 0.1), (2.0, 0.5)), "1 at lag 0, not 2"),
+        (lambda: AutocorrelationTable((0.0, 0.1), (1.0, -1.5)), r"between -1 and 1, and at 0\.1 s this one is -1\.5"),
+    ],
+)
+def test_tables_that_are_none_are_refused_in_one_line(make, told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        make()
+    assert "\n" not in str(refused.value)
