@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from reports.page_check import checked
-from reports.synthetic_sitting import make_session, make_test
+from reports.synthetic_sitting import RATE_HZ, make_session, make_test
 from scipy import signal
 
 from tissueid.analysis import EngineComparison, compare, known_ceiling, specifications, split
@@ -15,6 +15,8 @@ from tissueid.reports import ComparisonReport, blocks, comparison_report
 from tissueid.reports.blocks import absent
 from tissueid.reports.comparison_figures import scores_figure, sweep_figure
 from tissueid.sessions import Session
+from tissueid.stimuli import guided
+from tissueid.stimuli.kinds.multisine import Multisine
 
 ENGINES = ("lms", "als", "depth")
 OPTIONS = {
@@ -165,3 +167,24 @@ def test_distortion_is_drawn_where_the_stimulus_was_an_odd_multisine():
     assert "<svg" in section
     assert "even" in section
     assert "dB" in section
+
+
+@pytest.mark.parametrize(("lines", "told"), [("odd_random", "<svg"), ("full", "the multisine drove every line")])
+def test_distortion_goes_by_the_lines_that_the_stimulus_names(lines: str, told: str):
+    spec = Multisine(lines=lines, period_s=0.5, periods=6, phases="random", draws=1, sample_rate=RATE_HZ)
+    played = guided(spec.build())
+    test = make_test(1, seconds=played.seconds)
+    load = signal.lfilter([0.2], [1.0, -0.8], played.values - 4.0)
+    position = 0.013 + 1e-3 * load + 1e-7 * np.random.default_rng(4).standard_normal(load.size)
+    sitting = make_session(
+        replace(
+            test,
+            signals={name: values[: load.size] for name, values in test.signals.items()}
+            | {"force": played.values, "position": position},
+            preload_s=played.preload_s,
+            stimulus=played.description,
+        )
+    )
+    page = comparison_report(sitting, made(sitting, "lms")).html()
+    section = page[page.index("Distortion by a multisine") :]
+    assert told in section[: section.index("</figure>")]

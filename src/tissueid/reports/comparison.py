@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
+from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
-from tissueid.identification.validation.distortion import distortion
+from tissueid.identification.validation.distortion import Distortion, distortion
+from tissueid.records import Record
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.comparison_figures import (
     depth_profiles,
@@ -28,6 +31,7 @@ from tissueid.reports.record_pictures import distributions_picture, power_pictur
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
+from tissueid.stimuli.kinds.multisine import played_multisine
 from tissueid.wording import engine_label, fixed
 
 Progress = Callable[[str, float], None]
@@ -169,7 +173,7 @@ def _distortion(material: Material) -> Picture:
 
     def make() -> tuple[Figure, str]:
         record = test.record(*names)
-        levels = distortion(record)
+        levels = _separated(record, test.stimulus)
         said = [
             f"{what} {fixed(decibel, 1)} dB"
             for what, level in (("noise", levels.noise_rms), ("even", levels.even_rms), ("odd", levels.odd_rms))
@@ -185,6 +189,16 @@ def _distortion(material: Material) -> Picture:
 
     alt = "Levels of the output against frequency: at driven lines, at odd and even lines between, and the noise."
     return picture("distortion", _DISTORTION, alt, make)
+
+
+def _separated(record: Record, described: Mapping[str, Any]) -> Distortion:
+    """Noise and distortion by the lines that the stimulus says it drove; they are found where it does not say."""
+    known = played_multisine(described)
+    if known is None:
+        return distortion(record)
+    if known.lines == "full":
+        raise UnusableInputError("the multisine drove every line, and distortion shows on lines that are not driven")
+    return distortion(record, known.period, known.driven_lines().tolist(), known.settling_s)
 
 
 def _of_engine(subject: Subject[Model]) -> Section:

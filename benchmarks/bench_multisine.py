@@ -1,0 +1,40 @@
+"""Phases of a low crest factor from random ones: L-BFGS by Fourier transforms against Levenberg-Marquardt as published.
+
+The answers are different sets of phases; they are held to the same crest factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from benchmarks import plain_multisine
+from benchmarks.base import Comparison
+from tissueid.stimuli.crest import grid_size, lowered, peak_ratio
+
+
+def comparisons() -> Iterable[Comparison]:
+    for count, period, floor in ((31, 512, None), (100, 2000, 5.0)):
+        yield _low_crest(count, period, floor)
+
+
+def _low_crest(count: int, period: int, floor: float | None) -> Comparison:
+    lines, flat = np.arange(1, count + 1), np.ones(count)
+    start = 2.0 * np.pi * np.random.Generator(np.random.PCG64(2)).random(count)
+    size = grid_size(lines, period)
+
+    def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
+        return abs(peak_ratio(lines, flat, ours, period) - peak_ratio(lines, flat, theirs, period))
+
+    return Comparison(
+        "low-crest multisine",
+        f"{count} lines, {size} points",
+        lambda: lowered(lines, flat, start, period),
+        lambda: plain_multisine.low_crest(lines, flat, start, size),
+        apart,
+        0.03,
+        floor,
+        blocks=2,
+        runs_in_block=2,
+    )

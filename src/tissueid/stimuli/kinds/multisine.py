@@ -1,0 +1,255 @@
+"""Multisine: a sum of sines on the lines of a period, played several times over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli.base import GUIDED, Array, Ranged, Stimulus, crest_factor, stimulus
+from tissueid.stimuli.crest import Lines, lowered, peak_ratio, schroeder_phases
+from tissueid.stimuli.multisine import (
+    best_of_random,
+    butterworth,
+    detection_lines,
+    lines_between,
+    played,
+    without_notches,
+)
+
+_USUAL_GROUP = 2
+_LARGEST_PERIOD = 2**20
+_LONGEST_S = 600.0
+_WHOLE = 1e-6
+"""How far from a whole number of samples a period may be: rounding of a decimal fraction."""
+
+_LINES, _PHASES = range(2)
+"""Streams of random numbers: the choice of lines does not follow from that of the phases."""
+
+
+@stimulus
+class Multisine(Ranged):
+    """Sines on chosen lines of a period, repeated exactly (Chen 2010, 6.1; Pintelon and Schoukens, 2nd ed., ch. 4-5).
+
+    ``full`` drives every line of the band, ``odd`` every odd one, ``odd_random`` every odd one but one in each
+    ``group`` of consecutive ones, chosen at random: the detection lines. Lines that are not driven hold no power at
+    all, so what the answer holds there is noise or nonlinearity; ``distortion`` of
+    ``tissueid.identification.validation`` tells which. Frequencies in ``notches`` are left out like those outside the
+    band; they have no detection lines.
+
+    Phases: ``low_crest`` minimises the crest factor from random starts, ``schroeder`` takes his formula as it
+    stands, ``random`` keeps random phases, which a best linear approximation over several realisations needs, and
+    takes the best of ``draws``. Realisations that belong together differ in ``seed`` and share everything else, so
+    also ``lines_seed`` and with it the lines.
+
+    The record is a run-in of ``settling_s`` and then whole periods. It uses its range to both ends and begins within
+    a step of its mean, so a preload at the mean leads into it. Its ``crest_factor`` is that of a period.
+    """
+
+    name: ClassVar[str] = "multisine"
+
+    period_s: float = Field(2.0, gt=0.0, le=_LONGEST_S, description="Period, s: one over it is the resolution in Hz")
+    period_samples: int | None = Field(
+        None, ge=8, le=_LARGEST_PERIOD, description="Period in samples, in place of seconds"
+    )
+    periods: int = Field(2, ge=1, le=1000, description="Whole periods; two or more tell noise from distortion")
+    settling_s: float = Field(0.25, ge=0.0, le=60.0, description="Run-in before the first whole period, s")
+    lowest_hz: float = Field(0.0, ge=0.0, le=1e6, description="Lowest frequency that may be driven, Hz")
+    highest_hz: float = Field(200.0, gt=0.0, le=1e6, description="Highest frequency that may be driven, Hz")
+    lines: Literal["full", "odd", "odd_random"] = Field("odd_random", description="Which lines are driven")
+    group: int | None = Field(
+        None, ge=2, le=100, description=f"odd_random: of so many odd lines one is a detection line; {_USUAL_GROUP}"
+    )
+    lines_seed: int = Field(0, ge=0, le=2**63 - 1, description="odd_random: the same seed gives the same lines")
+    notches: tuple[tuple[float, float], ...] = Field((), description="Bands (low, high) that are left out, Hz")
+    spectrum: Literal["flat", "butterworth", "power_law", "table"] = Field("flat", description="Amplitude of the lines")
+    cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description="butterworth: cut-off frequency, Hz")
+    order: int = Field(2, ge=1, le=12, description="butterworth: order")
+    exponent: float = Field(1.0, ge=-4.0, le=4.0, description="power_law: the amplitude goes as 1 / frequency to this")
+    table: tuple[tuple[float, float], ...] = Field(
+        (), description="table: (frequency in Hz, relative amplitude), straight between, level beyond the ends"
+    )
+    phases: Literal["low_crest", "schroeder", "random"] = Field("low_crest", description="Phases of the lines")
+    draws: int = Field(2, ge=1, le=100, description="Random sets of phases that are tried; the best is kept")
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="Realisation: the same seed gives the same phases")
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        self._check_length()
+        self._check_band()
+        self._check_spectrum()
+        if self.lines != "odd_random" and self.group is not None:
+            raise UnusableInputError(
+                f"detection lines are odd lines left out: choose odd_random lines, or no group for {self.lines} ones"
+            )
+        self._check_lines()
+        return self
+
+    @property
+    def period(self) -> int:
+        """Samples of one period."""
+        return round(self.period_s * self.sample_rate) if self.period_samples is None else self.period_samples
+
+    @property
+    def resolution_hz(self) -> float:
+        """Frequency of line 1, Hz."""
+        return self.sample_rate / self.period
+
+    def driven_lines(self) -> Lines:
+        """The driven lines, rising, as multiples of the frequency of one period."""
+        candidates = self._candidates()
+        return np.setdiff1d(candidates, self.detection_lines())
+
+    def detection_lines(self) -> Lines:
+        """The odd lines left undriven among driven ones, rising; none unless the lines are ``odd_random``."""
+        if self.lines != "odd_random":
+            return np.zeros(0, dtype=np.int_)
+        return detection_lines(self._candidates(), self.group or _USUAL_GROUP, self._random(self.lines_seed, _LINES))
+
+    def amplitudes(self) -> Array:
+        """Relative amplitudes of the driven lines, (lines,)."""
+        return self._relative(self._frequency(self.driven_lines()))
+
+    def describe(self) -> dict[str, Any]:
+        """The kind and its options as plain values, fit for JSON; the period both in seconds and in samples."""
+        period = {"period_s": self.period / self.sample_rate, "period_samples": self.period}
+        return super().describe() | period
+
+    def planned_samples(self) -> int:
+        """Samples of the run-in and the whole periods."""
+        return round(self.settling_s * self.sample_rate) + self.periods * self.period
+
+    def build(self) -> Stimulus:
+        """Build the history: run-in and whole periods, shape (settling_s * sample_rate + periods * period,)."""
+        driven, sizes = self.driven_lines(), self.amplitudes()
+        shape = played(
+            driven,
+            sizes,
+            self._chosen_phases(driven, sizes),
+            self.period,
+            self.periods,
+            round(self.settling_s * self.sample_rate),
+        )
+        low, high, quantity = self.span
+        lowest, highest = float(shape.min()), float(shape.max())
+        values = np.clip(low + (shape - lowest) * ((high - low) / (highest - lowest)), low, high)
+        return Stimulus(
+            values=values,
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=self.seed,
+            crest_factor=crest_factor(values[-self.period :]),
+            unit=quantity,
+        )
+
+    def _chosen_phases(self, driven: Lines, sizes: Array) -> Array:
+        if self.phases == "schroeder":
+            return schroeder_phases(sizes)
+        rng = self._random(self.seed, _PHASES)
+        if self.phases == "random":
+            return best_of_random(driven, sizes, self.period, self.draws, rng)
+        starts = [2.0 * np.pi * rng.random(driven.size) for _ in range(self.draws)]
+        found = [lowered(driven, sizes, start, self.period) for start in starts]
+        return min(found, key=lambda phases: peak_ratio(driven, sizes, phases, self.period))
+
+    def _random(self, seed: int, stream: int) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64([seed, stream]))
+
+    def _candidates(self) -> Lines:
+        """Lines of the band that the spectrum and the notches leave, odd ones alone unless all are driven."""
+        lines = lines_between(self.period, self.sample_rate, self.lowest_hz, self.highest_hz)
+        frequency = self._frequency(lines)
+        kept = without_notches(frequency, self.notches) & (self._relative(frequency) > 0.0)
+        return lines[kept if self.lines == "full" else kept & (lines % 2 == 1)]
+
+    def _frequency(self, lines: Lines) -> Array:
+        return np.asarray(lines * self.resolution_hz, dtype=np.float64)
+
+    def _relative(self, frequency_hz: Array) -> Array:
+        if self.spectrum == "butterworth":
+            return butterworth(frequency_hz, self.cutoff_hz, self.order)
+        if self.spectrum == "power_law":
+            return np.asarray((frequency_hz / self.resolution_hz) ** -self.exponent, dtype=np.float64)
+        if self.spectrum == "table":
+            hz, size = np.array(self.table).T
+            return np.asarray(np.interp(frequency_hz, hz, size), dtype=np.float64)
+        return np.ones(frequency_hz.size)
+
+    def _check_length(self) -> None:
+        exact = self.period_s * self.sample_rate
+        whole = max(1, round(exact))
+        if self.period_samples is None and abs(exact - whole) > _WHOLE * whole:
+            raise UnusableInputError(
+                f"a period of {self.period_s:g} s is {exact:.6g} samples at {self.sample_rate:g} Hz, which is no whole "
+                f"number: take {whole / self.sample_rate:.9g} s"
+            )
+        if self.period_samples is not None and "period_s" in self.model_fields_set and whole != self.period_samples:
+            raise UnusableInputError(
+                f"a period of {self.period_s:g} s has {exact:.6g} samples, not {self.period_samples}: "
+                "give one of the two"
+            )
+        if not 8 <= self.period <= _LARGEST_PERIOD:
+            raise UnusableInputError(f"a period must have 8 to {_LARGEST_PERIOD} samples, not {self.period}")
+        seconds = self.settling_s + self.periods * self.period / self.sample_rate
+        if seconds > _LONGEST_S:
+            raise UnusableInputError(
+                f"{self.periods} periods and their run-in last {seconds:g} s: a stimulus may last {_LONGEST_S:g} s"
+            )
+
+    def _check_band(self) -> None:
+        if self.highest_hz >= 0.5 * self.sample_rate:
+            raise UnusableInputError(
+                f"a highest frequency of {self.highest_hz:g} Hz needs more than {2 * self.highest_hz:g} samples a "
+                f"second, not {self.sample_rate:g}"
+            )
+        bands = [("the band", self.lowest_hz, self.highest_hz), *(("a notch", *notch) for notch in self.notches)]
+        for what, low, high in bands:
+            if not 0.0 <= low < high:
+                raise UnusableInputError(
+                    f"{what} must go from a lower to a higher frequency, not from {low:g} to {high:g} Hz"
+                )
+
+    def _check_spectrum(self) -> None:
+        if (self.spectrum == "table") != bool(self.table):
+            raise UnusableInputError("a table of amplitudes and the spectrum 'table' belong together")
+        if not self.table:
+            return
+        hz, size = np.array(self.table).T
+        if np.any(np.diff(hz) <= 0.0) or np.any(hz < 0.0) or np.any(size < 0.0) or not np.any(size > 0.0):
+            raise UnusableInputError(
+                "a table of amplitudes takes rising frequencies and amplitudes that are not negative, not all zero"
+            )
+
+    def _check_lines(self) -> None:
+        candidates = self._candidates()
+        which = "line" if self.lines == "full" else "odd line"
+        band = f"{self.lowest_hz:g} to {self.highest_hz:g} Hz at a resolution of {self.resolution_hz:g} Hz"
+        if candidates.size < 2:
+            left = " after the notches" if self.notches else ""
+            raise UnusableInputError(
+                f"a multisine needs two lines or more, and {band} leaves {candidates.size or 'no'} {which}{left}: "
+                "widen the band, or take a longer period"
+            )
+        group = self.group or _USUAL_GROUP
+        if self.lines == "odd_random" and candidates.size < max(group, 3):
+            raise UnusableInputError(
+                f"{band} leaves {candidates.size} odd lines, too few for a detection line in each group of {group}: "
+                "widen the band, take a longer period, or a smaller group"
+            )
+
+
+def played_multisine(description: Mapping[str, Any]) -> Multisine | None:
+    """The multisine that a stimulus' description is of, also behind a preload; None where it is of anything else.
+
+    Raises:
+        UnusableInputError: it says that it is one, and its options do not hold.
+    """
+    fields = dict(description)
+    kind = fields.pop("type", None)
+    if kind == GUIDED and isinstance(inner := fields.get("stimulus"), Mapping):
+        return played_multisine(inner)
+    return Multisine.from_options(fields) if kind == Multisine.name and "period_samples" in fields else None
