@@ -1,0 +1,159 @@
+"""Real-time input generation: force that gives the depth a desired distribution, by feedback (Chen 2010, 6.3)."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli.base import MOST_SAMPLES, Array, stimulus
+from tissueid.stimuli.feedback import BLOCK, FeedbackKind
+from tissueid.stimuli.rtig.histogram import DepthHistogram
+from tissueid.stimuli.rtig.identified import Identified
+from tissueid.stimuli.rtig.local import LocalIdentification
+from tissueid.stimuli.rtig.measured import Averages
+from tissueid.stimuli.rtig.scheduled import Scheduled
+from tissueid.stimuli.rtig.source import RtigSource, Setup
+from tissueid.stimuli.rtig.static_map import StaticMap
+from tissueid.stimuli.rtig.stochastic import StochasticStream
+from tissueid.stimuli.rtig.sweep import Sweep
+
+_PRELOAD = 0.1
+"""Of the range of force, from its least pushing force on: a gentle load, which a soft tissue bears too."""
+
+_LEAST_RANGE_M = 1e-4
+
+_AVERAGES_HZ = (200.0, 2000.0)
+"""Bounds of the rate to which what was measured is averaged down for identification: twice the cut-off otherwise."""
+
+
+@stimulus
+class Rtig(FeedbackKind):
+    """Real-time input generation by feedback of the output's distribution (Chen 2010, Eq. 6.9).
+
+    Each block of set-points is an offset that takes the depth to where samples are wanted, and a stochastic part that
+    excites the dynamics. Without ``identify`` the offset goes for the emptiest bin by a fixed gain (6.3.1). With it
+    the tissue is identified on the way: the static force says which offset holds a depth, adaptive least squares give
+    mass, damping and stiffness by depth, and the range is swept so that the histogram ends flat (6.3.2). When the
+    identified tissue does not predict the measured force, the blocks are made without it until it does.
+
+    Depths are counted from the surface, into the tissue. The force never leaves its range; depths that it does not
+    reach are left out, which the report tells.
+    """
+
+    name: ClassVar[str] = "rtig"
+
+    force_min_n: float = Field(
+        -0.6, ge=-100.0, le=100.0, description="Least force, N; below zero the coil carries its own weight"
+    )
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least depth wanted, from the surface, m")
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest depth wanted, m")
+    distribution: Literal["uniform", "triangular", "table"] = Field(
+        "uniform", description="Desired distribution of the depth over its range"
+    )
+    table: tuple[float, ...] = Field(
+        (), max_length=200, description="For 'table': time wanted in each of evenly wide parts of the range, any unit"
+    )
+    bins: int = Field(30, ge=4, le=200, description="Bins of the histogram over the range of depth")
+    gain_n_per_m: float = Field(
+        1000.0,
+        gt=0.0,
+        le=1e6,
+        description="Change of force for a change of depth: the stiffness that is assumed, N/m",
+    )
+    edge_modulation: float = Field(
+        0.3, ge=0.0, le=1.0, description="Without identification: part of the gain that is left at the range's edges"
+    )
+    stochastic: Literal["uniform", "gaussian"] = Field("uniform", description="Distribution of the stochastic part")
+    stochastic_share: float = Field(
+        0.13, ge=0.0, le=0.3, description="Width of the stochastic part in that of the force range"
+    )
+    cutoff_hz: float = Field(200.0, ge=1.0, description="Cut-off frequency of the stochastic part, Hz")
+    order: int = Field(8, ge=1, le=12, description="Order of its low-pass")
+    identify: bool = Field(True, description="Identify the tissue on the way, and steer by it")
+    memory: float = Field(0.0625, gt=0.0, le=1.0, description="With identification: length of the local responses, s")
+    forgetting: float = Field(
+        2.0, ge=0.1, le=1000.0, description="With identification: time after which the static force is forgotten, s"
+    )
+    cycle: float = Field(0.5, ge=0.1, le=60.0, description="With identification: length of a sweep in and out, s")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.force_min_n >= self.force_max_n:
+            raise UnusableInputError(
+                f"the least force ({self.force_min_n:g} N) must be below the greatest ({self.force_max_n:g} N)"
+            )
+        if self.depth_max_m - self.depth_min_m < _LEAST_RANGE_M:
+            raise UnusableInputError(
+                f"the greatest depth ({1e3 * self.depth_max_m:g} mm) must be {1e3 * _LEAST_RANGE_M:g} mm or more "
+                f"beyond the least ({1e3 * self.depth_min_m:g} mm)"
+            )
+        if self.cutoff_hz >= 0.5 * self.sample_rate:
+            raise UnusableInputError(
+                f"a cut-off of {self.cutoff_hz:g} Hz needs more than {2 * self.cutoff_hz:g} samples a second, "
+                f"not {self.sample_rate:g}"
+            )
+        samples = round(self.seconds * self.sample_rate)
+        if samples > MOST_SAMPLES:
+            raise UnusableInputError(
+                f"the test would have {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: lower its length"
+            )
+        if samples < BLOCK:
+            raise UnusableInputError(f"{self.seconds:g} s at {self.sample_rate:g} Hz is less than one block of {BLOCK}")
+        if self.distribution == "table" and not (len(self.table) > 1 and min(self.table) >= 0.0 < max(self.table)):
+            raise UnusableInputError("a table of the desired distribution needs two entries or more, none negative")
+        if self.table and self.distribution != "table":
+            raise UnusableInputError("a table of the desired distribution goes with distribution 'table'")
+        return self
+
+    @property
+    def preload_n(self) -> float:
+        """A tenth of the way into the range of forces that push, or as near to none as the range goes."""
+        least = min(max(0.0, self.force_min_n), self.force_max_n)
+        return least + _PRELOAD * (self.force_max_n - least)
+
+    @property
+    def desired(self) -> Array:
+        """Shares of the time that are desired of the bins, (bins,), adding up to one."""
+        edges = np.linspace(0.0, 1.0, self.bins + 1)
+        table = np.array({"uniform": (1.0,), "triangular": ()}.get(self.distribution, self.table))
+        if self.distribution == "triangular":
+            cumulative = np.where(edges < 0.5, 2.0 * edges**2, 1.0 - 2.0 * (1.0 - edges) ** 2)
+        else:
+            steps = np.linspace(0.0, 1.0, table.size + 1)
+            cumulative = np.interp(edges, steps, np.concatenate([[0.0], np.cumsum(table) / table.sum()]))
+        return np.diff(cumulative)
+
+    def start(self, surface_m: float) -> RtigSource:
+        """A source for one test. ``surface_m`` is the position where the tissue begins."""
+        depth, force = (self.depth_min_m, self.depth_max_m), (self.force_min_n, self.force_max_n)
+        amplitude = 0.5 * self.stochastic_share * (force[1] - force[0])
+        samples = round(self.seconds * self.sample_rate)
+        histogram = DepthHistogram(np.linspace(*depth, self.bins + 1), self.desired, samples)
+        setup = Setup(
+            samples=samples,
+            sample_rate=self.sample_rate,
+            lead=self.lead,
+            force=force,
+            preload=self.preload_n,
+            amplitude=amplitude,
+            gain=self.gain_n_per_m,
+            edge_modulation=self.edge_modulation,
+        )
+        stream = StochasticStream(self.stochastic, self.cutoff_hz, self.order, self.sample_rate, self.seed)
+        identified = self._identified(histogram, amplitude) if self.identify else None
+        return RtigSource(setup, surface_m, histogram, stream, identified)
+
+    def _identified(self, histogram: DepthHistogram, amplitude: float) -> Identified:
+        depth, force = (self.depth_min_m, self.depth_max_m), (self.force_min_n, self.force_max_n)
+        usual = float(np.clip(2.0 * self.cutoff_hz, *_AVERAGES_HZ))
+        every = max(1, int(self.sample_rate / usual))
+        rate = self.sample_rate / every
+        static = StaticMap(depth, force, self.gain_n_per_m, 1.0 / (self.forgetting * rate))
+        local = LocalIdentification(depth, rate, self.memory, amplitude)
+        sweep = Sweep(histogram.edges, histogram.shares, 0.5 * self.cycle * self.sample_rate)
+        density = amplitude**2 * StochasticStream.variance(self.stochastic) / (2.0 * self.cutoff_hz)
+        controller = Scheduled(histogram, static, local, sweep, force, self.sample_rate, density)
+        return Identified(Averages(every, self.sample_rate), static, local, controller, force[1] - force[0], rate)

@@ -1,0 +1,166 @@
+"""Real-time input generation under way: samples in, blocks of set-points out (Chen 2010, Eq. 6.9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tissueid.stimuli.base import Array
+from tissueid.stimuli.feedback import BLOCK, FeedbackSource
+from tissueid.stimuli.rtig.histogram import DepthHistogram
+from tissueid.stimuli.rtig.identified import Identified
+from tissueid.stimuli.rtig.plain import Plain
+from tissueid.stimuli.rtig.stochastic import StochasticStream
+
+_BLIND_S = 0.15
+"""Without a sample for so long, beyond the lead, the load of the preload is gone back to."""
+
+_RETURN_S = 0.1
+"""Time that this takes."""
+
+_QUIETEST = 0.2
+"""Share of the stochastic part that is kept at the ends of the force range, where half of it would be cut off."""
+
+_SEAM = np.maximum(0.0, 1.0 - np.arange(1, BLOCK + 1) / (0.5 * BLOCK))
+"""What is left of a step between blocks, which half a block smooths away."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a source is started with, SI; see the options of the kind."""
+
+    samples: int
+    sample_rate: float
+    lead: int
+    force: tuple[float, float]
+    preload: float
+    amplitude: float
+    gain: float
+    edge_modulation: float
+
+
+class RtigSource(FeedbackSource):
+    """One test: a controller for the offset, with identification or without, and the stochastic part on top."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        surface_m: float,
+        histogram: DepthHistogram,
+        stream: StochasticStream,
+        identified: Identified | None,
+    ) -> None:
+        self._setup = setup
+        self._surface = surface_m
+        self._histogram = histogram
+        self._stream = stream
+        self._identified = identified
+        self._plain = Plain(histogram, setup.gain, setup.edge_modulation, setup.force)
+        self._offsets = np.full(setup.samples + BLOCK, setup.preload)
+        self._last = setup.preload
+        self._made = self._identified_blocks = 0
+        self._taken = self._worked = 0
+        self._begun = False
+        self._heard: int | None = None
+        """The number after the newest sample that was received."""
+        self._depth = np.nan
+        self._waiting = np.empty((2, 0))
+
+    def take(self, force: Array, position: Array, first: int) -> None:
+        """Take in measured force (k,), N, and position (k,), m; see :class:`FeedbackSource`.
+
+        Samples that were left out altogether count as lost, and those that come again are passed over. What comes is
+        worked through in whole blocks, so that it does not matter what it is cut into.
+        """
+        depth = np.asarray(position, dtype=np.float64) - self._surface
+        signals = np.stack([np.asarray(force, dtype=np.float64), depth])
+        signals[:, ~np.isfinite(signals).all(axis=0)] = np.nan
+        if not self._begun:
+            self._taken = self._worked = min(first, 0)
+            self._begun = True
+        if first > self._taken:
+            signals = np.concatenate([np.full((2, first - self._taken), np.nan), signals], axis=1)
+        signals = signals[:, max(0, self._taken - first) :]
+        self._taken += signals.shape[1]
+        self._waiting = np.concatenate([self._waiting, signals], axis=1)
+        while (cut := self._next_cut()) is not None:
+            piece, self._waiting = self._waiting[:, :cut], self._waiting[:, cut:]
+            self._work_through(piece[0], piece[1], self._worked)
+            self._worked += cut
+
+    def _next_cut(self) -> int | None:
+        """Length of the next piece that is whole: it ends with a block, or with the test."""
+        end = self._worked // BLOCK * BLOCK + BLOCK
+        if self._worked < self._histogram.samples <= self._taken:
+            end = min(end, self._histogram.samples)
+        cut = end - self._worked
+        return cut if cut <= self._waiting.shape[1] else None
+
+    def _work_through(self, force: Array, depth: Array, first: int) -> None:
+        received = np.flatnonzero(np.isfinite(depth))
+        if received.size:
+            self._heard = first + int(received[-1]) + 1
+            self._depth = float(depth[received].mean())
+        if self._identified is not None:
+            self._identified.take(force, depth, first)
+        if first >= 0:
+            self._histogram.add(depth)
+
+    def next_block(self) -> Array:
+        """The next set-points, N, (BLOCK,): Eq. 6.9, within the range of force."""
+        setup, made = self._setup, self._made
+        noise = setup.amplitude * self._stream.take(BLOCK)
+        offset, loudness = self._offset(self._last)
+        offset = np.clip(offset + (self._last - offset[0]) * _SEAM, *setup.force)
+        self._offsets[made : made + BLOCK] = offset[: max(0, self._offsets.size - made)]
+        self._last = float(offset[-1])
+        self._made += BLOCK
+        room = np.minimum(offset - setup.force[0], setup.force[1] - offset)
+        loudness = loudness * np.clip(room / max(setup.amplitude, 1e-9), _QUIETEST, 1.0)
+        return np.asarray(np.clip(offset + loudness * noise, *setup.force))
+
+    def _offset(self, last: float) -> tuple[Array, Array]:
+        """The next offsets, N, and the share of the stochastic part that goes with them, each (BLOCK,)."""
+        setup, made = self._setup, self._made
+        blind = setup.lead * BLOCK + _BLIND_S * setup.sample_rate
+        if self._heard is None or made - self._heard > blind:
+            step = (setup.force[1] - setup.force[0]) / (_RETURN_S * setup.sample_rate) * np.arange(1, BLOCK + 1)
+            return last + np.clip(setup.preload - last, -step, step), np.zeros(BLOCK)
+        if self._identified is not None and self._identified.good:
+            self._identified_blocks += 1
+            return self._identified.controller.offset(made, self._depth)
+        if self._identified is not None:
+            self._identified.controller.rest()
+        newest = self._histogram.seen
+        then = self._offsets[max(0, newest - BLOCK) : newest]
+        measured = self._depth, float(then.mean()) if then.size else setup.preload
+        return self._plain.offset(last, measured, self._offsets[newest:made]), np.ones(BLOCK)
+
+    def report(self) -> dict[str, Any]:
+        """Distribution of depth so far, cycles, and what was identified; see docs/stimuli.md for the fields."""
+        histogram, setup = self._histogram, self._setup
+        reached = histogram.reached
+        answer: dict[str, Any] = {
+            "kolmogorov_distance": histogram.distance,
+            "samples": histogram.seen,
+            "lost": histogram.lost,
+            "edges_m": histogram.edges.tolist(),
+            "counts": histogram.counts.tolist(),
+            "desired": histogram.shares.tolist(),
+            "below": histogram.below,
+            "above": histogram.above,
+            "cycles": 0.5 * histogram.half_cycles,
+            "cover_s": None if histogram.covered is None else histogram.covered / setup.sample_rate,
+            "reached_m": None if reached is None else list(reached),
+            "identification": None,
+        }
+        if self._identified is not None:
+            reachable = self._identified.controller.reachable
+            answer["reachable_m"] = list(reachable)
+            answer["kolmogorov_distance_reachable"] = histogram.distance_between(*reachable)
+            answer["identification"] = self._identified.report() | {
+                "share": self._identified_blocks * BLOCK / max(1, self._made)
+            }
+        return answer
