@@ -6,14 +6,17 @@
 from __future__ import annotations
 
 import zlib
-from collections import OrderedDict, deque
-from dataclasses import dataclass
+from collections import OrderedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.bench import Bench, Block
+from firmware_sim.bench import Bench
+from firmware_sim.identity import Identity
+from firmware_sim.limits import MAX_RUN_S, ArmedLimits
+from firmware_sim.outbox import Outbox
 from firmware_sim.plant import SAMPLE_RATE_HZ
+from firmware_sim.setpoints import Setpoints
 from tissueid import wire
 from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
 
@@ -23,37 +26,9 @@ HOST_SILENCE_S = 2.0
 """A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
 
 RELEASE_RAMP_S = 0.05
+_RAMP_SAMPLES = round(RELEASE_RAMP_S * SAMPLE_RATE_HZ)
 STIMULUS_CAPACITY = 240_000
-MAX_RUN_S = 60.0
-TRANSMIT_QUEUE_BYTES = 64 * 1024
 _SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
-FORCE_MARGIN = 1.05
-"""Trips are set this far above the limit, so that converter noise on a test at the limit does not end it."""
-
-
-@dataclass(frozen=True)
-class Identity:
-    """What the firmware says of itself in the handshake."""
-
-    model: str = "desktop indenter (simulated)"
-    serial_number: str = "SIM-0001"
-    firmware_version: str = "sim-1.0"
-    protocol_min: int = wire.PROTOCOL_VERSION
-    protocol_max: int = wire.PROTOCOL_VERSION
-    max_force_n: float = 15.0
-    max_temperature_c: float = 85.0
-
-
-@dataclass(frozen=True)
-class _Armed:
-    """The limits and the stimulus that ARM agreed on."""
-
-    token: int
-    max_force_n: float
-    min_position_m: float
-    max_position_m: float
-    max_temperature_c: float
-    max_samples: int
 
 
 class Firmware:
@@ -84,11 +59,8 @@ class Firmware:
         self.streaming = False
         self.boot_id = int(self._random.integers(1, 2**32))
         self.sample_index = 0
-        self.dropped_frames = 0
         self._decoder = wire.FrameDecoder()
-        self._outbox: deque[bytes] = deque()
-        self._outbox_bytes = 0
-        self._sequence = 0
+        self._outbox = Outbox()
         self._answers: OrderedDict[tuple[int, int], bytes] = OrderedDict()
         self._greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
@@ -96,16 +68,36 @@ class Firmware:
         self._stimulus = np.zeros(0, "<i2")
         self._stimulus_id = 0
         self._stimulus_crc = 0
-        self._armed: _Armed | None = None
-        self._cursor = 0
+        self._setpoints = Setpoints()
+        self._held_samples = 0
+        self._token: int | None = None
+        self._armed: ArmedLimits | None = None
+        self._cursor = self._length = 0
         self._start_index = 0
-        self._ramp_from = 0.0
+        self._present_v = 0.0
         self.stalled_until_s = 0.0
 
     @property
     def energised(self) -> bool:
         """True while the amplifier is enabled."""
         return self.state is State.RUNNING
+
+    @property
+    def samples_to_frame(self) -> int:
+        """Samples still to be taken before the next DATA frame is whole."""
+        return SAMPLES_PER_FRAME - self._samples.size
+
+    @property
+    def samples_known(self) -> int:
+        """Samples that can be played before a set-point is missing; a great many where none is asked for."""
+        if self.state is not State.RUNNING or self._cursor >= self._length or not self._setpoints.samples:
+            return STIMULUS_CAPACITY
+        return self._setpoints.next_missing(self._cursor) - self._cursor
+
+    @property
+    def dropped_frames(self) -> int:
+        """Frames that the host did not make room for."""
+        return self._outbox.dropped_frames
 
     def reboot(self) -> None:
         """A reset: everything is forgotten and the coil is free; the tissue under the probe goes on as it was."""
@@ -159,39 +151,16 @@ class Firmware:
             hello, _ = wire.unpack(wire.HELLO, frame.payload, tail=True)
         except wire.PayloadError:
             return
-        self._greeted = (
-            hello["protocol_min"] <= self.identity.protocol_max and hello["protocol_max"] >= self.identity.protocol_min
-        )
-        coil = self.bench.parameters
-        head = wire.pack(
-            wire.HELLO_ACK,
-            protocol_min=self.identity.protocol_min,
-            protocol_max=self.identity.protocol_max,
-            channels=len(self.bench.channels),
-            samples_per_frame=SAMPLES_PER_FRAME,
+        self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
+        answer = self.identity.hello_ack(
+            self.bench.parameters,
+            self._channels,
             boot_id=self.boot_id,
+            samples_per_frame=SAMPLES_PER_FRAME,
             stimulus_capacity=STIMULUS_CAPACITY,
-            firmware_version=self.identity.firmware_version.encode(),
-            model=self.identity.model.encode(),
-            serial_number=self.identity.serial_number.encode(),
-            sample_rate_hz=SAMPLE_RATE_HZ,
             watchdog_s=self.watchdog_s,
-            max_force_n=self.identity.max_force_n,
-            max_temperature_c=self.identity.max_temperature_c,
-            coil_resistance_ohm=coil.resistance_ohm,
-            coil_inductance_h=coil.inductance_h,
-            force_constant_n_per_a=coil.force_constant_n_per_a,
-            moving_mass_kg=coil.moving_mass_kg,
-            bearing_damping_n_s_per_m=coil.bearing_damping_n_s_per_m,
-            amplifier_gain=coil.amplifier_gain,
-            amplifier_limit_v=coil.amplifier_limit_v,
-            stroke_m=coil.stroke_m,
         )
-        table = b"".join(
-            wire.pack(wire.CHANNEL, name=name.encode(), unit=c.unit.encode(), gain=c.gain, offset=c.offset)
-            for name, c in self._channels.items()
-        )
-        self._send(MessageType.HELLO_ACK, head + table)
+        self._send(MessageType.HELLO_ACK, answer)
 
     def _obey(self, frame: Frame, now_s: float) -> tuple[Result, int]:
         if self.state is State.FAULT and MessageType.STIMULUS_BEGIN <= frame.type <= MessageType.START:
@@ -208,12 +177,18 @@ class Firmware:
                 return self._stimulus_chunk(frame.payload)
             case MessageType.STIMULUS_COMMIT:
                 return self._stimulus_commit(frame.payload)
+            case MessageType.FOLLOW:
+                return self._follow(frame.payload)
+            case MessageType.SETPOINTS:
+                return self._take_setpoints(frame.payload)
             case MessageType.ARM:
                 return self._arm(frame.payload, now_s)
             case MessageType.START:
                 return self._start(frame.payload)
             case MessageType.STOP | MessageType.RELEASE:
                 return self._release(forget=frame.type == MessageType.RELEASE)
+            case MessageType.FINISH:
+                return self._finish()
             case MessageType.CLEAR_FAULTS:
                 self.faults = Fault.NONE
                 if self.state is State.FAULT:
@@ -231,6 +206,7 @@ class Firmware:
             return Result.TOO_LARGE, STIMULUS_CAPACITY
         self._stimulus = np.zeros(request["samples"], "<i2")
         self._stimulus_id, self._stimulus_crc = request["stimulus_id"], request["crc32"]
+        self._setpoints.agree(0, 0.0)
         self._enter(State.IDLE)
         return Result.OK, 0
 
@@ -256,27 +232,32 @@ class Firmware:
         self._enter(State.LOADED)
         return Result.OK, self._stimulus.size
 
+    def _follow(self, payload: bytes) -> tuple[Result, int]:
+        request, _ = wire.unpack(wire.FOLLOW, payload)
+        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
+            return Result.BAD_STATE, 0
+        room = round(MAX_RUN_S * SAMPLE_RATE_HZ) - self._stimulus.size
+        if request["samples"] > room:
+            return Result.TOO_LARGE, max(0, room)
+        self._setpoints.agree(request["samples"], float(self._volts(np.array([request["hold_code"]], "<i2"))[0]))
+        return Result.OK, self._stimulus.size + request["samples"]
+
     def _arm(self, payload: bytes, now_s: float) -> tuple[Result, int]:
         request, _ = wire.unpack(wire.ARM, payload)
         if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
             return Result.BAD_STATE, 0
-        limits = [request[name] for name in ("max_force_n", "min_position_m", "max_position_m", "max_temperature_c")]
-        beyond = (
-            not np.all(np.isfinite(limits))
-            or not 0 < request["max_force_n"] <= self.identity.max_force_n
-            or not 0 <= request["min_position_m"] < request["max_position_m"] <= self.bench.parameters.stroke_m
-            or request["max_temperature_c"] > self.identity.max_temperature_c
-            or not 0 < request["max_samples"] <= MAX_RUN_S * SAMPLE_RATE_HZ
-            or self._stimulus.size > request["max_samples"]
-        )
-        coil = self.bench.parameters
-        newtons_per_volt = coil.amplifier_gain * coil.force_constant_n_per_a / coil.resistance_ohm
-        static_force = np.abs(self._volts(self._stimulus)) * newtons_per_volt
-        if beyond or static_force.max() > request["max_force_n"] * FORCE_MARGIN:
+        limits = ArmedLimits(**{name: request[name] for name in ArmedLimits.__dataclass_fields__})
+        coil, length = self.bench.parameters, self._stimulus.size + self._setpoints.samples
+        commands = np.append(self._volts(self._stimulus), self._setpoints.hold_v)
+        if (
+            not limits.within(self.identity.max_force_n, self.identity.max_temperature_c, coil.stroke_m)
+            or length > limits.max_samples
+            or not limits.permits(commands, coil)
+        ):
             return Result.BEYOND_LIMITS, 0
-        self._armed = _Armed(
-            **{name: request[name] for name in _Armed.__dataclass_fields__},
-        )
+        self._armed, self._token = limits, limits.token
+        self._setpoints.begin(self._stimulus.size)
+        self._cursor, self._length, self._held_samples, self._present_v = 0, length, 0, 0.0
         self._last_heartbeat_s = now_s
         self._enter(State.ARMED)
         return Result.OK, 0
@@ -285,19 +266,50 @@ class Firmware:
         request, _ = wire.unpack(wire.START, payload)
         if self.state is not State.ARMED or self._armed is None or request["token"] != self._armed.token:
             return Result.BAD_STATE, 0
-        self._cursor = 0
         self._start_index = self.sample_index
         self._enter(State.RUNNING)
         return Result.OK, self._start_index
 
+    def _take_setpoints(self, payload: bytes) -> tuple[Result, int]:
+        request, codes = wire.unpack(wire.SETPOINTS, payload, tail=True)
+        if request["token"] != self._token:
+            return Result.BAD_STATE, 0
+        if self._armed is None or self._cursor >= self._length:
+            return Result.LATE, self._played  # the run is over, and nobody misses them
+        volts = self._volts(np.frombuffer(codes[: len(codes) // 2 * 2], "<i2"))
+        if len(codes) % 2 or not codes:
+            result = Result.BAD_ARGUMENT
+        elif not self._armed.permits(volts, self.bench.parameters):
+            result = Result.BEYOND_LIMITS
+        else:
+            result = self._setpoints.take(request["offset"], volts, self._cursor)
+        return result, self._setpoints.next_missing(self._cursor)
+
+    def _finish(self) -> tuple[Result, int]:
+        if self.state is State.ARMED:
+            return self._release(forget=False)
+        if self.state is State.RUNNING:
+            self._length = self._played
+        return Result.OK, self._played
+
     def _release(self, *, forget: bool) -> tuple[Result, int]:
-        self._armed = None
+        self._disarm()
         if self.state in (State.ARMED, State.RUNNING):
             self._enter(State.LOADED)
         if forget and self.state is State.LOADED:
             self._stimulus = self._stimulus[:0]
             self._enter(State.IDLE)
-        return Result.OK, self._cursor
+        return Result.OK, self._played
+
+    def _disarm(self) -> None:
+        """A run is over, or will not be: set-points are agreed on for one run alone."""
+        self._armed = None
+        self._setpoints.agree(0, 0.0)
+
+    @property
+    def _played(self) -> int:
+        """Samples of the newest run that were played, those of the release not counted."""
+        return min(self._cursor, self._length)
 
     # -- the clock ----------------------------------------------------------------------------------------
 
@@ -319,22 +331,24 @@ class Firmware:
 
     def _sample(self, count: int) -> int:
         """Play and sample up to ``count`` samples; fewer where the stimulus ends or a limit trips."""
-        command, playing = self._command(count)
+        command, flags = self._command(count)
         before = self.bench.snapshot()
         block = self.bench.block(command, self.energised)
         fault = Fault.NONE
-        if self.energised:
-            first, fault = self._first_violation(block)
+        if self._armed is not None and self.energised:
+            # The release at the end is not counted against the samples that were agreed.
+            counted = self._cursor - _RAMP_SAMPLES
+            first, fault = self._armed.first_violation(block, self._channels, self.bench.parameters, counted)
             if fault and first + 1 < command.size:
                 # The trip acts on the very next sample, so what came after it never happened.
                 self.bench.restore(before)
-                command = command[: first + 1]
+                command, flags = command[: first + 1], flags[: first + 1]
                 block = self.bench.block(command, energised=True)
         taken = np.zeros(command.size, wire.SAMPLE)
         for column, name in enumerate(_SIGNALS):
             taken[name] = block.codes[:, column]
         taken["flags"] = (
-            Flag.PLAYING * playing
+            flags
             | Flag.ENERGISED * self.energised
             | Flag.BUTTON * block.button
             | np.where(block.flags, Flag.SATURATED, 0)
@@ -342,59 +356,45 @@ class Firmware:
         self._samples = np.concatenate((self._samples, taken))
         self.sample_index += command.size
         if self.state is State.RUNNING:
-            self._cursor += command.size
-            if fault:
-                self._trip(fault)
-            elif self._cursor >= self._stimulus.size + self._ramp_samples:
-                self._armed = None
-                self._enter(State.LOADED)
+            self._account(command, flags, fault)
         return command.size
 
-    @property
-    def _ramp_samples(self) -> int:
-        return round(RELEASE_RAMP_S * SAMPLE_RATE_HZ)
+    def _account(self, command: NDArray[np.float64], flags: NDArray[np.uint16], fault: Fault) -> None:
+        """What was just played moves the run on, or ends it."""
+        if self._cursor < self._length:
+            self._present_v = float(command[-1])
+        self._cursor += command.size
+        self._held_samples += int(np.count_nonzero(flags & Flag.HELD))
+        if fault:
+            self._trip(fault)
+        elif self._setpoints.starved:
+            self._trip(Fault.STARVED)
+        elif self._cursor >= self._length + _RAMP_SAMPLES:
+            self._disarm()
+            self._enter(State.LOADED)
 
-    def _command(self, count: int) -> tuple[NDArray[np.float64], bool]:
-        """Volts for the next samples, and whether they belong to the stimulus."""
+    def _command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+        """Volts for up to ``count`` samples, and the flags that say where they come from."""
         if self.state is not State.RUNNING:
-            return np.zeros(count), False
-        left = self._stimulus.size - self._cursor
-        if left > 0:
-            return self._volts(self._stimulus[self._cursor : self._cursor + min(count, left)]), True
-        done = -left
-        count = min(count, self._ramp_samples - done)
-        weight = 1.0 - (done + 1.0 + np.arange(count)) / self._ramp_samples
-        return self._volts(self._stimulus[-1:]) * weight, False
+            return np.zeros(count), np.zeros(count, np.uint16)
+        if self._cursor >= self._length:
+            done = self._cursor - self._length
+            count = min(count, _RAMP_SAMPLES - done)
+            weight = 1.0 - (done + 1.0 + np.arange(count)) / _RAMP_SAMPLES
+            return self._present_v * weight, np.zeros(count, np.uint16)
+        count = min(count, self._length - self._cursor)
+        if self._cursor < self._stimulus.size:
+            volts = self._volts(self._stimulus[self._cursor : self._cursor + count])
+            return volts, np.full(volts.size, Flag.PLAYING, np.uint16)
+        volts, held = self._setpoints.play(self._cursor, count, self._present_v)
+        return volts, np.where(held, Flag.PLAYING | Flag.HELD, Flag.PLAYING).astype(np.uint16)
 
     def _volts(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
         return self._channels["command"].decode(codes)
 
-    def _first_violation(self, block: Block) -> tuple[int, Fault]:
-        assert self._armed is not None
-        limits = self._armed
-        samples = block.codes.shape[0]
-
-        def physical(name: str) -> NDArray[np.float64]:
-            return self._channels[name].decode(block.codes[:, _SIGNALS.index(name)])
-
-        force = np.abs(physical("current")) * self.bench.parameters.force_constant_n_per_a
-        position = physical("position")
-        checks = (
-            (Fault.OVER_FORCE, force > limits.max_force_n * FORCE_MARGIN),
-            (Fault.STROKE, (position < limits.min_position_m) | (position > limits.max_position_m)),
-            (Fault.OVER_TEMPERATURE, physical("temperature") > limits.max_temperature_c),
-            (
-                Fault.OVER_TIME,
-                self._cursor + np.arange(samples) >= limits.max_samples + self._ramp_samples,
-            ),
-            (Fault.BUTTON, np.full(samples, block.button)),
-        )
-        found = [(int(np.argmax(broken)), fault) for fault, broken in checks if broken.any()]
-        return min(found, key=lambda item: item[0]) if found else (0, Fault.NONE)
-
     def _trip(self, fault: Fault) -> None:
         self.faults |= fault
-        self._armed = None
+        self._disarm()
         self._enter(State.FAULT)
 
     def _enter(self, state: State) -> None:
@@ -418,27 +418,13 @@ class Firmware:
             boot_id=self.boot_id,
             dropped_frames=self.dropped_frames,
             refused_frames=self._decoder.statistics.refused,
-            played_samples=min(self._cursor, self._stimulus.size),
-        )
+            played_samples=self._played,
+        ) + wire.pack(wire.STATUS_SETPOINTS, late_blocks=self._setpoints.late_blocks, held_samples=self._held_samples)
         self._send(MessageType.STATUS, payload)
 
     def _send(self, kind: MessageType, payload: bytes, index: int | None = None) -> None:
-        index = self.sample_index if index is None else index
-        frame = Frame(kind, self._sequence, round(index / SAMPLE_RATE_HZ * 1e6), index, payload)
-        self._sequence = (self._sequence + 1) & 0xFFFF
-        encoded = wire.encode_frame(frame)
-        if self._outbox_bytes + len(encoded) > TRANSMIT_QUEUE_BYTES:
-            # A host that does not read loses frames; the gap shows in the sample index, and the count in STATUS.
-            self.dropped_frames += 1
-            return
-        self._outbox.append(encoded)
-        self._outbox_bytes += len(encoded)
+        self._outbox.put(kind, payload, self.sample_index if index is None else index)
 
     def transmit(self, now_s: float) -> bytes:
         """Take everything that waits to be sent."""
-        if now_s < self.stalled_until_s:
-            return b""
-        data = b"".join(self._outbox)
-        self._outbox.clear()
-        self._outbox_bytes = 0
-        return data
+        return b"" if now_s < self.stalled_until_s else self._outbox.take()

@@ -16,6 +16,17 @@ from firmware_sim.scenario import PlannedFault, Scenario
 from tissueid.wire import State
 
 TICK_S = 0.01
+"""Longest time between two looks at the port and the clock."""
+
+LAG_S = 0.02
+"""A machine that keeps this process from running for longer stops the device's clock: nothing keeps a device from it.
+
+Up to here what is due is played at once, so that a host gets no credit for it.
+"""
+
+HOST_PATIENCE_S = 0.4
+"""How long a fast clock waits for set-points; the watchdog is not far behind."""
+
 _READ = 65536
 _BACKLOG_BYTES = 16 * 1024
 _BURST_SAMPLES = 1000
@@ -123,7 +134,10 @@ class TcpPort:
 
 
 class Server:
-    """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen."""
+    """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen.
+
+    ``stopped_s`` is for how long the machine kept a device that is meant to run in real time from running.
+    """
 
     def __init__(self, firmware: Firmware, port: Port, scenario: Scenario) -> None:
         self._firmware = firmware
@@ -134,29 +148,56 @@ class Server:
         self._samples = 0
         self._first_start: int | None = None
         self._outgoing = b""
+        self.stopped_s = 0.0
+        self._begin = 0.0
+        self._waiting_since: float | None = None
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
         """Serve until ``until`` says so, or the process is told to stop."""
-        begin = time.monotonic()
+        self._begin = time.monotonic()
         while not until():
             now = time.monotonic()
-            due = int((now - begin) * self._rate) - self._samples
-            if self._accelerated:
-                # A fast clock waits for its host, and for this machine; a real one would not.
-                possible = 0 if len(self._outgoing) > _BACKLOG_BYTES else min(due, _BURST_SAMPLES)
-                begin += (due - possible) / self._rate
-                due = possible
-            if due > 0:
-                self._firmware.advance(due, now)
-                self._samples += due
-                self._let_faults_happen(now)
+            self._keep_up(now)
             if len(self._outgoing) <= _BACKLOG_BYTES:
                 # A host that does not read leaves the rest to the firmware's own queue, which drops and counts.
                 self._outgoing += self._firmware.transmit(now)
-            data, sent = self._port.exchange(self._outgoing, max(0.0, TICK_S - (time.monotonic() - now)))
+            # The next frame goes out when its last sample is taken: not a tick later.
+            wake = self._begin + (self._samples + self._firmware.samples_to_frame) / self._rate
+            timeout = min(TICK_S, max(0.0, wake - time.monotonic()))
+            data, sent = self._port.exchange(self._outgoing, timeout)
             self._outgoing = self._outgoing[sent:]
             if data:
-                self._firmware.receive(data, time.monotonic())
+                # What was played before these bytes came must not know of them.
+                now = time.monotonic()
+                self._keep_up(now)
+                self._firmware.receive(data, now)
+
+    def _keep_up(self, now: float) -> None:
+        """Let the device live until now."""
+        due = int((now - self._begin) * self._rate) - self._samples
+        if not self._accelerated:
+            possible = min(due, max(1, round(LAG_S * self._rate)))
+            self.stopped_s += (due - possible) / self._rate
+        elif len(self._outgoing) > _BACKLOG_BYTES:
+            possible = 0
+        else:
+            # A fast clock waits for its host, and for this machine; a real one would not.
+            possible = min(due, _BURST_SAMPLES, self._known(now))
+        self._begin += (due - possible) / self._rate
+        if possible > 0:
+            self._firmware.advance(possible, now)
+            self._samples += possible
+            self._let_faults_happen(now)
+
+    def _known(self, now: float) -> int:
+        """Samples that a fast clock may play before it has to wait for set-points."""
+        known = self._firmware.samples_known
+        if known:
+            self._waiting_since = None
+            return known
+        if self._waiting_since is None:
+            self._waiting_since = now
+        return 0 if now - self._waiting_since < HOST_PATIENCE_S else _BURST_SAMPLES
 
     def _let_faults_happen(self, now: float) -> None:
         if self._first_start is None and self._firmware.state is State.RUNNING:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from firmware_sim.bench import Bench
-from firmware_sim.firmware import Firmware, Identity
+from firmware_sim.firmware import Firmware
+from firmware_sim.identity import Identity
 from tissueid.errors import LinkLostError
 from tissueid.instrument import SerialInstrument
 

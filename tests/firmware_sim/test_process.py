@@ -113,6 +113,66 @@ def test_a_host_that_does_not_read_loses_frames_and_fills_no_memory(monkeypatch)
     assert len(server._outgoing) < 200_000
 
 
+class TimedPort:
+    """The other end of a cable in a time of its own: keeps when what came, and speaks at odd moments."""
+
+    url = "timed"
+
+    def __init__(self):
+        self.now = 0.0
+        self.heard = []
+        self.said = {}
+        self._decoder = wire.FrameDecoder()
+
+    def exchange(self, outgoing, timeout_s):
+        self.heard += [(self.now, frame) for frame in self._decoder.feed(outgoing)]
+        self.now += min(0.0001 if outgoing else timeout_s, 0.0037)
+        sequence = len(self.said)
+        self.said[sequence] = self.now
+        hello = wire.pack(wire.HELLO, protocol_min=1, protocol_max=1, host=b"")
+        words = [(wire.MessageType.HELLO, hello), (wire.MessageType.STREAM, b"\1"), (wire.MessageType.STOP, b"")]
+        kind, payload = words[min(sequence, 2)]
+        return wire.encode_frame(wire.Frame(kind, sequence, payload=payload)), len(outgoing)
+
+    def unplug(self):
+        pass
+
+
+def test_frames_leave_when_they_are_whole_and_requests_act_when_they_come(monkeypatch):
+    port = TimedPort()
+    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    firmware = Firmware(Bench("linear-demo"))
+    Server(firmware, port, Scenario()).run(until=lambda: port.now > 1.0)
+    data = [(at, frame) for at, frame in port.heard if frame.type == wire.MessageType.DATA]
+    assert len(data) >= 99
+    for at, frame in data:
+        assert 0.0 <= at - (frame.sample_index + 20) / 2000 < 0.0005 + 0.0001
+    answers = [(at, frame) for at, frame in port.heard if frame.type == wire.MessageType.ACK]
+    assert len(answers) > 200
+    for at, frame in answers:
+        said = port.said[wire.unpack(wire.ACK, frame.payload)[0]["request_sequence"]]
+        # The device had lived until the request came, and no further.
+        assert frame.sample_index in (int(said * 2000), int(said * 2000 + 1e-6))
+        assert at - said < 0.0005
+
+
+def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so(monkeypatch):
+    port = TimedPort()
+    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    firmware = Firmware(Bench("linear-demo"))
+    server = Server(firmware, port, Scenario())
+    server.run(until=lambda: port.now > 0.5)
+    assert server.stopped_s == 0.0
+    before = firmware.sample_index
+    port.now += 0.3
+    server._keep_up(port.now)
+    assert firmware.sample_index - before == 40
+    assert server.stopped_s == pytest.approx(0.28, abs=0.005)
+    port.now += 0.01
+    server._keep_up(port.now)
+    assert firmware.sample_index - before == pytest.approx(60, abs=1)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_port_in_use_cannot_be_opened_twice():
     with firmware_process("--pty") as (url, _), SerialInstrument(SerialLink(url)) as instrument:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from support import connect
 
-from firmware_sim.firmware import WATCHDOG_S, Identity
+from firmware_sim.firmware import WATCHDOG_S
+from firmware_sim.identity import Identity
 from tissueid import wire
 from tissueid.errors import (
     FirmwareFaultError,
@@ -275,7 +276,7 @@ def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault, words):
 def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     without_host_checks(monkeypatch)
     instrument = connect()
-    monkeypatch.setattr("firmware_sim.firmware.FORCE_MARGIN", 1.0)
+    monkeypatch.setattr("firmware_sim.limits.FORCE_MARGIN", 1.0)
     instrument.load(hold(20.0))
     instrument.arm(Limits(max_force_n=5.05))
     firmware = instrument._link.firmware
@@ -302,7 +303,7 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     ],
 )
 def test_the_host_releases_on_its_own(monkeypatch, limits, words):
-    monkeypatch.setattr("firmware_sim.firmware.Firmware._first_violation", lambda *_: (0, Fault.NONE))
+    monkeypatch.setattr("firmware_sim.limits.ArmedLimits.first_violation", lambda *_: (0, Fault.NONE))
     monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
     instrument = connect()
     instrument.load(hold(30.0, 3.0))

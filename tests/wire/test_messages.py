@@ -12,10 +12,13 @@ SIZES = {
     "STIMULUS_BEGIN": 12,
     "STIMULUS_CHUNK": 8,
     "STIMULUS_COMMIT": 4,
+    "FOLLOW": 10,
+    "SETPOINTS": 8,
     "ARM": 44,
     "START": 4,
     "ACK": 12,
     "STATUS": 20,
+    "STATUS_SETPOINTS": 8,
     "SAMPLE": 16,
 }
 

@@ -3,7 +3,15 @@
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force
-from tissueid.instrument.limits import CLINICAL, PROFILES, RESEARCH, Limits, check_samples, check_stimulus
+from tissueid.instrument.limits import (
+    CLINICAL,
+    PROFILES,
+    RESEARCH,
+    Limits,
+    check_command,
+    check_samples,
+    check_stimulus,
+)
 from tissueid.instrument.link import Link, SerialLink
 from tissueid.instrument.replay import ReplayInstrument
 from tissueid.instrument.simulated import SimulatedInstrument
@@ -24,6 +32,7 @@ __all__ = [
     "SerialInstrument",
     "SerialLink",
     "SimulatedInstrument",
+    "check_command",
     "check_samples",
     "check_stimulus",
     "find_instruments",

@@ -6,14 +6,12 @@ import logging
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid import __version__, wire
-from tissueid.device import DeviceDescription
 from tissueid.errors import (
     FirmwareFaultError,
     InstrumentError,
@@ -22,10 +20,14 @@ from tissueid.errors import (
     ProtocolVersionError,
     TissueIDError,
 )
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run, empty_samples
-from tissueid.instrument.limits import Limits, check_samples, check_stimulus
+from tissueid.instrument.answers import Status, describe_faults, read_status, refusal
+from tissueid.instrument.handshake import Introduction, read_hello
+from tissueid.instrument.interface import Run
+from tissueid.instrument.limits import Limits, check_command, check_samples, check_stimulus
 from tissueid.instrument.link import Link
-from tissueid.wire import Fault, Frame, MessageType, Result, State
+from tissueid.instrument.sample_stream import SampleStream
+from tissueid.instrument.setpoints import SetpointSender
+from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
 
 log = logging.getLogger(__name__)
 
@@ -35,43 +37,7 @@ ANSWER_S = 0.3
 TRIES = 5
 SILENCE_S = 1.0
 """A device that streams says something every 10 ms; this much silence is a lost link."""
-MAX_GAP_S = 5.0
 CHUNK_CODES = 480
-
-_FAULT_WORDS = {
-    Fault.WATCHDOG: "the computer was silent for too long",
-    Fault.OVER_FORCE: "the force went beyond its limit",
-    Fault.STROKE: "the probe reached the end of its stroke",
-    Fault.OVER_TEMPERATURE: "the coil is too hot",
-    Fault.OVER_TIME: "the test lasted too long",
-    Fault.BUTTON: "the button was pressed",
-}
-
-_RESULT_WORDS = {
-    Result.BAD_STATE: "the instrument is not in a state for that",
-    Result.BAD_ARGUMENT: "the instrument did not understand",
-    Result.TOO_LARGE: "the stimulus is longer than the instrument can hold",
-    Result.CHECKSUM: "the stimulus arrived damaged",
-    Result.BEYOND_LIMITS: "the stimulus or the limits go beyond what the instrument allows",
-    Result.UNKNOWN: "the instrument's firmware is too old for that",
-}
-
-
-def describe_faults(faults: Fault) -> str:
-    """The latched faults in words, joined."""
-    return " and ".join(words for fault, words in _FAULT_WORDS.items() if fault & faults) or "no fault"
-
-
-@dataclass(frozen=True)
-class Status:
-    """What the firmware last said of itself."""
-
-    state: State
-    faults: Fault
-    boot_id: int
-    dropped_frames: int
-    refused_frames: int
-    played_samples: int
 
 
 class SerialInstrument:
@@ -85,7 +51,9 @@ class SerialInstrument:
     """
 
     def __init__(self, link: Link, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self.gaps: list[Gap] = []
+        self._stream = SampleStream()
+        self.gaps = self._stream.gaps
+        self.late_blocks = self.held_samples = 0
         self.status: Status | None = None
         self.repeated_requests = 0
         self._link = link
@@ -93,27 +61,26 @@ class SerialInstrument:
         self._decoder = wire.FrameDecoder()
         self._sequence = 0
         self._ack: dict[str, Any] | None = None
-        self._hello: bytes | None = None
-        self._ready: list[NDArray[np.void]] = []
-        self._next_index: int | None = None
+        self._answer: bytes | None = None
         self._error: TissueIDError | None = None
         self._limits: Limits | None = None
         self._run: Run | None = None
         self._stopped = False
         self._command = np.zeros(0)
+        self._following = 0
+        self._hold_v = 0.0
+        self._sender = SetpointSender(link.write, clock)
         self._stimulus_id = 0
-        self._gains = self._offsets = np.zeros(0)
         self._closed = False
         self._last_heard = self._last_heartbeat = clock()
         self._streaming = False
         try:
-            self.device, self._gains, self._offsets, self._boot_id = self._shake_hands()
+            self._hello = self._shake_hands()
+            self.device = self._hello.device
             self._request(MessageType.CLEAR_FAULTS)
             self._request(MessageType.RELEASE)
             self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
-            # What a host before us left behind is not ours to miss.
-            self._next_index, self.gaps = None, []
-            self._ready.clear()
+            self._stream.begin(self._hello)
             self._streaming = True
         except BaseException:
             link.close()
@@ -128,12 +95,10 @@ class SerialInstrument:
             LimitError: the voltage cannot be expressed by the converter.
             InstrumentError: the firmware refuses it.
         """
-        codes = np.rint((np.asarray(command_v) - self._offsets[0]) / self._gains[0])
-        if np.any(np.abs(codes) > 32767):
-            raise LimitError("the stimulus goes beyond the range of the instrument's converter")
+        data = self._codes(command_v)
         self._wait_for_release()
-        data = codes.astype("<i2")
         self._stimulus_id += 1
+        self._following = 0
         key = {"stimulus_id": self._stimulus_id}
         begin = wire.pack(wire.STIMULUS_BEGIN, samples=data.size, crc32=zlib.crc32(data.tobytes()), **key)
         self._request(MessageType.STIMULUS_BEGIN, begin)
@@ -144,13 +109,53 @@ class SerialInstrument:
         self._request(MessageType.STIMULUS_COMMIT, wire.pack(wire.STIMULUS_COMMIT, **key))
         self._command = np.asarray(command_v, np.float64)
 
+    def follow(self, samples: int, hold_v: float) -> None:
+        """While the next run goes on, ``samples`` set-points will be sent after what was loaded.
+
+        Raises:
+            LimitError: the level to hold cannot be expressed by the converter.
+            InstrumentError: nothing is loaded, they are too many, or the firmware is too old for it.
+        """
+        if not self._command.size:
+            raise InstrumentError("load what comes before the set-points first")
+        hold = self._codes(np.array([hold_v]))
+        self._wait_for_release()
+        self._request(
+            MessageType.FOLLOW,
+            wire.pack(wire.FOLLOW, stimulus_id=self._stimulus_id, samples=samples, hold_code=hold[0]),
+        )
+        self._following, self._hold_v = samples, hold_v
+
+    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
+        """Set-points, shape (k,), V, for the run's samples from ``offset`` on; judged here, and by the firmware.
+
+        Raises:
+            LimitError: they would break a limit; nothing of them is sent.
+            InstrumentError: nobody asked for these.
+        """
+        if self._error is not None:
+            return  # the next poll says what happened
+        first, end = self._command.size, offset + command_v.size
+        if self._limits is None or not first <= offset < end <= first + self._following:
+            raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
+        check_command(command_v, self.device, self._limits)
+        codes = self._codes(command_v)
+        for start in range(0, codes.size, CHUNK_CODES):
+            part = codes[start : start + CHUNK_CODES]
+            payload = wire.pack(wire.SETPOINTS, token=self._token, offset=offset + start) + part.tobytes()
+            sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFF
+            frame = wire.encode_frame(Frame(MessageType.SETPOINTS, sequence, payload=payload))
+            self._sender.put(sequence, offset + start, offset + start + part.size, frame)
+
     def arm(self, limits: Limits) -> None:
         """Agree on the limits, here and in the firmware.
 
         Raises:
             LimitError: the stimulus would break them.
         """
-        check_stimulus(self._command, self.device, limits)
+        check_stimulus(self._command, self.device, limits, self._following)
+        if self._following:
+            check_command(np.array([self._hold_v]), self.device, limits)
         self._limits = limits
         self._token = (self._stimulus_id << 8) ^ (self._sequence & 0xFF) ^ 0x5EED0000
         self._beat(force=True)
@@ -167,13 +172,16 @@ class SerialInstrument:
                 max_samples=round(limits.max_seconds * self.device.sample_rate_hz),
             ),
         )
+        self._sender.reset()
+        self._stream.held_samples = 0
+        self.late_blocks = self.held_samples = 0
 
     def start(self) -> Run:
         """Energise the coil and play."""
         self._stopped = False
         self._beat(force=True)
         first = self._request(MessageType.START, wire.pack(wire.START, token=self._token))
-        self._run = run = Run(first, self._command.size)
+        self._run = run = Run(first, self._command.size + self._following)
         if self.status is not None and self.status.faults:
             self._fail_by_fault(self.status.faults)  # it tripped before this answer was read
         return run
@@ -185,24 +193,38 @@ class SerialInstrument:
             LinkLostError, FirmwareFaultError, LimitError: the coil is released. What arrived before is
                 delivered first; the error comes with the next call.
         """
-        if self._error is None and not self._ready:
+        if self._error is None and not self._stream:
             try:
                 self._pump(timeout_s)
             except TissueIDError as error:
                 self._fail(error)
-        if self._ready:
-            samples = np.concatenate(self._ready)
-            self._ready.clear()
-            self._judge(samples)
-            return samples
-        if self._error is not None:
+        if self._error is None and (refused := self._sender.refused) is not None:
+            self.release()
+            self._fail(refused)
+        if self._error is not None and not self._stream:
             raise self._error
-        return np.zeros(0, SAMPLE)
+        samples = self._stream.drain()
+        if samples.size:
+            self._judge(samples)
+        return samples
+
+    def finish(self) -> int:
+        """End the run now by the soft release of its end; returns how many of its samples were played.
+
+        Raises:
+            InstrumentError: the firmware is too old for it.
+        """
+        played = self._request(MessageType.FINISH)
+        self._sender.stop()
+        if self._run is None:
+            self._end_run()
+        else:
+            self._run = Run(self._run.first_index, played)
+        return played
 
     def release(self) -> None:
         """Free the coil now; what cannot be said is left to the firmware's watchdog."""
-        self._run = None
-        self._limits = None
+        self._end_run()
         try:
             self._request(MessageType.STOP, tries=2)
         except TissueIDError as error:
@@ -237,6 +259,12 @@ class SerialInstrument:
         """Frames accepted and refused since the link was opened."""
         return self._decoder.statistics
 
+    @property
+    def setpoint_margin_s(self) -> float | None:
+        """The least time by which a block of set-points of the newest run was ahead of being played."""
+        margin = self._sender.margin_samples
+        return None if margin is None else margin / self.device.sample_rate_hz
+
     def _wait_for_release(self) -> None:
         """Let the firmware's ramp down after a run come to its end."""
         deadline = self._clock() + ANSWER_S
@@ -246,7 +274,7 @@ class SerialInstrument:
 
     # -- requests -----------------------------------------------------------------------------------------
 
-    def _shake_hands(self) -> tuple[DeviceDescription, NDArray[np.float64], NDArray[np.float64], int]:
+    def _shake_hands(self) -> Introduction:
         hello = wire.pack(
             wire.HELLO,
             protocol_min=wire.PROTOCOL_VERSION,
@@ -256,35 +284,19 @@ class SerialInstrument:
         for _ in range(TRIES):
             self._send(MessageType.HELLO, hello)
             deadline = self._clock() + ANSWER_S
-            while self._hello is None and self._clock() < deadline:
+            while self._answer is None and self._clock() < deadline:
                 self._pump(0.05)
-            if self._hello is not None:
-                return self._read_hello(self._hello)
+            if self._answer is not None:
+                return read_hello(self._answer, self._link.name)
         raise LinkLostError(f"no instrument answers on {self._link.name}; check the cable and the power")
 
-    def _read_hello(self, payload: bytes) -> tuple[DeviceDescription, NDArray[np.float64], NDArray[np.float64], int]:
-        oldest, newest = payload[:2] if len(payload) >= 2 else (0, 0)
-        if not oldest <= wire.PROTOCOL_VERSION <= newest:
-            raise ProtocolVersionError(
-                f"the instrument on {self._link.name} speaks protocol {oldest} to {newest}, "
-                f"this software {wire.PROTOCOL_VERSION}: update the {'software' if oldest > 1 else 'firmware'}"
-            )
-        try:
-            fields, table = wire.unpack(wire.HELLO_ACK, payload, tail=True)
-            if len(table) != fields["channels"] * wire.CHANNEL.itemsize:
-                raise wire.PayloadError("the channel table is cut short")
-        except wire.PayloadError as error:
-            raise InstrumentError(f"the handshake of {self._link.name} is damaged: {error}") from error
-        channels = np.frombuffer(table, wire.CHANNEL)
-        names = tuple(wire.text(name) for name in channels["name"])
-        if names != SIGNALS or not np.all(np.isfinite(channels["gain"]) & (channels["gain"] != 0)):
-            raise InstrumentError(f"{self._link.name} has other channels than this software knows: {names}")
-        figures = {name: fields[name] for name in DeviceDescription.__dataclass_fields__ if name in fields}
-        figures |= {name: wire.text(fields[name]) for name in ("model", "serial_number", "firmware_version")}
-        device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
-        if not 100 <= device.sample_rate_hz <= 100_000 or min(device.coil_resistance_ohm, device.stroke_m) <= 0:
-            raise InstrumentError(f"{self._link.name} reports impossible figures of itself")
-        return device, channels["gain"].astype(float), channels["offset"].astype(float), fields["boot_id"]
+    def _codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
+        """The converter's codes, shape (n,), of commands in V."""
+        codes = np.rint((np.asarray(command_v) - self._hello.offsets[0]) / self._hello.gains[0])
+        if not np.all(np.abs(codes) <= 32767):
+            raise LimitError("the stimulus goes beyond the range of the instrument's converter")
+        data: NDArray[np.int16] = codes.astype("<i2")
+        return data
 
     def _request(self, kind: MessageType, payload: bytes = b"", *, tries: int = TRIES) -> int:
         """Send until answered, always under the same sequence number, so that a repeat acts only once."""
@@ -299,20 +311,10 @@ class SerialInstrument:
                 self._pump(0.02)
                 ack = self._ack
                 if ack and ack["request_type"] == kind and ack["request_sequence"] == sequence:
-                    return self._check_result(kind, ack)
+                    if ack["result"] != Result.OK:
+                        raise refusal(kind, ack["result"], ack["detail"])
+                    return int(ack["detail"])
         raise LinkLostError(f"{self._link.name} does not answer {kind.name}; check the cable and the power")
-
-    def _check_result(self, kind: MessageType, ack: dict[str, Any]) -> int:
-        result = ack["result"]
-        if result == Result.OK:
-            return int(ack["detail"])
-        if result == Result.FAULT_LATCHED:
-            faults = Fault(int(ack["detail"]))
-            raise FirmwareFaultError(f"the instrument refuses after a fault: {describe_faults(faults)}")
-        words = _RESULT_WORDS.get(result, f"the instrument answered {result}")
-        if result == Result.BEYOND_LIMITS:
-            raise LimitError(f"{words} ({kind.name})")
-        raise InstrumentError(f"{words} ({kind.name})")
 
     def _send(self, kind: MessageType, payload: bytes = b"", sequence: int | None = None) -> None:
         if sequence is None:
@@ -337,6 +339,8 @@ class SerialInstrument:
                 self._dispatch(frame)
             except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
                 log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
+        if self._run is not None and self._stream.next_index is not None:
+            self._sender.repeat(self._stream.next_index - self._run.first_index)
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
             raise LinkLostError(
                 f"{self._link.name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself"
@@ -353,50 +357,40 @@ class SerialInstrument:
         elif frame.type == MessageType.DATA:
             self._take_data(frame)
         elif frame.type == MessageType.ACK:
-            ack, _ = wire.unpack(wire.ACK, frame.payload, tail=True)
-            self._ack = ack
+            self._take_ack(frame)
         elif frame.type == MessageType.STATUS:
             self._take_status(frame)
         elif frame.type == MessageType.HELLO_ACK:
-            self._hello = frame.payload
+            self._answer = frame.payload
+
+    def _take_ack(self, frame: Frame) -> None:
+        ack, _ = wire.unpack(wire.ACK, frame.payload, tail=True)
+        if ack["request_type"] != MessageType.SETPOINTS:
+            self._ack = ack
+            return
+        self._sender.acknowledge(ack, frame.sample_index - self._run.first_index if self._run else None)
+        self.late_blocks = max(self.late_blocks, self._sender.late_blocks)
 
     def _take_status(self, frame: Frame) -> None:
-        fields, _ = wire.unpack(wire.STATUS, frame.payload, tail=True)
-        del fields["streaming"]
-        fields["state"], fields["faults"] = State(fields["state"]), Fault(fields["faults"])
-        self.status = Status(**fields)
+        self.status = status = read_status(frame.payload)
         if not self._streaming:
             return
-        if fields["boot_id"] != self._boot_id:
+        self.late_blocks = max(self.late_blocks, status.late_blocks)
+        self.held_samples = max(self.held_samples, status.held_samples)
+        if status.boot_id != self._hello.boot_id:
             self._fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
-        elif self._run is not None and self.status.faults:
-            self._fail_by_fault(self.status.faults)
-        elif self._run is not None and self._stopped and self.status.state is not State.RUNNING:
+        elif self._run is not None and status.faults:
+            self._fail_by_fault(status.faults)
+        elif self._run is not None and self._stopped and status.state is not State.RUNNING:
             self._fail(FirmwareFaultError("the instrument stopped the test by itself; the coil is free"))
 
     def _take_data(self, frame: Frame) -> None:
-        if not self._gains.size:
-            return  # still streaming for a host that died: the scales are not known yet
-        if self._next_index is not None and frame.sample_index < self._next_index:
-            return  # a duplicate, or late: its place is already taken
-        if len(frame.payload) % wire.SAMPLE.itemsize:
-            raise wire.PayloadError("a data frame holds part of a sample")
-        if self._next_index is not None and frame.sample_index > self._next_index:
-            missing = frame.sample_index - self._next_index
-            if missing > MAX_GAP_S * self.device.sample_rate_hz:
-                self._fail(LinkLostError(f"{missing} samples are missing at once; the link cannot be trusted"))
-                return
-            self.gaps.append(Gap(self._next_index, missing))
-            log.warning("%d samples lost from sample %d on", missing, self._next_index)
-            self._ready.append(empty_samples(self._next_index, missing))
-        codes = np.frombuffer(frame.payload, wire.SAMPLE)
-        samples = np.zeros(codes.size, SAMPLE)
-        samples["index"] = frame.sample_index + np.arange(codes.size)
-        samples["flags"] = codes["flags"]
-        for channel, name in enumerate(SIGNALS):
-            samples[name] = codes[name] * self._gains[channel] + self._offsets[channel]
-        self._ready.append(samples)
-        self._next_index = frame.sample_index + codes.size
+        try:
+            self._stream.take(frame)
+        except LinkLostError as error:
+            self._fail(error)
+        # What the firmware held in samples that were lost is in its STATUS at the end of the run.
+        self.held_samples = max(self.held_samples, self._stream.held_samples)
 
     def _judge(self, samples: NDArray[np.void]) -> None:
         if self._limits is None or self._error is not None:
@@ -408,11 +402,10 @@ class SerialInstrument:
             self._error = error
             return
         if self._run is not None and samples["index"][-1] >= self._run.end_index:
-            self._run = None
-            self._limits = None
+            self._end_run()
         elif self._run is not None and not self._stopped:
             received = np.isfinite(samples["position"]) & (samples["index"] >= self._run.first_index)
-            if np.any(received & ~(samples["flags"] & wire.Flag.PLAYING).astype(bool)):
+            if np.any(received & ~(samples["flags"] & Flag.PLAYING).astype(bool)):
                 # The message that says why may have been lost: ask again.
                 self._stopped = True
                 self._send(MessageType.STATUS_REQUEST)
@@ -424,5 +417,11 @@ class SerialInstrument:
         """Remember the first error; ``poll`` raises it once the samples before it are delivered."""
         if self._error is None:
             self._error = error
-            self._run = None
-            self._limits = None
+            self._end_run()
+
+    def _end_run(self) -> None:
+        """Nothing is running here any more; set-points are agreed on for one run alone."""
+        self._run = None
+        self._limits = None
+        self._following = 0
+        self._sender.stop()

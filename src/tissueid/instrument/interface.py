@@ -44,27 +44,34 @@ class Instrument(Protocol):
 
     ``poll`` must be called at least every 100 ms while the coil is armed or running: the heartbeat that keeps
     the firmware's watchdog quiet is sent there and nowhere else, so a host that hangs releases the coil.
-
-    ``late_blocks`` and ``held_samples`` count, over the newest run, the blocks of set-points that came after their time
-    and the samples for which a safe level was held in their place.
     """
 
     device: DeviceDescription
     gaps: list[Gap]
-    late_blocks: int
-    held_samples: int
+
+    @property
+    def late_blocks(self) -> int:
+        """Blocks of set-points of the newest run that came after their time."""
+
+    @property
+    def held_samples(self) -> int:
+        """Samples of the newest run whose command was not the stimulus' own, because its set-point was missing."""
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Send a stimulus, shape (n,), V at the device's sample rate."""
 
     def follow(self, samples: int, hold_v: float) -> None:
-        """After ``load``: while the run goes on, ``samples`` set-points more will be sent with ``send``.
+        """After ``load``: while the next run goes on, ``samples`` set-points more will be sent with ``send``.
 
-        Where they fail to come in time, the command goes softly to ``hold_v`` and stays there until they do.
+        Where they fail to come in time, the command goes softly to ``hold_v`` and stays there until they do. It is
+        agreed for one run; the next one asks anew.
         """
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
-        """Set-points, shape (k,), V, for the run's samples from ``offset`` on, ahead of their time; does not wait."""
+        """Set-points, shape (k,), V, for the run's samples from ``offset`` on, ahead of their time; does not wait.
+
+        The first set-point's offset is the length of what was loaded. What goes wrong with them comes with ``poll``.
+        """
 
     def finish(self) -> int:
         """End the run now as its stimulus would end, by a soft release; returns how many samples it had played."""

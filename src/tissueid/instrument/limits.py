@@ -42,8 +42,24 @@ CLINICAL = Limits(max_force_n=12.0)
 PROFILES = {"research": RESEARCH, "clinical": CLINICAL}
 
 
-def check_stimulus(command_v: NDArray[np.float64], device: DeviceDescription, limits: Limits) -> None:
+def check_stimulus(
+    command_v: NDArray[np.float64], device: DeviceDescription, limits: Limits, following: int = 0
+) -> None:
     """Refuse a stimulus, shape (n,) in V, that would break a limit, before a byte of it is sent.
+
+    ``following`` is how many set-points come after it: they count towards its length.
+
+    Raises:
+        LimitError: says which limit, and by how much.
+    """
+    seconds = (command_v.size + following) / device.sample_rate_hz
+    if seconds > limits.max_seconds:
+        raise LimitError(f"the stimulus lasts {seconds:.1f} s; the limit is {limits.max_seconds:g} s")
+    check_command(command_v, device, limits)
+
+
+def check_command(command_v: NDArray[np.float64], device: DeviceDescription, limits: Limits) -> None:
+    """Refuse commands, shape (n,) in V, that the amplifier cannot give or that push too hard.
 
     Force is judged at standstill, gain V * force constant / resistance: motion only lowers it.
 
@@ -52,9 +68,6 @@ def check_stimulus(command_v: NDArray[np.float64], device: DeviceDescription, li
     """
     if command_v.ndim != 1 or command_v.size == 0 or not np.all(np.isfinite(command_v)):
         raise LimitError("the stimulus must be a row of finite voltages")
-    seconds = command_v.size / device.sample_rate_hz
-    if seconds > limits.max_seconds:
-        raise LimitError(f"the stimulus lasts {seconds:.1f} s; the limit is {limits.max_seconds:g} s")
     volts = float(np.abs(command_v).max()) * device.amplifier_gain
     if volts > device.amplifier_limit_v:
         raise LimitError(f"the stimulus needs {volts:.1f} V; the amplifier gives {device.amplifier_limit_v:g} V")

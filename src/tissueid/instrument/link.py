@@ -6,8 +6,10 @@ import contextlib
 import errno
 import os
 import re
+import socket
 import time
 from typing import Protocol
+from urllib.parse import urlsplit
 
 import serial
 
@@ -25,7 +27,13 @@ else:
     _PORT_ERRORS = (OSError, ValueError, termios.error)
 
 _SLICE_S = 0.01
-"""One data frame's worth: a read gathers what arrives in this time, on ports and sockets alike."""
+"""How long one wait for the first byte lasts: a port's own timeout cannot be changed for every read."""
+
+_READ = 65536
+_CONNECT_S = 5.0
+_WRITE_S = 1.0
+_SHORTEST_S = 1e-3
+"""A socket takes a timeout of nothing for another mode."""
 
 
 class Link(Protocol):
@@ -43,8 +51,61 @@ class Link(Protocol):
         """Let go of the port. Never raises."""
 
 
+class _Port:
+    """A port as pyserial knows it."""
+
+    def __init__(self, url: str) -> None:
+        # Exclusive: a second program, or a search for instruments, must not read a running test's samples away.
+        self._port = serial.serial_for_url(
+            url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True
+        )
+        self._port.reset_input_buffer()
+
+    def read(self, timeout_s: float) -> bytes:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            # Asked for more than is there, a port waits for the rest until its timeout is over.
+            data = bytes(self._port.read(1))
+            if data:
+                return data + bytes(self._port.read(min(self._port.in_waiting, _READ)))
+            if time.monotonic() >= deadline:
+                return data
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def close(self) -> None:
+        self._port.close()
+
+
+class _Socket:
+    """A TCP connection: pyserial's own cannot say how much has arrived, and so gives nothing before its timeout."""
+
+    def __init__(self, url: str) -> None:
+        self._socket = socket.create_connection(_address(url), timeout=_CONNECT_S)
+        # A block of set-points must not wait until there are more.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def read(self, timeout_s: float) -> bytes:
+        self._socket.settimeout(max(timeout_s, _SHORTEST_S))
+        try:
+            data = self._socket.recv(_READ)
+        except TimeoutError:
+            return b""
+        if not data:
+            raise ConnectionError("the other end is gone")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.settimeout(_WRITE_S)
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
 class SerialLink:
-    """A real port, a pseudo-terminal, or TCP as ``socket://host:port`` (pyserial's URLs).
+    """A real port, a pseudo-terminal, any of pyserial's URLs, or TCP as ``socket://host:port``.
 
     Raises:
         InstrumentError: the port cannot be opened.
@@ -54,37 +115,34 @@ class SerialLink:
         self.name = url
         # pyserial says OSError for some unplugs and SerialException (an OSError too) for others.
         try:
-            # Exclusive: a second program, or a search for instruments, must not read a running test's samples away.
-            self._port = serial.serial_for_url(
-                url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
-            )
-            self._port.reset_input_buffer()
+            self._pipe = _Socket(url) if url.startswith("socket://") else _Port(url)
         except _PORT_ERRORS as error:
             raise InstrumentError(f"cannot open {url}: {_reason(error)}") from error
 
     def read(self, timeout_s: float) -> bytes:  # noqa: D102
-        deadline = time.monotonic() + timeout_s
         try:
-            while True:
-                data = bytes(self._port.read(65536))
-                if data or time.monotonic() >= deadline:
-                    return data
+            return self._pipe.read(timeout_s)
         except (OSError, TypeError) as error:  # TypeError: pyserial's read on a port closed meanwhile
             raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
 
     def write(self, data: bytes) -> None:  # noqa: D102
         try:
-            self._port.write(data)
+            self._pipe.write(data)
         except (OSError, TypeError) as error:
             raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
 
     def close(self) -> None:  # noqa: D102
-        # pyserial forgets a socket whose other end hung up first.
-        forgotten = getattr(self._port, "_socket", None)
         with contextlib.suppress(OSError):  # an unplugged port cannot be closed
-            self._port.close()
-        if forgotten is not None:
-            forgotten.close()
+            self._pipe.close()
+
+
+def _address(url: str) -> tuple[str, int]:
+    """Host and port of ``socket://HOST:PORT``."""
+    with contextlib.suppress(ValueError):
+        parts = urlsplit(url)
+        if parts.hostname and parts.port is not None:
+            return parts.hostname, parts.port
+    raise ValueError("an address has the form socket://HOST:PORT")
 
 
 def _reason(error: Exception) -> str:
@@ -92,12 +150,10 @@ def _reason(error: Exception) -> str:
     number = getattr(error, "errno", None)
     if number == errno.EAGAIN:
         return "another program is using it"
-    if number:
+    if number and number > 0:  # a name that cannot be resolved has a number of another kind
         return os.strerror(number)
     if not isinstance(error, OSError | ValueError) or "configure port" in str(error):
         return "it is not a serial port"
-    if "not supported between" in str(error):
-        return "an address has the form socket://HOST:PORT"
     if "returned no data" in str(error):
         return "the other end is gone"
     return re.sub(r"^.*: |\[Errno -?\d+\] ", "", str(error).splitlines()[0])

@@ -29,6 +29,7 @@ class ReplayInstrument:
     def __init__(self, device: DeviceDescription, signals: Mapping[str, NDArray[np.float64]]) -> None:
         self.device = device
         self.gaps: list[Gap] = []
+        self.late_blocks = self.held_samples = 0
         usable = {name: signals[name] for name in SIGNALS if name in signals}
         if not usable:
             raise UnusableInputError("the record has no signal that an instrument delivers")
@@ -45,6 +46,27 @@ class ReplayInstrument:
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Take note of how many samples are wanted; no more than were recorded."""
         self._loaded = min(command_v.size, self._samples.size)
+
+    def follow(self, samples: int, hold_v: float) -> None:
+        """Refuse.
+
+        Raises:
+            InstrumentError: what was recorded does not answer.
+        """
+        raise InstrumentError("a replay plays what was recorded: it takes no stimulus that is made while it runs")
+
+    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
+        """Refuse.
+
+        Raises:
+            InstrumentError: what was recorded does not answer.
+        """
+        raise InstrumentError("a replay plays what was recorded: it takes no set-points")
+
+    def finish(self) -> int:
+        """End the replay here; returns how many samples were delivered."""
+        self._running = False
+        return min(self._cursor, self._loaded)
 
     def arm(self, limits: Limits) -> None:
         """Accept: nothing moves in a replay."""

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from tissueid import twin
 from tissueid.device import DeviceDescription
-from tissueid.errors import InstrumentError, LimitError, UnusableInputError
+from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, UnusableInputError
+from tissueid.instrument.answers import describe_faults
 from tissueid.instrument.interface import SAMPLE, Gap, Run
-from tissueid.instrument.limits import Limits, check_samples, check_stimulus
-from tissueid.wire import Flag
+from tissueid.instrument.limits import Limits, check_command, check_samples, check_stimulus
+from tissueid.instrument.playback import Playback
+from tissueid.wire import Fault
 
 BLOCK = 20
 _NOISE = {"voltage": 2.0e-3, "current": 3.0e-4, "position": 5.0e-7}
@@ -57,15 +59,53 @@ class SimulatedInstrument:
         self._random = np.random.default_rng(seed)
         self._state = twin.State(0.0, self._parameters.surface_m, 0.0)
         self._command = np.zeros(0)
+        self._following = 0
+        self._hold_v = 0.0
+        self._playback = Playback(self._command, self.device.sample_rate_hz)
         self._limits: Limits | None = None
         self._run: Run | None = None
         self._index = 0
+        self._energised = False
         # Let the probe come to rest on the tissue, as a clinician would before looking at the screen.
         _, self._state = twin.simulate(np.zeros(4000), self._parameters, self.device.sample_rate_hz, self._state)
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Take a stimulus, shape (n,), V."""
         self._command = np.asarray(command_v, np.float64)
+        self._following = 0
+
+    @property
+    def late_blocks(self) -> int:
+        """Blocks of set-points of the newest run that came after their time."""
+        return self._playback.late_blocks
+
+    @property
+    def held_samples(self) -> int:
+        """Samples of the newest run whose set-point was missing."""
+        return self._playback.held_samples
+
+    def follow(self, samples: int, hold_v: float) -> None:
+        """While the next run goes on, ``samples`` set-points will be sent after what was loaded.
+
+        Raises:
+            InstrumentError: nothing is loaded.
+        """
+        if not self._command.size:
+            raise InstrumentError("load what comes before the set-points first")
+        self._following, self._hold_v = samples, hold_v
+
+    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
+        """Set-points, shape (k,), V, for the run's samples from ``offset`` on.
+
+        Raises:
+            LimitError: they would break a limit.
+            InstrumentError: nobody asked for these.
+        """
+        end = offset + command_v.size
+        if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
+            raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
+        check_command(command_v, self.device, self._limits)
+        self._playback.take(offset, command_v)
 
     def arm(self, limits: Limits) -> None:
         """Agree on the limits.
@@ -73,8 +113,13 @@ class SimulatedInstrument:
         Raises:
             LimitError: the stimulus would break them.
         """
-        check_stimulus(self._command, self.device, limits)
+        check_stimulus(self._command, self.device, limits, self._following)
+        if self._following:
+            check_command(np.array([self._hold_v]), self.device, limits)
         self._limits = limits
+        self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
+        self._following = 0
+        self._energised = False
 
     def start(self) -> Run:
         """Play the stimulus from the next poll on.
@@ -84,7 +129,8 @@ class SimulatedInstrument:
         """
         if self._limits is None:
             raise InstrumentError("load and arm before starting")
-        self._run = Run(self._index, self._command.size)
+        self._run = Run(self._index, self._playback.planned)
+        self._energised = True
         return self._run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
@@ -96,10 +142,9 @@ class SimulatedInstrument:
         del timeout_s
         samples = np.zeros(BLOCK, SAMPLE)
         samples["index"] = self._index + np.arange(BLOCK)
-        if self._run is not None:
-            part = self._command[self._index - self._run.first_index :][:BLOCK]
-            samples["command"][: part.size] = part
-            samples["flags"][: part.size] = Flag.PLAYING | Flag.ENERGISED
+        if self._energised:
+            samples["command"], samples["flags"] = self._playback.block(BLOCK)
+            self._energised = not self._playback.over
         signals, self._state = twin.simulate(
             samples["command"], self._parameters, self.device.sample_rate_hz, self._state
         )
@@ -114,14 +159,28 @@ class SimulatedInstrument:
             except LimitError:
                 self.release()
                 raise
-            if self._index >= self._run.end_index:
+            if self._playback.starved:
                 self.release()
+                raise FirmwareFaultError(f"the instrument released the coil: {describe_faults(Fault.STARVED)}")
+            if self._index >= self._run.end_index:
+                self._run = None
+                self._limits = None
         return samples
+
+    def finish(self) -> int:
+        """End the run here by its soft release; returns how many of its samples were played."""
+        played = self._playback.finish()
+        if self._run is None:
+            self._limits = None
+        else:
+            self._run = Run(self._run.first_index, played)
+        return played
 
     def release(self) -> None:
         """Free the coil: from the next sample on the command is zero."""
         self._run = None
         self._limits = None
+        self._energised = False
 
     def close(self) -> None:
         """Release."""

@@ -20,11 +20,14 @@ class MessageType(IntEnum):
     STIMULUS_BEGIN = 0x10
     STIMULUS_CHUNK = 0x11
     STIMULUS_COMMIT = 0x12
+    FOLLOW = 0x13
+    SETPOINTS = 0x14
     ARM = 0x20
     START = 0x21
     STOP = 0x22
     RELEASE = 0x23
     CLEAR_FAULTS = 0x24
+    FINISH = 0x25
     HEARTBEAT = 0x30
     STATUS_REQUEST = 0x31
     HELLO_ACK = 0x81
@@ -54,6 +57,7 @@ class Result(IntEnum):
     FAULT_LATCHED = 5
     BEYOND_LIMITS = 6
     UNKNOWN = 7
+    LATE = 8
 
 
 class Fault(IntFlag):
@@ -66,6 +70,7 @@ class Fault(IntFlag):
     OVER_TEMPERATURE = 8
     OVER_TIME = 16
     BUTTON = 32
+    STARVED = 64
 
 
 class Flag(IntFlag):
@@ -78,6 +83,8 @@ class Flag(IntFlag):
     """The amplifier is enabled."""
     SATURATED = 8
     """At least one converter is at its end."""
+    HELD = 16
+    """The host's set-point was missing: the command is the firmware's own."""
 
 
 HELLO = np.dtype([("protocol_min", "u1"), ("protocol_max", "u1"), ("host", "S30")])
@@ -117,6 +124,9 @@ STIMULUS_BEGIN = np.dtype([("stimulus_id", "<u4"), ("samples", "<u4"), ("crc32",
 STIMULUS_CHUNK = np.dtype([("stimulus_id", "<u4"), ("offset", "<u4")])
 """Followed by the codes, ``<i2`` each."""
 STIMULUS_COMMIT = np.dtype([("stimulus_id", "<u4")])
+FOLLOW = np.dtype([("stimulus_id", "<u4"), ("samples", "<u4"), ("hold_code", "<i2")])
+SETPOINTS = np.dtype([("token", "<u4"), ("offset", "<u4")])
+"""Followed by the codes, ``<i2`` each."""
 
 ARM = np.dtype(
     [
@@ -144,6 +154,8 @@ STATUS = np.dtype(
         ("played_samples", "<u4"),
     ]
 )
+STATUS_SETPOINTS = np.dtype([("late_blocks", "<u4"), ("held_samples", "<u4")])
+"""Follows STATUS where the firmware takes set-points; an older one ends before it."""
 
 SAMPLE = np.dtype(
     [

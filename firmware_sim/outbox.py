@@ -1,0 +1,39 @@
+"""The transmit queue: frames that wait for the line, numbered in the order in which they were made."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from firmware_sim.plant import SAMPLE_RATE_HZ
+from tissueid import wire
+from tissueid.wire import Frame, MessageType
+
+TRANSMIT_QUEUE_BYTES = 64 * 1024
+
+
+class Outbox:
+    """Holds what fits. A host that does not read loses whole frames: ``dropped_frames`` counts them."""
+
+    def __init__(self) -> None:
+        self.dropped_frames = 0
+        self._frames: deque[bytes] = deque()
+        self._bytes = 0
+        self._sequence = 0
+
+    def put(self, kind: MessageType, payload: bytes, index: int) -> None:
+        """Queue a frame whose sample index is ``index``; a dropped one leaves a gap in the sequence numbers."""
+        frame = Frame(kind, self._sequence, round(index / SAMPLE_RATE_HZ * 1e6), index, payload)
+        self._sequence = (self._sequence + 1) & 0xFFFF
+        encoded = wire.encode_frame(frame)
+        if self._bytes + len(encoded) > TRANSMIT_QUEUE_BYTES:
+            self.dropped_frames += 1
+            return
+        self._frames.append(encoded)
+        self._bytes += len(encoded)
+
+    def take(self) -> bytes:
+        """Everything that waits, which then waits no more."""
+        data = b"".join(self._frames)
+        self._frames.clear()
+        self._bytes = 0
+        return data

@@ -1,0 +1,124 @@
+"""Set-points: a stimulus that the host goes on making while it is played, and what is played when it falls behind.
+
+``docs/protocol.md``, section 4.5, specifies it. Nothing here knows of frames, states or clocks: samples are counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.plant import SAMPLE_RATE_HZ
+from tissueid.wire import Result
+
+BUFFER_SAMPLES = 8192
+"""How far ahead of the sample being played set-points are kept: 4 s."""
+
+HOLD_RAMP_S = 0.05
+FADE_S = 0.005
+STARVED_S = 0.5
+_HOLD_RAMP = round(HOLD_RAMP_S * SAMPLE_RATE_HZ)
+_FADE = round(FADE_S * SAMPLE_RATE_HZ)
+_STARVED = round(STARVED_S * SAMPLE_RATE_HZ)
+
+
+class Setpoints:
+    """The set-points of one run: those from ``first`` to ``end``, counted from the first sample of the stimulus.
+
+    ``agree`` says how many will follow, ``begin`` empties the buffer for a run, ``take`` fills it, ``play`` empties it
+    sample by sample. ``late_blocks`` counts until the next run begins.
+    """
+
+    def __init__(self) -> None:
+        # A ring: sample k lives at k modulo its length, and there is no room for one that far ahead.
+        self._volts = np.zeros(BUFFER_SAMPLES)
+        self._known = np.zeros(BUFFER_SAMPLES, dtype=bool)
+        self.samples = 0
+        self.hold_v = 0.0
+        self.begin(0)
+
+    def agree(self, samples: int, hold_v: float) -> None:
+        """``samples`` set-points will follow the stimulus; where one is missing, go to ``hold_v``."""
+        self.samples, self.hold_v = samples, hold_v
+
+    def begin(self, first: int) -> None:
+        """A new run, whose stimulus has ``first`` samples."""
+        self.first, self.end = first, first + self.samples
+        self._known[:] = False
+        self.late_blocks = 0
+        self._missing = 0
+        self._holding = 0
+        self._fading = 0
+        self._from = 0.0
+
+    @property
+    def starved(self) -> bool:
+        """True when the host has been missing for so long that it will not come back."""
+        return self._missing >= _STARVED
+
+    def next_missing(self, cursor: int) -> int:
+        """The first sample from ``cursor`` on that is still wanted; ``end`` when none is."""
+        start = max(cursor, self.first)
+        stop = min(start + BUFFER_SAMPLES, self.end)
+        samples = np.arange(start, stop)
+        missing = samples[~self._known[samples % BUFFER_SAMPLES]]
+        return int(missing[0]) if missing.size else stop
+
+    def take(self, offset: int, volts: NDArray[np.float64], cursor: int) -> Result:
+        """Set-points, shape (k,), V, for the samples from ``offset`` on, while ``cursor`` is the next to be played."""
+        end, wanted_from = offset + volts.size, max(cursor, self.first)
+        if volts.size == 0 or offset < self.first or end > self.end:
+            return Result.BAD_ARGUMENT
+        if end > wanted_from + BUFFER_SAMPLES:
+            return Result.TOO_LARGE
+        wanted = volts[max(0, wanted_from - offset) :]
+        if wanted.size:
+            place = np.arange(end - wanted.size, end) % BUFFER_SAMPLES
+            self._volts[place] = wanted
+            self._known[place] = True
+            self._missing = 0
+        if offset < wanted_from:
+            self.late_blocks += 1
+            return Result.LATE
+        return Result.OK
+
+    def play(self, cursor: int, count: int, present_v: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Volts for the samples from ``cursor`` on, and which of them are not the host's own; both of shape (count,).
+
+        ``present_v`` is the command before. Fewer than ``count`` come back when the last of them is one too many
+        without the host.
+        """
+        volts, held = np.empty(count), np.zeros(count, dtype=bool)
+        for k in range(count):
+            place = (cursor + k) % BUFFER_SAMPLES
+            if self._known[place]:
+                self._known[place] = False
+                present_v, held[k] = self._resume(float(self._volts[place]))
+                self._missing = 0
+            else:
+                present_v, held[k] = self._hold(present_v), True
+                self._missing += 1
+            volts[k] = present_v
+            if self.starved:
+                volts, held = volts[: k + 1], held[: k + 1]
+                break
+        return volts, held
+
+    def _hold(self, present_v: float) -> float:
+        """One sample without a set-point: on the way to the hold level, or there."""
+        if self._holding == 0:
+            self._from = present_v
+        self._holding = min(self._holding + 1, _HOLD_RAMP)
+        self._fading = 0
+        return self._from + (self.hold_v - self._from) * self._holding / _HOLD_RAMP
+
+    def _resume(self, wanted_v: float) -> tuple[float, bool]:
+        """One sample with a set-point; after a hold the way back to it is faded, so that nothing jumps."""
+        if self._holding:
+            self._from += (self.hold_v - self._from) * self._holding / _HOLD_RAMP
+            self._holding, self._fading = 0, _FADE
+        if self._fading == 0:
+            return wanted_v, False
+        share = 1.0 - self._fading / (_FADE + 1)
+        self._fading -= 1
+        return self._from + (wanted_v - self._from) * share, True

@@ -1,0 +1,81 @@
+"""What the firmware answers, in the words of this software: results, faults, and what it says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tissueid import wire
+from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, TissueIDError
+from tissueid.wire import Fault, MessageType, Result, State
+
+_FAULT_WORDS = {
+    Fault.WATCHDOG: "the computer was silent for too long",
+    Fault.OVER_FORCE: "the force went beyond its limit",
+    Fault.STROKE: "the probe reached the end of its stroke",
+    Fault.OVER_TEMPERATURE: "the coil is too hot",
+    Fault.OVER_TIME: "the test lasted too long",
+    Fault.BUTTON: "the button was pressed",
+    Fault.STARVED: "the computer fell behind with the stimulus",
+}
+
+_RESULT_WORDS: dict[int, str] = {
+    Result.BAD_STATE: "the instrument is not in a state for that",
+    Result.BAD_ARGUMENT: "the instrument did not understand",
+    Result.TOO_LARGE: "the stimulus is longer than the instrument can hold",
+    Result.CHECKSUM: "the stimulus arrived damaged",
+    Result.BEYOND_LIMITS: "the stimulus or the limits go beyond what the instrument allows",
+    Result.UNKNOWN: "the instrument's firmware is too old for that",
+}
+
+_TOO_OLD_FOR = {
+    MessageType.FOLLOW: "for feedback stimuli",
+    MessageType.SETPOINTS: "for feedback stimuli",
+    MessageType.FINISH: "to end a test early",
+}
+
+
+def describe_faults(faults: Fault) -> str:
+    """The latched faults in words, joined."""
+    return " and ".join(words for fault, words in _FAULT_WORDS.items() if fault & faults) or "no fault"
+
+
+def refusal(kind: MessageType, result: int, detail: int) -> TissueIDError:
+    """The error that a request's answer other than OK stands for."""
+    if result == Result.FAULT_LATCHED:
+        return FirmwareFaultError(f"the instrument refuses after a fault: {describe_faults(Fault(detail))}")
+    if result == Result.UNKNOWN and kind in _TOO_OLD_FOR:
+        return InstrumentError(f"the instrument's firmware is too old {_TOO_OLD_FOR[kind]}: update it")
+    words = _RESULT_WORDS.get(result, f"the instrument answered {result}")
+    if result == Result.BEYOND_LIMITS:
+        return LimitError(f"{words} ({kind.name})")
+    return InstrumentError(f"{words} ({kind.name})")
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the firmware last said of itself. An older one knows nothing of late blocks and held samples."""
+
+    state: State
+    faults: Fault
+    boot_id: int
+    dropped_frames: int
+    refused_frames: int
+    played_samples: int
+    late_blocks: int = 0
+    held_samples: int = 0
+
+
+def read_status(payload: bytes) -> Status:
+    """A STATUS message.
+
+    Raises:
+        PayloadError, ValueError: cut short, or a state that nobody knows.
+    """
+    fields, more = wire.unpack(wire.STATUS, payload, tail=True)
+    counts: dict[str, Any] = {}
+    if len(more) >= wire.STATUS_SETPOINTS.itemsize:
+        counts, _ = wire.unpack(wire.STATUS_SETPOINTS, more, tail=True)
+    del fields["streaming"]
+    fields["state"], fields["faults"] = State(fields["state"]), Fault(fields["faults"])
+    return Status(**fields, **counts)

@@ -1,0 +1,55 @@
+"""Reading the handshake: who answers, whether it can be understood, and the scales of its channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid import wire
+from tissueid.device import DeviceDescription
+from tissueid.errors import InstrumentError, ProtocolVersionError
+from tissueid.instrument.interface import SIGNALS
+
+
+@dataclass(frozen=True)
+class Introduction:
+    """What a device said of itself: its figures, the scales of the channels in the order of SIGNALS, its boot id."""
+
+    device: DeviceDescription
+    gains: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    boot_id: int
+
+
+def read_hello(payload: bytes, name: str) -> Introduction:
+    """A HELLO_ACK from the port called ``name``.
+
+    Raises:
+        ProtocolVersionError: it speaks other versions; says which side to update.
+        InstrumentError: it is damaged, or cannot be true.
+    """
+    oldest, newest = payload[:2] if len(payload) >= 2 else (0, 0)
+    if not oldest <= wire.PROTOCOL_VERSION <= newest:
+        raise ProtocolVersionError(
+            f"the instrument on {name} speaks protocol {oldest} to {newest}, "
+            f"this software {wire.PROTOCOL_VERSION}: update the {'software' if oldest > 1 else 'firmware'}"
+        )
+    try:
+        fields, table = wire.unpack(wire.HELLO_ACK, payload, tail=True)
+        if len(table) != fields["channels"] * wire.CHANNEL.itemsize:
+            raise wire.PayloadError("the channel table is cut short")
+    except wire.PayloadError as error:
+        raise InstrumentError(f"the handshake of {name} is damaged: {error}") from error
+    channels = np.frombuffer(table, wire.CHANNEL)
+    names = tuple(wire.text(channel) for channel in channels["name"])
+    if names != SIGNALS or not np.all(np.isfinite(channels["gain"]) & (channels["gain"] != 0)):
+        raise InstrumentError(f"{name} has other channels than this software knows: {names}")
+    figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
+    figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
+    device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
+    if not 100 <= device.sample_rate_hz <= 100_000 or min(device.coil_resistance_ohm, device.stroke_m) <= 0:
+        raise InstrumentError(f"{name} reports impossible figures of itself")
+    gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
+    return Introduction(device, gains, offsets, fields["boot_id"])

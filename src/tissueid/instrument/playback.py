@@ -1,0 +1,114 @@
+"""A run played in this process: stimulus, set-points, the level held where they are missing, and the soft release."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.wire import Flag
+
+RAMP_S = 0.05
+"""From the present command to the level that is held, and to nothing at the end."""
+
+FADE_S = 0.005
+"""From the level that was held back to the set-points."""
+
+STARVED_S = 0.5
+
+
+class Playback:
+    """One run of ``stimulus``, shape (n,), V, and ``following`` set-points, by the rules of docs/protocol.md, 4.5.
+
+    ``over`` is true once the release is complete; ``starved`` when the set-points stay away for too long.
+    """
+
+    def __init__(
+        self, stimulus: NDArray[np.float64], sample_rate_hz: float, following: int = 0, hold_v: float = 0.0
+    ) -> None:
+        # A set-point that is not there yet is NaN.
+        self._volts = np.concatenate((stimulus, np.full(following, np.nan)))
+        self._first = stimulus.size
+        self._length = self._volts.size
+        self._hold_v = hold_v
+        self._ramp, self._fade, self._patience = (
+            max(1, round(seconds * sample_rate_hz)) for seconds in (RAMP_S, FADE_S, STARVED_S)
+        )
+        self._cursor = 0
+        self._present_v = self._from_v = 0.0
+        self._holding = self._fading = self._missing = 0
+        self.late_blocks = self.held_samples = 0
+
+    @property
+    def first(self) -> int:
+        """The number of the first set-point."""
+        return self._first
+
+    @property
+    def planned(self) -> int:
+        """Samples of the stimulus and of all set-points that were asked for."""
+        return self._volts.size
+
+    @property
+    def played(self) -> int:
+        """Samples played so far, those of the release not counted."""
+        return min(self._cursor, self._length)
+
+    @property
+    def over(self) -> bool:
+        """True when the release has come to its end."""
+        return self._cursor >= self._length + self._ramp
+
+    @property
+    def starved(self) -> bool:
+        """True when set-points have been missing for half a second."""
+        return self._missing >= self._patience
+
+    def take(self, offset: int, volts: NDArray[np.float64]) -> None:
+        """Set-points, shape (k,), V, for the samples from ``offset`` on; those whose time is past are dropped."""
+        self.late_blocks += offset < self._cursor
+        wanted = volts[max(0, self._cursor - offset) :]
+        self._volts[offset + volts.size - wanted.size : offset + volts.size] = wanted
+        if wanted.size:
+            self._missing = 0
+
+    def finish(self) -> int:
+        """The run ends here; returns how many samples were played."""
+        self._length = self.played
+        return self._length
+
+    def block(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+        """The next ``count`` commands, V, and their flags, both of shape (count,); zeros once it is over."""
+        commands, flags = np.zeros(count), np.zeros(count, np.uint16)
+        inside = max(0, min(count, self._length - self._cursor))
+        for k, wanted_v in enumerate(self._volts[self._cursor : self._cursor + inside]):
+            held = self._hold() if np.isnan(wanted_v) else self._follow(float(wanted_v))
+            commands[k] = self._present_v
+            flags[k] = Flag.PLAYING | Flag.ENERGISED | (Flag.HELD if held else 0)
+            self.held_samples += held
+        done = self._cursor + np.arange(inside, count) - self._length  # samples of the release before each
+        ramp = done < self._ramp
+        commands[inside:][ramp] = self._present_v * (1.0 - (done[ramp] + 1.0) / self._ramp)
+        flags[inside:][ramp] = Flag.ENERGISED
+        self._cursor += count
+        return commands, flags
+
+    def _hold(self) -> bool:
+        """One sample without a set-point."""
+        if self._holding == 0:
+            self._from_v = self._present_v
+        self._fading = 0
+        self._holding = min(self._holding + 1, self._ramp)
+        self._missing += 1
+        self._present_v = self._from_v + (self._hold_v - self._from_v) * self._holding / self._ramp
+        return True
+
+    def _follow(self, wanted_v: float) -> bool:
+        """One sample with a set-point; whether it is still on its way back from the held level."""
+        self._missing = 0
+        if self._holding:
+            self._from_v, self._holding, self._fading = self._present_v, 0, self._fade
+        share = 1.0 - self._fading / (self._fade + 1)
+        self._present_v = self._from_v + (wanted_v - self._from_v) * share if self._fading else wanted_v
+        faded = self._fading > 0
+        self._fading = max(0, self._fading - 1)
+        return faded

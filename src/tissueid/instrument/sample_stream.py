@@ -1,0 +1,75 @@
+"""The stream of samples: DATA frames become samples in physical units, and what was lost on the way is marked."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid import wire
+from tissueid.errors import LinkLostError
+from tissueid.instrument.handshake import Introduction
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, empty_samples
+from tissueid.wire import Flag, Frame
+
+log = logging.getLogger(__name__)
+
+MAX_GAP_S = 5.0
+
+
+class SampleStream:
+    """Samples in the order of their index, each once. ``next_index`` is the next that is expected."""
+
+    def __init__(self) -> None:
+        self.gaps: list[Gap] = []
+        self.next_index: int | None = None
+        self.held_samples = 0
+        self._hello: Introduction | None = None
+        self._ready: list[NDArray[np.void]] = []
+
+    def begin(self, hello: Introduction) -> None:
+        """From now on. What was sent for a host before this one is not ours to miss."""
+        self._hello = hello
+        self.gaps.clear()
+        self.next_index = None
+        self._ready.clear()
+
+    def __bool__(self) -> bool:
+        return bool(self._ready)
+
+    def drain(self) -> NDArray[np.void]:
+        """Everything that arrived since the last time, shape (k,) of SAMPLE; k may be 0."""
+        samples = np.concatenate([*self._ready, np.zeros(0, SAMPLE)])
+        self._ready.clear()
+        return samples
+
+    def take(self, frame: Frame) -> None:
+        """One DATA frame.
+
+        Raises:
+            LinkLostError: too much is missing at once.
+            PayloadError: it holds part of a sample.
+        """
+        if self._hello is None:
+            return  # still streaming for a host that died: the scales are not known yet
+        if self.next_index is not None and frame.sample_index < self.next_index:
+            return  # a duplicate, or late: its place is already taken
+        if len(frame.payload) % wire.SAMPLE.itemsize:
+            raise wire.PayloadError("a data frame holds part of a sample")
+        if self.next_index is not None and frame.sample_index > self.next_index:
+            missing = frame.sample_index - self.next_index
+            if missing > MAX_GAP_S * self._hello.device.sample_rate_hz:
+                raise LinkLostError(f"{missing} samples are missing at once; the link cannot be trusted")
+            self.gaps.append(Gap(self.next_index, missing))
+            log.warning("%d samples lost from sample %d on", missing, self.next_index)
+            self._ready.append(empty_samples(self.next_index, missing))
+        codes = np.frombuffer(frame.payload, wire.SAMPLE)
+        samples = np.zeros(codes.size, SAMPLE)
+        samples["index"] = frame.sample_index + np.arange(codes.size)
+        samples["flags"] = codes["flags"]
+        for channel, name in enumerate(SIGNALS):
+            samples[name] = codes[name] * self._hello.gains[channel] + self._hello.offsets[channel]
+        self._ready.append(samples)
+        self.held_samples += int(np.count_nonzero(codes["flags"] & Flag.HELD))
+        self.next_index = frame.sample_index + codes.size
