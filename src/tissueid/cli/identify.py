@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -89,7 +90,9 @@ def identify_answer(analysis: Analysis) -> dict[str, Any]:
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:
-    """NAME=VALUE pairs; a value is JSON where it reads as such (numbers, true), text otherwise.
+    """NAME=VALUE pairs; a value is JSON where it reads as such (numbers, true, a list with or without its brackets).
+
+    What does not read as JSON is text.
 
     Raises:
         UnusableInputError: a pair without an equals sign.
@@ -99,10 +102,11 @@ def parse_options(options: Sequence[str]) -> dict[str, Any]:
         name, equals, value = pair.partition("=")
         if not equals or not name:
             raise UnusableInputError(f"an option is NAME=VALUE, not {pair!r}")
-        try:
-            parsed[name] = json.loads(value)
-        except ValueError:
-            parsed[name] = value
+        parsed[name] = value
+        for reading in (value, f"[{value}]") if "," in value else (value,):
+            with contextlib.suppress(ValueError):
+                parsed[name] = json.loads(reading)
+                break
     return parsed
 
 

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.family import Family
+from tissueid.options import refused
 from tissueid.records import Estimate, Record
 
 Array = NDArray[np.float64]
@@ -170,20 +171,11 @@ class Engine(BaseModel, ABC):
         try:
             return cls(**options)
         except ValidationError as error:
-            raise UnusableInputError(_one_line(cls, error)) from error
+            raise UnusableInputError(refused(f"engine {cls.name}", cls.model_fields, error)) from error
 
     def options(self) -> dict[str, Any]:
         """Return the options as plain values, fit for JSON."""
         return self.model_dump(mode="json")
-
-
-def _one_line(engine: type[Engine], error: ValidationError) -> str:
-    first = error.errors()[0]
-    option = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = ", ".join(sorted(engine.model_fields))
-        return f"engine {engine.name} has no option {option!r}: it has {known}"
-    return f"engine {engine.name}, option {option!r}: {first['msg']}"
 
 
 def check_horizon(horizon: int) -> None:

@@ -19,11 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
+from tissueid.options import refused
 from tissueid.plugins import Registry
 
 GUIDED = "guided"
 RISE_S = 0.05
 """Time, s, over which a guided stimulus rises to the mean load."""
+MOST_SAMPLES = 5_000_000
+"""Samples of a stimulus: more than any instrument plays, and what a machine has room for."""
 
 Array = NDArray[np.float64]
 
@@ -73,9 +76,7 @@ class StimulusKind(BaseModel, ABC):
         try:
             return cls(**options)
         except ValidationError as error:
-            first = error.errors()[0]
-            option = ".".join(str(part) for part in first["loc"])
-            raise UnusableInputError(f"stimulus {cls.name}, option {option!r}: {first['msg']}") from error
+            raise UnusableInputError(refused(f"stimulus {cls.name}", cls.model_fields, error)) from error
 
     def describe(self) -> dict[str, Any]:
         """Return the kind and its options as plain values, fit for JSON."""
@@ -88,6 +89,24 @@ class OpenLoopKind(StimulusKind):
     @abstractmethod
     def build(self) -> Stimulus:
         """Build the history. The same specification always gives the same samples."""
+
+    def planned_samples(self) -> int | None:
+        """How many samples :meth:`build` makes, from the options alone; None where they do not tell."""
+        seconds, rate = getattr(self, "seconds", None), getattr(self, "sample_rate", None)
+        return round(seconds * rate) if isinstance(seconds, float) and isinstance(rate, float) else None
+
+    def check_size(self) -> None:
+        """Refuse to be built where that would take more samples than any test plays.
+
+        Raises:
+            UnusableInputError: the options ask for more than ``MOST_SAMPLES``.
+        """
+        samples = self.planned_samples()
+        if samples is not None and samples > MOST_SAMPLES:
+            raise UnusableInputError(
+                f"the stimulus {self.name} would have {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
+                "lower its length or its sample rate"
+            )
 
 
 class Ranged(OpenLoopKind):
@@ -157,6 +176,7 @@ def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:
         raise UnusableInputError(
             f"the stimulus {name!r} is generated while the test runs: what was played is the recorded command"
         )
+    specification.check_size()
     return specification.build()
 
 
@@ -189,12 +209,7 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
     Raises:
         UnusableInputError: the preload is shorter than its rise.
     """
-    if not preload_s >= RISE_S:
-        raise UnusableInputError(f"the preload must last at least its rise of {RISE_S:g} s, not {preload_s:g} s")
-    mean = float(np.mean(played.values))
-    n = round(preload_s * played.sample_rate_hz)
-    rise = np.minimum(np.arange(n) / (RISE_S * played.sample_rate_hz), 1.0)
-    preload = mean * 0.5 * (1.0 - np.cos(np.pi * rise))
+    preload = preload_values(float(np.mean(played.values)), preload_s, played.sample_rate_hz)
     return Stimulus(
         values=np.concatenate([preload, played.values]),
         sample_rate_hz=played.sample_rate_hz,
@@ -204,6 +219,18 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
         preload_s=preload_s,
         unit=played.unit,
     )
+
+
+def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Array:
+    """A raised-cosine rise to a load within ``RISE_S``, then a hold: shape (preload_s * sample_rate_hz,), its unit.
+
+    Raises:
+        UnusableInputError: the preload is shorter than its rise.
+    """
+    if not preload_s >= RISE_S:
+        raise UnusableInputError(f"the preload must last at least its rise of {RISE_S:g} s, not {preload_s:g} s")
+    rise = np.minimum(np.arange(round(preload_s * sample_rate_hz)) / (RISE_S * sample_rate_hz), 1.0)
+    return load * 0.5 * (1.0 - np.cos(np.pi * rise))
 
 
 def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Array:

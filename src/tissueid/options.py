@@ -1,0 +1,18 @@
+"""What is said of an option that a specification refuses: one line, the same for engines, stimuli and rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pydantic import ValidationError
+
+
+def refused(what: str, known: Iterable[str], error: ValidationError) -> str:
+    """The first thing that does not hold, in a line; ``known`` are the options that ``what`` has."""
+    first = error.errors()[0]
+    option = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"{what} has no option {option!r}: it has {', '.join(sorted(known))}"
+    if first["type"] == "tuple_type":
+        return f"{what}, option {option!r}: give a list, such as [1, 2, 3]"
+    return f"{what}, option {option!r}: {first['msg']}"
