@@ -51,6 +51,7 @@ def main() -> None:
             finder=lambda probe: [Found("simulated://forearm", "simulation in this process", True)],
             folder=Path(folder) / "Documents" / "TissueID",
             wait=pace.wait,
+            apart=False,
             now=lambda: datetime(2026, 1, 15, 10, 30),
         )
         window = MainWindow(around)

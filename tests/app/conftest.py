@@ -34,6 +34,7 @@ def open_window(qtbot, tmp_path, bench):
 
     def make(**changes):
         around = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
+        around["apart"] = False
         around["show_file"] = lambda _: True
         window = MainWindow(Surroundings(**(around | changes)))
         windows.append(window)
@@ -70,5 +71,5 @@ def saved(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
     plan = Plan(url="simulated://forearm", site="left calf", path=path, seconds=1.5)
-    measure(plan, LiveSignals(), threading.Event(), lambda _: SimulatedInstrument(seed=5), wait=lambda _: None)
+    measure(plan, LiveSignals(), threading.Event(), lambda _: SimulatedInstrument(seed=5), lambda _: None, apart=False)
     return path

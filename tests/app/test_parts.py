@@ -96,8 +96,8 @@ def plan(tmp_path, **changes):
     return Plan(**({"url": "x", "site": "here", "path": tmp_path / "s.h5", "seconds": 1.0} | changes))
 
 
-def run(chosen, instrument, stop=None):
-    return measure(chosen, LiveSignals(), stop or threading.Event(), lambda _: instrument, wait=lambda _: None)
+def run(chosen, instrument, stop=None, apart=False):
+    return measure(chosen, LiveSignals(), stop or threading.Event(), lambda _: instrument, lambda _: None, apart)
 
 
 class Spy(SimulatedInstrument):
@@ -141,7 +141,8 @@ def test_a_lost_link_keeps_the_recorded_part(tmp_path):
 
 
 def test_a_port_that_cannot_be_closed_costs_no_data(tmp_path):
-    outcome = run(plan(tmp_path), Spy(close=True))
+    outcome = run(plan(tmp_path), Spy(close=True), apart=True)
+    assert not any(thread.name == "live identification" for thread in threading.enumerate())
     assert outcome.problem == "Input/output error."
     assert outcome.session.test().status == "completed"
 

@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.form import PlanForm
 from tissueid.app.guidance import Guidance
+from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.notice import Notice
 from tissueid.app.result import ResultPage
 from tissueid.app.signals import SignalPlots
@@ -61,15 +62,22 @@ class Layout:
         self.notice = Notice()
         self.guidance = Guidance()
         self.signals = SignalPlots()
+        self.analysis = LiveAnalysis()
+        self.running = QWidget()
+        beside = QHBoxLayout(self.running)
+        beside.setContentsMargins(0, 0, 0, 0)
+        beside.setSpacing(8)
+        beside.addWidget(self.signals, 3)
+        beside.addWidget(self.analysis, 4)
         self.result = ResultPage()
         self.pages = QTabWidget()
         self.pages.setDocumentMode(True)
         self.pages.tabBar().setDrawBase(False)
-        self.pages.addTab(self.signals, "Sig&nals")
+        self.pages.addTab(self.running, "Sig&nals")
         self.pages.addTab(self.result, "Res&ult")
         self.pages.setTabVisible(1, False)
         window.setCentralWidget(self._arrange())
-        window.setMinimumSize(1000, 640)
+        window.setMinimumSize(1100, 640)
         window.resize(1280, 720)
         order = [self.form.instrument.choice, self.form.instrument.refresh, self.form.site, self.form.subject]
         order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
@@ -93,6 +101,7 @@ class Layout:
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.signals.paint_with(theme)
+        self.analysis.paint_with(theme)
         self.result.paint_with(theme)
 
     def _arrange(self) -> QWidget:

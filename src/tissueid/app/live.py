@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition import Phase, Progress
 from tissueid.acquisition.guided import PLACE_S
+from tissueid.acquisition.live import LiveIdentification
 from tissueid.device import DeviceDescription
 from tissueid.instrument import force
 
@@ -35,9 +36,14 @@ class Glance:
 
 
 class LiveSignals:
-    """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long."""
+    """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long.
+
+    ``identification`` is set by the one that adds once it knows the instrument; the one that looks asks it for the
+    newest view.
+    """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
+        self.identification: LiveIdentification | None = None
         self._lock = threading.Lock()
         self._ring = np.full((3, capacity), np.nan)  # time, force, position
         self._added = 0

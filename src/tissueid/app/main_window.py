@@ -39,12 +39,16 @@ def _show_file(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the window reaches out to; tests hand in their own. ``wait`` None paces simulations by the clock."""
+    """What the window reaches out to; tests hand in their own.
+
+    ``wait`` None paces simulations by the clock. ``apart`` is whether a running test is looked at by another process.
+    """
 
     opener: Callable[[str], Instrument] = open_instrument
     finder: Callable[..., list[Found]] = find_instruments
     folder: Path = field(default_factory=default_folder)
     wait: Wait | None = None
+    apart: bool = True
     now: Callable[[], datetime] = datetime.now
     show_file: Callable[[Path], bool] = _show_file
 
@@ -102,9 +106,16 @@ class MainWindow(QMainWindow):
         self.ui.guidance.rest()
         self.ui.guidance.say("Connecting to the instrument.")
         self.ui.signals.expect(plan)
-        self.ui.pages.setCurrentWidget(self.ui.signals)
+        self.ui.analysis.expect(plan)
+        self.ui.pages.setCurrentWidget(self.ui.running)
         work = functools.partial(
-            measure, plan, self._live, self._stop, opener=self._around.opener, wait=self._around.wait
+            measure,
+            plan,
+            self._live,
+            self._stop,
+            opener=self._around.opener,
+            wait=self._around.wait,
+            apart=self._around.apart,
         )
         self._do(work, self._test_ended, self._test_failed)
         self._frames.start()
@@ -121,6 +132,8 @@ class MainWindow(QMainWindow):
     def _show_frame(self) -> None:
         glance = self._live.look()
         self.ui.signals.show_live(glance)
+        if self._live.identification is not None:
+            self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
             self.ui.guidance.follow(glance, self._plan)
 
@@ -142,6 +155,7 @@ class MainWindow(QMainWindow):
     def _test_failed(self, words: str) -> None:
         self._end_frames()
         self.ui.signals.clear()
+        self.ui.analysis.hide()
         self.ui.guidance.rest()
         self.ui.notice.say(words, problem=True)
         self._doubt_instrument()
@@ -160,6 +174,7 @@ class MainWindow(QMainWindow):
     def open_session(self, path: Path) -> None:
         """Read a saved session and analyse it."""
         self.ui.notice.hide()
+        self.ui.analysis.hide()
         self._identify(path, None, None)
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
@@ -198,6 +213,7 @@ class MainWindow(QMainWindow):
 
     def _analyse_other(self, number: int) -> None:
         if self.findings is not None:
+            self.ui.analysis.hide()
             self._identify(self.findings.path, self.findings.session, number)
 
     # -- report -------------------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, journal_path, run_guided_test
+from tissueid.acquisition import GuidedTest, Phase, Progress, SessionRecorder, journal_path, run_guided_test
+from tissueid.acquisition.live import LiveIdentification
 from tissueid.app.live import LiveSignals
 from tissueid.app.plan import Plan
 from tissueid.app.words import in_words
@@ -53,6 +54,28 @@ class PacedInstrument:
         """Pass the stimulus on."""
         self._paced.load(command_v)
 
+    @property
+    def late_blocks(self) -> int:
+        """Blocks of set-points that came after their time."""
+        return self._paced.late_blocks
+
+    @property
+    def held_samples(self) -> int:
+        """Samples whose set-point was missing."""
+        return self._paced.held_samples
+
+    def follow(self, samples: int, hold_v: float) -> None:
+        """Pass on that set-points will follow."""
+        self._paced.follow(samples, hold_v)
+
+    def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
+        """Pass set-points on."""
+        self._paced.send(offset, command_v)
+
+    def finish(self) -> int:
+        """Pass on that the run ends here."""
+        return self._paced.finish()
+
     def arm(self, limits: Limits) -> None:
         """Pass the limits on."""
         self._paced.arm(limits)
@@ -81,12 +104,18 @@ class PacedInstrument:
 
 
 def measure(
-    plan: Plan, live: LiveSignals, stop: threading.Event, opener: Callable[[str], Instrument], wait: Wait | None = None
+    plan: Plan,
+    live: LiveSignals,
+    stop: threading.Event,
+    opener: Callable[[str], Instrument],
+    wait: Wait | None = None,
+    apart: bool = True,
 ) -> Outcome:
     """Run the planned test. However it ends, the coil is released and what was recorded is kept.
 
     ``stop`` ends it within a poll. ``wait`` paces the simulation in this process: by the clock, cut short by
-    ``stop``, unless another is given.
+    ``stop``, unless another is given. ``apart`` lets a process of its own look at the test while it runs; without it
+    the looks are made between the polls.
 
     Raises:
         TissueIDError, OSError: the test could not begin; there is no file.
@@ -105,13 +134,23 @@ def measure(
             if isinstance(instrument, SimulatedInstrument):
                 instrument = PacedInstrument(instrument, wait or stop.wait)
 
+            identification = LiveIdentification(device, preload_s=stimulus.preload_s, apart=apart)
+            live.identification = identification
+
             def show(progress: Progress) -> None:
                 live.add(progress, device)
+                if progress.phase is not Phase.PLACE:
+                    identification.feed(progress.samples)
+                    identification.step()
 
             test = GuidedTest(stimulus, plan.site, limits=limits)
             run_guided_test(instrument, test, recorder, progress=show, cancelled=stop.is_set)
         finally:
-            instrument.close()
+            try:
+                instrument.close()
+            finally:
+                if live.identification is not None:
+                    live.identification.close()
     except CancelledError as error:
         problem = error
     except Exception as error:

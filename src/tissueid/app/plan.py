@@ -31,7 +31,10 @@ SITES = (
     "material sample",
 )
 """Suggestions; any text will do."""
-DISTRIBUTIONS: tuple[str, ...] = get_args(Noise.model_fields["distribution"].annotation)
+DISTRIBUTIONS: tuple[str, ...] = tuple(
+    name for name in get_args(Noise.model_fields["distribution"].annotation) if name not in ("binary", "quantiles")
+)
+"""A binary signal is all edges, which hurt (thesis 3.1.1), and quantiles need a table."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 import pyqtgraph as pg
@@ -38,7 +39,11 @@ class LogAxis(pg.AxisItem):  # type: ignore[misc]
 
 
 class PlotCard(QFrame):
-    """A plot under a heading that carries its unit. ``key`` maps what curves are called to the role of their colour."""
+    """A plot under a heading that carries its unit, if it has one.
+
+    ``key`` maps what curves are called to the role of their colour.
+    ``log_axes`` names the sides, "bottom" and "left", whose data are decimal logarithms.
+    """
 
     def __init__(
         self,
@@ -47,7 +52,7 @@ class PlotCard(QFrame):
         unit: str,
         *,
         key: dict[str, str] | None = None,
-        log_axes: bool = False,
+        log_axes: Collection[str] = (),
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
@@ -57,20 +62,19 @@ class PlotCard(QFrame):
         self._dots: list[tuple[pg.PlotDataItem, str]] = []
         self._bands: list[tuple[pg.FillBetweenItem, str]] = []
         self._marks: list[pg.InfiniteLine] = []
-        axes = {side: LogAxis(side) for side in ("bottom", "left")} if log_axes else None
-        self.plot = pg.PlotWidget(axisItems=axes)
+        self.plot = pg.PlotWidget(axisItems={side: LogAxis(side) for side in log_axes})
         self.plot.setMenuEnabled(False)
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()
         self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.plot.setAccessibleName(f"Plot: {title}, {unit}")
+        self.plot.setAccessibleName(f"Plot: {title}, {unit}" if unit else f"Plot: {title}")
         self.plot.setMinimumHeight(60)
         self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
         for side in ("left", "bottom"):  # drawing the grid anew takes ten times as long as a frame's curve
             self.plot.getAxis(side).setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
-        self._heading = QLabel(f"{title} ({unit})")
+        self._heading = QLabel(f"{title} ({unit})" if unit else title)
         self._heading.setProperty("role", "heading")
         self._legend = QLabel()
         self._legend.setProperty("role", "muted")

@@ -113,7 +113,7 @@ class ResultPage(QScrollArea):
     def _make_plots(self) -> QGridLayout:
         fit = {"measured": "measured", "second order": "model"}
         self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)", key=fit)
-        self.bode = PlotCard("Bode magnitude", "Frequency (Hz)", "mm/N", key=fit, log_axes=True)
+        self.bode = PlotCard("Bode magnitude", "Frequency (Hz)", "mm/N", key=fit, log_axes=("bottom", "left"))
         self.nonlinearity = PlotCard(
             "Static nonlinearity, position",
             "Force after the linear stage (N)",

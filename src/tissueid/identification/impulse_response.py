@@ -34,6 +34,9 @@ above 200 Hz would leave that part of the response to the noise.
 _AT_REST = 0.1
 """Share of its peak under which a kernel counts as over."""
 
+_SMALL = 500
+"""Lags up to which a Toeplitz matrix is multiplied as any other."""
+
 _FEWEST_LAGS = 5
 """A memory of fewer samples holds no response."""
 
@@ -160,6 +163,10 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     lag = np.minimum(np.arange(length), length - np.arange(length))
     error_power = fft.rfft(error_correlation * np.maximum(0.0, 1.0 - lag / lags), length).real
     score_correlation = fft.irfft(x_power * error_power, length)[:lags]
-    spread = linalg.matmul_toeplitz(score_correlation, inverse)  # (lags, lags)
+    # (lags, lags): as a whole matrix where that is small, which there is several times as fast.
+    whole = lags <= _SMALL
+    spread = (
+        linalg.toeplitz(score_correlation) @ inverse if whole else linalg.matmul_toeplitz(score_correlation, inverse)
+    )
     variance = np.einsum("ij,ij->j", spread, inverse) / known.sum()
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

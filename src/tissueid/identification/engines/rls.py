@@ -179,7 +179,7 @@ class Rls(OnlineEngine):
             sample_rate_hz=rate,
             memory_samples=lags,
             impulse_response=kernel * rate,
-            impulse_response_std=self._std(identifier, covariance, x, residuals, prepared.part) * rate,
+            impulse_response_std=self.response_std(identifier, covariance, x, residuals, prepared.part) * rate,
             lag_s=identifier.lag_s,
             input_mean=identifier.input_mean,
             output_mean=identifier.offset,
@@ -189,7 +189,9 @@ class Rls(OnlineEngine):
             second_order=second_order,
         )
 
-    def _std(self, identifier: RlsIdentifier, covariance: Array, x: Array, residuals: Array, part: slice) -> Array:
+    def response_std(
+        self, identifier: RlsIdentifier, covariance: Array, x: Array, residuals: Array, part: slice
+    ) -> Array:
         """Standard deviation of each lag (lags,) for noise of any colour, with the weights that forgetting gives."""
         forgetting, n = self.forgetting, identifier.updates
         weight = weight_squares = float(n)
@@ -201,7 +203,8 @@ class Rls(OnlineEngine):
             begin = max(begin, part.stop - max(remembered, 4 * identifier.lags))
         recent = slice(begin, part.stop)
         known = int(np.isfinite(residuals[recent]).sum())
-        std = kernel_std(covariance * weight, x[recent], residuals[recent])
+        about = x[recent] - np.nanmean(x[recent])  # live, the operating point need not be the mean; the offset makes up
+        std = kernel_std(covariance * weight, about, residuals[recent])
         return std * float(np.sqrt(known * weight_squares) / weight)
 
     def _doubts(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:

@@ -116,7 +116,7 @@ class Spectral(Engine):
         length = round(self.window * record.sample_rate_hz)
         if length < lags:
             raise UnusableInputError(f"the window, {self.window:g} s, is shorter than the memory, {self.memory:g} s")
-        spectra = self._spectra(prepared, length)
+        spectra = self.spectra(prepared)
         trusted = (spectra.coherence > spectra.coherence_floor) & (
             spectra.input_psd > np.max(spectra.input_psd) * 10.0 ** (-self.range_db / 10.0)
         )
@@ -151,9 +151,14 @@ class Spectral(Engine):
             second_order=second_order,
         )
 
-    def _spectra(self, prepared: Prepared, length: int) -> Spectra:
-        """Average the periodograms of the segments (segments, length) that lie in the part and hold no gap."""
+    def spectra(self, prepared: Prepared) -> Spectra:
+        """Average the periodograms of the segments (segments, length) that lie in the part and hold no gap.
+
+        Raises:
+            UnusableInputError: fewer than two segments without a gap.
+        """
         record = prepared.record
+        length = round(self.window * record.sample_rate_hz)
         stride = max(1, round(length * (1.0 - self.overlap)))
         starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
         if starts.size < 2:

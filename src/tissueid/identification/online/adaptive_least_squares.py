@@ -50,7 +50,7 @@ def start(taps: int, step: float, floor: float, centred: bool) -> tuple[Array, A
 
 
 # Sums may be taken in any order, which is what lets them be taken four or eight at a time.
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def advance(
     work: Array,
     scalars: Array,

@@ -67,7 +67,7 @@ def _diagonal(count: int) -> NDArray[np.intp]:
 
 
 # Sums may be taken in any order, which is what lets them be taken four or eight at a time.
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def advance(triangle: Array, work: Array, scalars: Array, u: Array, y: Array, errors: Array) -> None:
     """Take samples u (n,) and y (n,), less their operating point, and fill the errors (n,) before each update.
 

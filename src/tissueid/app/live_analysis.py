@@ -1,0 +1,264 @@
+"""What a running test says of the tissue so far, beside its signals: the response, its curve, the parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from tissueid.acquisition.live import LiveIdentification
+from tissueid.app.live import Array
+from tissueid.app.plan import Plan
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.words import sentence
+from tissueid.identification.online.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
+from tissueid.identification.online.precision import PARAMETERS, Parameter
+from tissueid.wording import MISSING, estimate, named_unit, people_unit
+
+MM = 1e3
+MS = 1e3
+PERCENT = 100.0
+_NOTHING = np.zeros(0)
+_FINE = 200
+_WAITING = "Waiting for the stimulus."
+_ORANGE = "Orange: mass, damping and stiffness"
+_QUANTITIES: dict[Parameter, str] = {
+    "mass": "mass_kg",
+    "damping": "damping_n_s_per_m",
+    "stiffness": "stiffness_n_per_m",
+}
+_ROLES: dict[Parameter, str] = {"mass": "good", "damping": "model", "stiffness": "measured"}
+_LEAST = 1e-12
+"""Magnitude below which a logarithm would say nothing, m/N."""
+
+_CARD_WIDTH = 226
+"""Least width of a plot, pixels: the longest heading fits."""
+
+_WIDEST_PERCENT = 30.0
+"""Half of what the plot of the parameters shows at most, so that its first moments do not squeeze the rest."""
+
+
+class LiveAnalysis(QWidget):
+    """Numbers and five plots, drawn anew when there is a new view and not otherwise."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._shown: LiveView | None = None
+        self._planned_s = 4.0
+        self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)")
+        self.bode = PlotCard("Bode magnitude", "", "mm/N", log_axes=("bottom", "left"))
+        self.coherence = PlotCard("Coherence", "Frequency (Hz)", "", log_axes=("bottom",))
+        self.curve = PlotCard("Static nonlinearity", "Linear prediction (mm)", "mm")
+        self.course = PlotCard("Parameter change", "Time (s)", "%")
+        self.impulse.setToolTip(f"Band: one standard deviation to either side. {_ORANGE}")
+        self.bode.setToolTip(f"Of the impulse response. {_ORANGE}")
+        self.coherence.setToolTip(
+            "Share of the motion that the force explains at each frequency; below the dotted line none"
+        )
+        self.curve.setToolTip(
+            "Measured position against the linear prediction; a linear tissue lies on the dotted line"
+        )
+        self.course.setToolTip("Parameters against their newest value; bands: one standard deviation to either side")
+        self.cards = (self.impulse, self.curve, self.bode, self.coherence, self.course)
+        self._response_band = self.impulse.band("measured")
+        self._response = self.impulse.line("measured", width=2)
+        self._response_fit = self.impulse.line("model")
+        self._magnitude = self.bode.line("measured", width=2)
+        self._magnitude_fit = self.bode.line("model")
+        self._coherent = self.coherence.line("measured", width=2)
+        self._floor = self.coherence.mark(upright=False)
+        self.coherence.plot.getAxis("left").setTicks([[(0.0, "0"), (0.5, "0.5"), (1.0, "1")]])
+        self.coherence.plot.setYRange(0.0, 1.0, padding=0.04)
+        self._diagonal = self.curve.line("muted")
+        self._levels = self.curve.dots("measured", 6)
+        self._fitted = self.curve.line("model", width=2)
+        self._course_bands = {name: self.course.band(_ROLES[name]) for name in PARAMETERS}
+        self._courses = {name: self.course.line(_ROLES[name], width=2) for name in PARAMETERS}
+        self.numbers = {name: _Figure(named_unit(_QUANTITIES[name])[0], _ROLES[name]) for name in PARAMETERS}
+        self.vaf = _Figure("VAF, linear")
+        self.vaf.setToolTip("Variance accounted for: how much of the motion so far the impulse response explains")
+        self.said = QLabel()
+        self.said.setProperty("role", "muted")
+        self.said.setWordWrap(True)
+        self.said.setMinimumWidth(1)
+        self._arrange()
+        self.hide()
+
+    def expect(self, plan: Plan) -> None:
+        """Make room for a test that is about to begin."""
+        self._shown = None
+        self._planned_s = plan.seconds
+        for figure in (*self.numbers.values(), self.vaf):
+            figure.fill(MISSING, "")
+        for card in self.cards:
+            card.say_missing(_WAITING)
+        self._say("")
+        self.show()
+
+    def show_live(self, identification: LiveIdentification) -> None:
+        """Draw the newest view, if there is one that is not drawn yet, and say what went wrong."""
+        view = identification.latest()
+        if view is not None and view is not self._shown:
+            self._shown = view
+            self.show_view(view)
+        if identification.problem:
+            self._say(f"{sentence(identification.problem)} The test goes on without it.")
+
+    def show_view(self, view: LiveView) -> None:
+        """Draw one view."""
+        for name, figure in self.numbers.items():
+            unit, scale = people_unit(named_unit(_QUANTITIES[name])[1])
+            if name in view.parameters:
+                value, deviation, power = estimate(view.parameters[name], scale)
+                figure.fill(value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])))
+            else:
+                figure.fill(MISSING, "")
+        self.vaf.fill(MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}", "%")
+        missing = sentence(view.missing)
+        self._show_response(view, missing)
+        self._show_bode(view, view.bode, missing)
+        self._show_curve(view.curve, missing)
+        self._show_course(view.course, missing)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in self.cards:
+            card.paint_with(theme)
+        for figure in self.numbers.values():
+            figure.paint_with(theme)
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        numbers = QFrame()
+        numbers.setProperty("role", "card")
+        row = QHBoxLayout(numbers)
+        row.setContentsMargins(10, 5, 10, 5)
+        row.setSpacing(8)
+        for figure in (*self.numbers.values(), self.vaf):
+            row.addWidget(figure, 1)
+        left, right = QVBoxLayout(), QVBoxLayout()
+        left.addWidget(self.impulse, 1)
+        left.addWidget(self.curve, 1)
+        right.addWidget(self.bode, 4)
+        right.addWidget(self.coherence, 3)
+        right.addWidget(self.course, 4)
+        left.setSpacing(8)
+        right.setSpacing(8)
+        for card in self.cards:
+            card.setMinimumWidth(_CARD_WIDTH)
+        columns = QHBoxLayout()
+        columns.setSpacing(8)
+        columns.addLayout(left, 1)
+        columns.addLayout(right, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(8)
+        layout.addWidget(numbers)
+        layout.addWidget(self.said)
+        layout.addLayout(columns, 1)
+
+    def _say(self, text: str) -> None:
+        self.said.setText(text)
+        self.said.setVisible(bool(text))
+
+    # -- filling ------------------------------------------------------------------------------------------
+
+    def _show_response(self, view: LiveView, missing: str) -> None:
+        response, std = MM * view.impulse_response, view.impulse_response_std
+        self.impulse.say_missing("" if response.size else missing)
+        if not response.size:
+            return
+        lag = MS * view.lag_s
+        spread = np.zeros(response.size) if std is None else MM * std
+        self._response.setData(lag, response)
+        _fill(self._response_band, lag, response - spread, response + spread)
+        if view.second_order is not None:
+            fine = np.linspace(0.0, float(view.lag_s[-1]), _FINE)
+            fitted = view.second_order.sign * view.second_order.system.impulse_response(fine)
+            self._response_fit.setData(MS * fine, MM * fitted)
+        self.impulse.plot.setXRange(0.0, float(lag[-1]), padding=0.02)
+
+    def _show_bode(self, view: LiveView, bode: LiveBode | None, missing: str) -> None:
+        there = bode is not None and bode.frequency_hz.size > 1
+        self.bode.say_missing("" if there else missing)
+        self.coherence.say_missing("" if there else missing)
+        if bode is None or not there:
+            return
+        frequency = np.log10(bode.frequency_hz)
+        self._magnitude.setData(frequency, np.log10(MM * np.maximum(bode.magnitude, _LEAST)))
+        self._coherent.setData(frequency, bode.coherence)
+        self._floor.setValue(bode.coherence_floor)
+        self._floor.show()
+        if view.second_order is not None:
+            fitted = np.abs(view.second_order.system.frequency_response(bode.frequency_hz))
+            self._magnitude_fit.setData(frequency, np.log10(MM * fitted))
+        for card in (self.bode, self.coherence):
+            card.plot.setXRange(float(frequency[0]), float(frequency[-1]), padding=0.02)
+
+    def _show_curve(self, curve: LiveCurve | None, missing: str) -> None:
+        self.curve.say_missing("" if curve is not None else missing or _WAITING)
+        if curve is None:
+            return
+        ends = MM * curve.curve_x[[0, -1]]
+        self._diagonal.setData(ends, ends)
+        self._levels.setData(MM * curve.predicted, MM * curve.measured)
+        self._fitted.setData(MM * curve.curve_x, MM * curve.curve_y)
+
+    def _show_course(self, course: LiveCourse, missing: str) -> None:
+        self.course.say_missing("" if course.seconds.size else missing or _WAITING)
+        if not course.seconds.size:
+            return
+        widest = 0.0
+        for column, name in enumerate(PARAMETERS):
+            newest = abs(course.values[-1, column])
+            change = PERCENT * (course.values[:, column] - course.values[-1, column]) / newest
+            spread = np.minimum(PERCENT * course.std[:, column] / newest, 2.0 * _WIDEST_PERCENT)
+            self._courses[name].setData(course.seconds, change)
+            _fill(self._course_bands[name], course.seconds, change - spread, change + spread)
+            widest = max(widest, float(np.max(np.abs(change) + spread)))
+        reach = min(_WIDEST_PERCENT, max(widest, 1.0))
+        self.course.plot.setYRange(-reach, reach, padding=0.02)
+        self.course.plot.setXRange(0.0, max(self._planned_s, float(course.seconds[-1])), padding=0.01)
+
+
+class _Figure(QWidget):
+    """One number that changes while one looks; ``role`` is that of the colour of its curve."""
+
+    def __init__(self, label: str, role: str = "") -> None:
+        super().__init__()
+        self._label, self._role = label, role
+        self._text = QLabel(label)
+        self._text.setTextFormat(Qt.TextFormat.RichText)
+        self._text.setProperty("role", "field")
+        self._value, self._rest = QLabel(), QLabel()
+        self._value.setProperty("role", "headline")
+        self._rest.setProperty("role", "muted")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(0)
+        for widget in (self._text, self._value, self._rest):
+            widget.setMinimumWidth(1)
+            layout.addWidget(widget)
+
+    def fill(self, value: str, rest: str) -> None:
+        """Show a number and what stands after it."""
+        self._value.setText(value)
+        self._rest.setText(rest)
+        self.setAccessibleName(f"{self._label}: {value} {rest}".strip())
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._text.setText(f'{self._label} <span style="color:{getattr(theme, self._role)}">■</span>')
+
+    @property
+    def text(self) -> str:
+        """The number as it is shown."""
+        return f"{self._value.text()} {self._rest.text()}".strip()
+
+
+def _fill(band: tuple[pg.PlotCurveItem, pg.PlotCurveItem], x: Array, low: Array, high: Array) -> None:
+    for edge, values in zip(band, (low, high), strict=True):
+        edge.setData(x, values)
