@@ -3,18 +3,23 @@
 from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
 from tissueid.acquisition.guided import GuidedTest, Phase, Progress, play, run_guided_test
 from tissueid.acquisition.journal import JournalError, journal_path
+from tissueid.acquisition.multistep import MultistepTest, Step, check_multistep, run_multistep
 from tissueid.acquisition.recorder import SessionRecorder, recover
 
 __all__ = [
     "PRELOAD_S",
     "GuidedTest",
     "JournalError",
+    "MultistepTest",
     "NoiseChoice",
     "Phase",
     "Progress",
     "SessionRecorder",
+    "Step",
+    "check_multistep",
     "journal_path",
     "play",
     "recover",
     "run_guided_test",
+    "run_multistep",
 ]

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.acquisition.choice import PRELOAD_S
+from tissueid.acquisition.feedback import SetPoints, preload, rehearse, set_point_count
 from tissueid.acquisition.recorder import SessionRecorder
+from tissueid.acquisition.waiting import meanwhile
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
+from tissueid.errors import CancelledError, LimitError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run, check_stimulus
-from tissueid.stimuli.base import Stimulus, to_voltage
+from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
+from tissueid.stimuli.feedback import FeedbackKind
 
 POLL_S = 0.05
 CONTACT_FORCES_N = (0.10, 0.05)
@@ -45,14 +50,31 @@ class Progress:
 
 @dataclass(frozen=True)
 class GuidedTest:
-    """One test to be run: the stimulus with its preload, where, and how far it may go."""
+    """One test to be run: the stimulus, where, and how far it may go.
 
-    stimulus: Stimulus
+    An open-loop stimulus brings its preload with it; one that is generated while the test runs is given one of
+    ``preload_s``. ``notes`` go into the session with the test.
+    """
+
+    stimulus: Stimulus | FeedbackKind
     site: str
     kind: str = "stochastic"
     configuration: str = "indentation"
     limits: Limits = CLINICAL
     repeat_of: int | None = None
+    preload_s: float = PRELOAD_S
+    notes: dict[str, str | float] = field(default_factory=dict)
+
+    @property
+    def opening(self) -> Stimulus:
+        """What is known and loaded before the test: all of it, or the preload of a feedback stimulus.
+
+        Raises:
+            UnusableInputError: the preload is shorter than its rise.
+        """
+        if isinstance(self.stimulus, FeedbackKind):
+            return preload(self.stimulus, self.preload_s)
+        return self.stimulus
 
 
 def _ignore(_: Progress) -> None:
@@ -63,6 +85,10 @@ def _never() -> bool:
     return False
 
 
+def _enough_was_known() -> str:
+    return "enough was known"
+
+
 def play(
     instrument: Instrument,
     command_v: NDArray[np.float64],
@@ -71,19 +97,26 @@ def play(
     started: Callable[[Run], None] | None = None,
     on_samples: Callable[[NDArray[np.void], float], None],
     cancelled: Callable[[], bool] = _never,
-) -> None:
+    set_points: SetPoints | None = None,
+    enough: Callable[[], bool] = _never,
+) -> Run:
     """Play one stimulus, shape (n,), V, and hand over its samples as they come, with the fraction played.
 
-    Whatever goes wrong, the coil is released before the error leaves this function.
+    ``set_points`` follow the stimulus, made from what it measures. ``enough`` is asked after every poll; when it says
+    so, the run ends there by a soft release. Returns the run as it was played. Whatever goes wrong, the coil is
+    released before the error leaves this function.
 
     Raises:
         CancelledError: ``cancelled`` said so.
         LimitError, InstrumentError: as the instrument says.
+        UnusableInputError: set-points that are none.
     """
     instrument.load(command_v)
     try:
+        if set_points is not None:
+            instrument.follow(set_points.samples, set_points.hold_v)
         instrument.arm(limits)
-        run = instrument.start()
+        planned = run = instrument.start()
         if started is not None:
             started(run)
         last = run.first_index
@@ -91,13 +124,20 @@ def play(
             samples = instrument.poll(POLL_S)
             if samples.size:
                 last = int(samples["index"][-1]) + 1
-                inside = (samples["index"] >= run.first_index) & (samples["index"] < run.end_index)
-                on_samples(samples[inside], min(1.0, (last - run.first_index) / run.samples))
+                inside = samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
+                if set_points is not None:
+                    set_points.take(inside)
+                    if run is planned:
+                        set_points.send_due(instrument)
+                on_samples(inside, min(1.0, (last - run.first_index) / run.samples))
             if cancelled():
                 raise CancelledError("cancelled; the coil is released and what was recorded is kept")
+            if run is planned and last < run.end_index and enough():
+                run = Run(run.first_index, min(run.samples, instrument.finish()))
     except BaseException:
         instrument.release()
         raise
+    return run
 
 
 def find_surface(
@@ -149,18 +189,111 @@ def find_surface(
 def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float64]:
     """The command of a test, shape (n,), V; refused before anybody is touched when it could not be played.
 
+    Of a feedback stimulus the command is the preload, and what is judged is the whole range that it may ask for; then
+    it is rehearsed.
+
     Raises:
         LimitError: too strong, too long, or beyond the amplifier.
-        UnusableInputError: another sample rate than the device's.
+        UnusableInputError: another sample rate than the device's, or a source that leaves its range.
     """
-    if test.stimulus.sample_rate_hz != device.sample_rate_hz:
+    opening, kind = test.opening, test.stimulus
+    if opening.sample_rate_hz != device.sample_rate_hz:
         raise UnusableInputError(
-            f"the stimulus has {test.stimulus.sample_rate_hz:g} samples a second, "
-            f"the instrument {device.sample_rate_hz:g}"
+            f"the stimulus has {opening.sample_rate_hz:g} samples a second, the instrument {device.sample_rate_hz:g}"
         )
-    command = to_voltage(test.stimulus.values, device, test.stimulus.unit)
-    check_stimulus(command, device, test.limits)
+    command = _command(opening.values, opening.unit, device, test.limits)
+    if isinstance(kind, FeedbackKind):
+        ends = np.array([kind.force_min_n, kind.force_max_n])
+        _command(np.resize(ends, command.size + set_point_count(kind)), "N", device, test.limits)
+        rehearse(kind)
     return command
+
+
+def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limits) -> NDArray[np.float64]:
+    """The command, V, shape (n,), for values (n,), within the limits. Who asked for newtons is answered in newtons.
+
+    Raises:
+        LimitError: says which limit.
+    """
+    peak = float(np.max(np.abs(values), initial=0.0))
+    if unit == "N" and peak > limits.max_force_n:
+        raise LimitError(f"the stimulus reaches {peak:.1f} N; the limit is {limits.max_force_n:g} N")
+    command = to_voltage(values, device, unit)
+    check_stimulus(command, device, limits)
+    return command
+
+
+class _Recording:
+    """One test on its way into the recorder."""
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        test: GuidedTest,
+        recorder: SessionRecorder,
+        surface_m: float,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        self.opening = test.opening
+        self.preload_samples = round(self.opening.preload_s * self.opening.sample_rate_hz)
+        self.set_points: SetPoints | None = None
+        self.planned: Run | None = None
+        self.taken = 0
+        self._instrument = instrument
+        self._test = test
+        self._recorder = recorder
+        self._surface_m = surface_m
+        self._progress = progress
+        self._gaps_before = len(instrument.gaps)
+
+    def begin(self, run: Run) -> None:
+        """The coil is energised."""
+        self.planned = run
+        limits: dict[str, str | float] = {f"limit_{name}": value for name, value in asdict(self._test.limits).items()}
+        self._recorder.begin_test(
+            run,
+            kind=self._test.kind,
+            configuration=self._test.configuration,
+            site=self._test.site,
+            sample_rate_hz=self._instrument.device.sample_rate_hz,
+            preload_s=self.opening.preload_s,
+            surface_position_m=self._surface_m,
+            stimulus=self.opening.description,
+            seed=self.opening.seed,
+            repeat_of=self._test.repeat_of,
+            notes=limits | self._test.notes,
+        )
+
+    def take(self, samples: NDArray[np.void], fraction: float) -> None:
+        """Samples of the run, and the fraction of it that is played."""
+        self._recorder.add(samples)
+        self.taken += samples.size
+        phase = Phase.PRELOAD if self.taken < self.preload_samples else Phase.STIMULUS
+        self._progress(Progress(phase, fraction, samples))
+
+    def end(self, run: Run, why: Callable[[], str]) -> None:
+        """It was played, to its end or to where it was enough."""
+        assert self.planned is not None
+        early: dict[str, str | float] = {}
+        if run.samples < self.planned.samples:
+            seconds = (run.samples - self.preload_samples) / self._instrument.device.sample_rate_hz
+            early = {"ended_early_s": seconds, "reason": f"ended after {seconds:.2f} s: {why()}"}
+        self._close("completed", run, early)
+        self._progress(Progress(Phase.RELEASE, 1.0, np.zeros(0, SAMPLE)))
+
+    def abort(self, reason: str) -> None:
+        """It broke off; where it had not begun there is nothing to close."""
+        if self.planned is not None:
+            self._close("aborted", self.planned, {"reason": reason})
+
+    def _close(self, status: str, run: Run, notes: dict[str, str | float]) -> None:
+        for gap in self._instrument.gaps[self._gaps_before :]:
+            self._recorder.event("gap", first_index=gap.first_index, count=gap.count)
+        if self.set_points is not None:
+            notes["late_blocks"] = float(self._instrument.late_blocks)
+            notes["held_samples"] = float(self._instrument.held_samples)
+            notes |= self.set_points.notes(run, whole=status == "completed")
+        self._recorder.end_test(status, run.samples, **notes)
 
 
 def run_guided_test(
@@ -171,54 +304,40 @@ def run_guided_test(
     surface_m: float | None = None,
     progress: Callable[[Progress], None] = _ignore,
     cancelled: Callable[[], bool] = _never,
+    enough: Callable[[], bool] = _never,
+    why: Callable[[], str] = _enough_was_known,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> int:
     """Run one guided test into the recorder; returns its number.
 
-    A test that ends early is closed as aborted with what was recorded, and the error goes on to the caller.
-    ``surface_m`` is where the tissue begins; without it the probe is placed first.
+    A test that breaks off is closed as aborted with what was recorded, and the error goes on to the caller. One that
+    ends after its preload because ``enough`` says so is completed, with as many samples as were played and a note of
+    when and ``why`` it ended. ``surface_m`` is where the tissue begins; without it the probe is placed first.
+    ``clock`` times the generation of a feedback stimulus.
 
     Raises:
         CancelledError, LimitError, InstrumentError, JournalError, UnusableInputError.
     """
     device = instrument.device
-    command = check_test(test, device)
+    command = meanwhile(instrument, lambda: check_test(test, device), cancelled)
     if surface_m is None:
         surface_m = find_surface(instrument, test.limits, progress=progress, cancelled=cancelled)
-    number = 0
-    gaps_before = len(instrument.gaps)
-
-    def started(run: Run) -> None:
-        nonlocal number
-        number = recorder.begin_test(
-            run,
-            kind=test.kind,
-            configuration=test.configuration,
-            site=test.site,
-            sample_rate_hz=device.sample_rate_hz,
-            preload_s=test.stimulus.preload_s,
-            surface_position_m=surface_m,
-            stimulus=test.stimulus.description,
-            seed=test.stimulus.seed,
-            repeat_of=test.repeat_of,
-            notes={f"limit_{name}": value for name, value in asdict(test.limits).items()},
-        )
-
-    def take(samples: NDArray[np.void], fraction: float) -> None:
-        recorder.add(samples)
-        preload = fraction * test.stimulus.seconds < test.stimulus.preload_s
-        progress(Progress(Phase.PRELOAD if preload else Phase.STIMULUS, fraction, samples))
-
-    def close(status: str, **notes: str) -> None:
-        for gap in instrument.gaps[gaps_before:]:
-            recorder.event("gap", first_index=gap.first_index, count=gap.count)
-        recorder.end_test(status, **notes)
-
+    recording = _Recording(instrument, test, recorder, surface_m, progress)
+    if isinstance(test.stimulus, FeedbackKind):
+        recording.set_points = SetPoints(test.stimulus, device, surface_m, command.size, clock=clock)
     try:
-        play(instrument, command, test.limits, started=started, on_samples=take, cancelled=cancelled)
+        run = play(
+            instrument,
+            command,
+            test.limits,
+            started=recording.begin,
+            on_samples=recording.take,
+            cancelled=cancelled,
+            set_points=recording.set_points,
+            enough=lambda: recording.taken > recording.preload_samples and enough(),
+        )
     except (TissueIDError, KeyboardInterrupt) as error:
-        if number:
-            close("aborted", reason=str(error) or "interrupted")
+        recording.abort(str(error) or "interrupted")
         raise
-    close("completed")
-    progress(Progress(Phase.RELEASE, 1.0, np.zeros(0, SAMPLE)))
-    return number
+    recording.end(run, why)
+    return recorder.tests_begun

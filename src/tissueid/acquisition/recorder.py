@@ -90,9 +90,15 @@ class SessionRecorder:
         """Something that happened: a gap, a fault, a verdict."""
         self._journal.append(encode_json(Entry.EVENT, {"kind": kind, **details}))
 
-    def end_test(self, status: str, **notes: str | float) -> None:
-        """The running test is over: ``status`` completed or aborted."""
-        self._journal.append(encode_json(Entry.TEST_END, {"status": status, "notes": notes}))
+    def end_test(self, status: str, samples: int | None = None, **notes: str | float) -> None:
+        """The running test is over: ``status`` completed or aborted.
+
+        ``samples`` is how many were played of a test that was completed before its time; all without it.
+        """
+        entry: dict[str, Any] = {"status": status, "notes": notes}
+        if samples is not None:
+            entry["samples"] = samples
+        self._journal.append(encode_json(Entry.TEST_END, entry))
 
     def finish(self) -> Session:
         """Write the session from what the journal holds, verify it, and remove the journal.
@@ -135,6 +141,18 @@ class _OpenTest:
     notes: dict[str, str | float] = field(default_factory=dict)
     blocks: list[NDArray[np.void]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
+
+    def end(self, status: str, notes: dict[str, str | float], samples: int | None) -> None:
+        """It is over, after fewer samples than planned when ``samples`` says so.
+
+        Raises:
+            UnusableInputError: more samples than planned, or none.
+        """
+        self.status, self.notes = status, notes
+        if samples is not None:
+            if not 0 < samples <= self.run.samples:
+                raise UnusableInputError(f"the journal has a test of {self.run.samples} samples that played {samples}")
+            self.run = Run(self.run.first_index, samples)
 
     def close(self, device: DeviceDescription) -> Test | None:
         """The finished test, or None when no sample of it was received."""
@@ -189,7 +207,7 @@ def session_from_entries(entries: Iterable[tuple[Entry, bytes]]) -> Session:
                 case Entry.EVENT if tests:
                     tests[-1].events.append(value)
                 case Entry.TEST_END if tests:
-                    tests[-1].status, tests[-1].notes = value["status"], value["notes"]
+                    tests[-1].end(value["status"], value["notes"], value.get("samples"))
         if sitting is None:
             raise UnusableInputError("the journal was cut off before anything was recorded")
         device = DeviceDescription(**sitting["device"])

@@ -85,26 +85,123 @@ def run_test(
     device: DeviceUrl,
     site: Annotated[str, typer.Option(metavar="TEXT", help="where on the body, or which material")],
     out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="session file to make; never overwritten")],
-    distribution: Annotated[str, typer.Option(help="gaussian or uniform")] = "gaussian",
-    min_force: Annotated[float, typer.Option(metavar="NEWTON", help="lower end of the force range")] = 0.5,
-    max_force: Annotated[float, typer.Option(metavar="NEWTON", help="upper end of the force range")] = 10.5,
+    stimulus: Annotated[
+        str | None, typer.Option(metavar="NAME", help="noise by default; 'tissueid stimulus' lists them")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the stimulus")
+    ] = None,
+    stimulus_file: Annotated[
+        Path | None, typer.Option("--stimulus-file", metavar="FILE", help="plays what 'tissueid stimulus' saved")
+    ] = None,
+    distribution: Annotated[
+        str | None, typer.Option(help="distribution of the stimulus: of noise gaussian, or uniform and others")
+    ] = None,
+    min_force: Annotated[
+        float | None, typer.Option(metavar="NEWTON", help="lower end of the force range; of noise 0.5")
+    ] = None,
+    max_force: Annotated[
+        float | None, typer.Option(metavar="NEWTON", help="upper end of the force range; of noise 10.5")
+    ] = None,
     seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="length of the noise; 0.5 s of preload come first")
-    ] = 4.0,
-    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = 1,
+        float | None, typer.Option(metavar="SECONDS", help="length; of noise 4. 0.5 s of preload come first")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = None,
+    depth_range: Annotated[
+        str | None,
+        typer.Option("--depth-range", metavar="MM:MM", help="depths to spread over, from the surface, such as 1:4"),
+    ] = None,
+    multistep: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=20, metavar="N", help="up to N tests, each designed from those before for an even depth"
+        ),
+    ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="with --multistep: distance from even that is enough; 0.05 without"),
+    ] = None,
+    stop_when: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--stop-when", metavar="NAME=SHARE", help="ends when known so well, such as stiffness=0.02; may be repeated"
+        ),
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="prints the parameters as they converge")] = False,
     repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
     subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="never a name")] = "anonymous",
     json_file: JsonFile = None,
 ) -> None:
-    """Run a guided test: place, preload, stochastic stimulus, release."""
-    from tissueid.acquisition import NoiseChoice
-    from tissueid.cli.test import run_tests
+    """Run a guided test: place, preload, stimulus, release."""
+    from tissueid.cli.stimulus_options import CommonOptions
+    from tissueid.cli.test import TestPlan, millimetres, run_tests
 
-    choice = NoiseChoice(
-        distribution=distribution, min_force_n=min_force, max_force_n=max_force, seconds=seconds, seed=seed
+    run_tests(
+        TestPlan(
+            url=device,
+            site=site,
+            out=out,
+            stimulus=stimulus,
+            stimulus_file=stimulus_file,
+            distribution=distribution,
+            common=CommonOptions(min_force=min_force, max_force=max_force, seconds=seconds, seed=seed),
+            options=tuple(option or ()),
+            depth_range_m=None if depth_range is None else millimetres(depth_range),
+            multistep=multistep,
+            target=target,
+            stop_when=tuple(stop_when or ()),
+            live=live,
+            repeats=repeats,
+            limits=limits,
+            subject=subject,
+            json_file=json_file,
+        )
     )
-    run_tests(device, site, out, choice, repeats, limits, subject, json_file)
+
+
+@app.command()
+def stimulus(
+    what: Annotated[
+        str | None, typer.Argument(metavar="KIND|FILE", help="a kind, or a saved stimulus; without it, lists the kinds")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the kind")
+    ] = None,
+    list_options: Annotated[bool, typer.Option("--options", help="list what the kind takes, with bounds")] = False,
+    min_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="lower end of the force range")] = None,
+    max_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="upper end of the force range")] = None,
+    min_volts: Annotated[float | None, typer.Option(metavar="VOLT", help="lower end: designs the voltage")] = None,
+    max_volts: Annotated[float | None, typer.Option(metavar="VOLT", help="upper end: designs the voltage")] = None,
+    seconds: Annotated[float | None, typer.Option(metavar="SECONDS", help="length, without a preload")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="the same seed, the same samples")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="saves it, to be played by 'test'")] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="its samples as text")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="its figures: .html, .pdf, .png or .svg")
+    ] = None,
+    device: Annotated[
+        str | None,
+        typer.Option("--device", metavar="URL", help="what is to play it; the desktop research device without"),
+    ] = None,
+    limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
+    json_file: JsonFile = None,
+) -> None:
+    """Design a stimulus, or check a saved one: what it is, what it does to the coil, and its figures."""
+    from tissueid.cli.stimulus import run_stimulus
+    from tissueid.cli.stimulus_options import CommonOptions
+    from tissueid.cli.stimulus_targets import Targets
+
+    common = CommonOptions(
+        min_force=min_force,
+        max_force=max_force,
+        min_volts=min_volts,
+        max_volts=max_volts,
+        seconds=seconds,
+        seed=seed,
+    )
+    targets = Targets(out=out, csv=csv, plot=plot, json=json_file)
+    run_stimulus(what, common, option or [], list_options, targets, device, limits)
 
 
 @app.command()

@@ -1,18 +1,130 @@
-"""``tissueid test``."""
+"""``tissueid test``: place once, run one test or several into one session, and tell what came of them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tissueid.acquisition import GuidedTest, NoiseChoice, Progress, SessionRecorder, run_guided_test
+from tissueid.acquisition import (
+    PRELOAD_S,
+    GuidedTest,
+    MultistepTest,
+    NoiseChoice,
+    Progress,
+    SessionRecorder,
+    Step,
+    check_multistep,
+    run_guided_test,
+    run_multistep,
+)
 from tissueid.acquisition.guided import check_test, find_surface
+from tissueid.acquisition.stimulus_file import load_stimulus
+from tissueid.acquisition.waiting import meanwhile
 from tissueid.cli.output import check_json, console, progress_bars, write_json
+from tissueid.cli.played import answer_of, out_of_reach, tests_table
+from tissueid.cli.stimulus import designed
+from tissueid.cli.stimulus_options import CommonOptions, specified
+from tissueid.cli.watching import Watch
+from tissueid.device import DeviceDescription
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.instrument import PROFILES, open_instrument
+from tissueid.identification.online.stopping import StopRule
+from tissueid.instrument import PROFILES, Instrument, Limits, open_instrument
 from tissueid.sessions import Session, Subject
+from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, get_stimulus, guided
+from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.redesign import DepthDesign
 
 MAX_TEXT = 200
+_DEFAULTS = NoiseChoice()
+"""What the ordinary noise is without options; other kinds have defaults of their own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestPlan:
+    """What the command line asks for; ``depth_range_m`` is least and greatest depth from the surface."""
+
+    __test__ = False  # not a test case, whatever pytest thinks of the name
+
+    url: str
+    site: str
+    out: Path
+    stimulus: str | None = None
+    stimulus_file: Path | None = None
+    distribution: str | None = None
+    common: CommonOptions = field(default_factory=CommonOptions)
+    options: tuple[str, ...] = ()
+    depth_range_m: tuple[float, float] | None = None
+    multistep: int | None = None
+    target: float | None = None
+    stop_when: tuple[str, ...] = ()
+    live: bool = False
+    repeats: int = 1
+    limits: str = "clinical"
+    subject: str = "anonymous"
+    json_file: Path | None = None
+
+    def check(self) -> None:
+        """Refuse what can be seen to be wrong before an instrument is opened.
+
+        Raises:
+            UnusableInputError: says which options do not go together, or which text cannot be kept.
+        """
+        if self.limits not in PROFILES:
+            raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {self.limits!r}")
+        for what, text in (("site", self.site), ("subject", self.subject)):
+            if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
+                raise UnusableInputError(f"the {what} must be one line of 1 to {MAX_TEXT} printable characters")
+        check_json(self.json_file)
+        if self.json_file is not None and self.json_file.absolute() == self.out.absolute():
+            raise UnusableInputError("the session and the JSON cannot be the same file")
+        own = bool(self.stimulus or self.options or self.distribution)
+        if self.stimulus_file is not None and (own or self.common.given()):
+            raise UnusableInputError(f"{self.stimulus_file} is a saved stimulus: its options are in it")
+        if self.multistep is None:
+            if self.target is not None:
+                raise UnusableInputError("--target goes with --multistep")
+            return
+        if own or self.stimulus_file is not None or self.repeats > 1 or self.stop_when or self.live:
+            raise UnusableInputError(
+                "--multistep designs its stimuli itself: of the options for what is played it takes --depth-range, "
+                "--min-force, --max-force, --seconds, --seed and --target"
+            )
+        if self.depth_range_m is None:
+            raise UnusableInputError("--multistep needs a --depth-range MM:MM from the surface, such as 1:4")
+
+    def all_options(self) -> list[str]:
+        """Options of the stimulus as NAME=VALUE, those that have a name of their own on the command line included.
+
+        Raises:
+            UnusableInputError: one is given twice.
+        """
+        options = list(self.options)
+        if self.distribution is not None:
+            options.append(f"distribution={self.distribution}")
+        if self.depth_range_m is not None and "depth_min_m" in get_stimulus(self.stimulus or Noise.name).model_fields:
+            options += [f"depth_min_m={self.depth_range_m[0]!r}", f"depth_max_m={self.depth_range_m[1]!r}"]
+        names = [option.partition("=")[0] for option in options]
+        for name in names:
+            if names.count(name) > 1:
+                raise UnusableInputError(f"the option {name} of the stimulus is given twice")
+        return options
+
+
+def millimetres(text: str) -> tuple[float, float]:
+    """Least and greatest depth, m, from millimetres as ``1:4``.
+
+    Raises:
+        UnusableInputError: not two numbers, or not rising.
+    """
+    least, colon, most = text.partition(":")
+    try:
+        depths = float(least) * 1e-3, float(most) * 1e-3
+    except ValueError:
+        depths = 0.0, 0.0
+    if not colon or not depths[0] < depths[1]:
+        raise UnusableInputError(f"a depth range is least:greatest in mm from the surface, such as 1:4, not {text!r}")
+    return depths
 
 
 def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[Progress], None]:
@@ -20,60 +132,154 @@ def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[P
     return lambda progress: show(label, progress.fraction)
 
 
-def run_tests(
-    url: str,
-    site: str,
-    out: Path,
-    choice: NoiseChoice,
-    repeats: int,
-    limits_name: str,
-    pseudonym: str,
-    json_file: Path | None,
-) -> None:
-    """Place once, then run the test as often as asked, all into one session."""
-    if limits_name not in PROFILES:
-        raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {limits_name!r}")
-    limits = PROFILES[limits_name]
-    for what, text in (("site", site), ("subject", pseudonym)):
-        if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
-            raise UnusableInputError(f"the {what} must be one line of 1 to {MAX_TEXT} printable characters")
-    check_json(json_file)
-    if json_file is not None and json_file.absolute() == out.absolute():
-        raise UnusableInputError("the session and the JSON cannot be the same file")
-    instrument = open_instrument(url)
+def run_tests(plan: TestPlan) -> None:
+    """Place once, then run what is asked for, all into one session."""
+    plan.check()
+    if not console.is_terminal:
+        console.width = 120
+    rule = StopRule.from_words(plan.stop_when) if plan.stop_when else None
+    limits = PROFILES[plan.limits]
+    steps: tuple[Step, ...] = ()
+    instrument = open_instrument(plan.url)
     try:
-        stimulus = choice.stimulus(instrument.device.sample_rate_hz)
-        check_test(GuidedTest(stimulus, site, limits=limits), instrument.device)
-        recorder = SessionRecorder(out, instrument.device, Subject(pseudonym))
+        run: Callable[[SessionRecorder], tuple[Step, ...]]
+        if plan.multistep is not None:
+            run = _multistep(plan, instrument, limits)
+        else:
+            run = _repeats(plan, instrument, limits, rule)
+        recorder = SessionRecorder(plan.out, instrument.device, Subject(plan.subject))
         try:
-            with progress_bars() as show:
-                surface = find_surface(instrument, limits, progress=show_progress(show, "placing the probe"))
-                for repeat in range(repeats):
-                    test = GuidedTest(stimulus, site, limits=limits, repeat_of=1 if repeat else None)
-                    label = f"test {repeat + 1} of {repeats}"
-                    run_guided_test(instrument, test, recorder, surface_m=surface, progress=show_progress(show, label))
+            steps = run(recorder)
         except (TissueIDError, KeyboardInterrupt):
-            _keep(recorder)
+            _keep(recorder, plan)
             raise
         session = recorder.finish()
     finally:
         instrument.close()
-    _tell(out, session)
-    if json_file is not None:
-        tests = [{"test": test.number, "status": test.status, "samples": test.samples} for test in session.tests]
-        write_json(json_file, {"session": str(out), "session_id": session.session_id, "tests": tests})
+    _tell(plan, session)
+    if plan.json_file is not None:
+        tests = [answer_of(test, plan.depth_range_m, _step(steps, test.number)) for test in session.tests]
+        write_json(plan.json_file, {"session": str(plan.out), "session_id": session.session_id, "tests": tests})
 
 
-def _keep(recorder: SessionRecorder) -> None:
+def _repeats(
+    plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopRule | None
+) -> Callable[[SessionRecorder], tuple[Step, ...]]:
+    """The same test as often as asked, checked and ready to be run."""
+    test = meanwhile(instrument, lambda: _prepared(plan, instrument.device, limits))
+    preload_s = test.opening.preload_s
+
+    def run(recorder: SessionRecorder) -> tuple[Step, ...]:
+        surface: float | None = None
+        with progress_bars() as show:
+            for repeat in range(plan.repeats):
+                with Watch(instrument, preload_s, rule, plan.live) as watch:
+                    if surface is None:
+                        surface = find_surface(instrument, limits, progress=show_progress(show, "placing the probe"))
+                    # What a feedback stimulus played is played once: the next run answers what it measures itself.
+                    same = repeat > 0 and isinstance(test.stimulus, Stimulus)
+                    run_guided_test(
+                        instrument,
+                        replace(test, repeat_of=1 if same else None),
+                        recorder,
+                        surface_m=surface,
+                        progress=watch.beside(show_progress(show, f"test {repeat + 1} of {plan.repeats}")),
+                        enough=watch.enough,
+                        why=watch.why,
+                    )
+        return ()
+
+    return run
+
+
+def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> GuidedTest:
+    """The test, which could be played.
+
+    Raises:
+        LimitError, UnusableInputError: it could not.
+    """
+    test = GuidedTest(_stimulus(plan, device.sample_rate_hz), plan.site, limits=limits)
+    check_test(test, device)
+    return test
+
+
+def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> Callable[[SessionRecorder], tuple[Step, ...]]:
+    """The multistep test, checked and ready to be run."""
+    assert plan.multistep is not None
+    assert plan.depth_range_m is not None
+    given = {name: value for name, (_, value) in plan.common.given().items()}
+    seed = int(given.pop("seed", _DEFAULTS.seed))
+    options = {"force_min_n": _DEFAULTS.min_force_n, "force_max_n": _DEFAULTS.max_force_n} | given
+    design = DepthDesign.from_options(
+        {
+            "depth_min_m": plan.depth_range_m[0],
+            "depth_max_m": plan.depth_range_m[1],
+            "sample_rate": instrument.device.sample_rate_hz,
+        }
+        | options
+    )
+    target = {} if plan.target is None else {"target": plan.target}
+    test = MultistepTest(design, plan.site, steps=plan.multistep, seed=seed, limits=limits, **target)
+    check_multistep(test, instrument.device)
+
+    def run(recorder: SessionRecorder) -> tuple[Step, ...]:
+        with progress_bars() as show:
+            return run_multistep(
+                instrument, test, recorder, progress=lambda label, progress: show(label, progress.fraction)
+            )
+
+    return run
+
+
+def _stimulus(plan: TestPlan, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+    """What is to be played, with its preload, or generated.
+
+    Raises:
+        UnusableInputError: the options do not make one.
+    """
+    if plan.stimulus_file is not None:
+        loaded = load_stimulus(plan.stimulus_file)
+        if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
+            return loaded
+        return guided(loaded, PRELOAD_S)
+    name = plan.stimulus or Noise.name
+    defaults: dict[str, object] = {"sample_rate": sample_rate_hz}
+    if name == Noise.name:
+        defaults |= {
+            "force_min_n": _DEFAULTS.min_force_n,
+            "force_max_n": _DEFAULTS.max_force_n,
+            "seconds": _DEFAULTS.seconds,
+            "seed": _DEFAULTS.seed,
+        }
+    specification = specified(name, plan.common, plan.all_options(), defaults)
+    if isinstance(specification, FeedbackKind):
+        return specification
+    if not isinstance(specification, OpenLoopKind):
+        raise UnusableInputError(f"the stimulus {name!r} can neither be built nor generated")
+    if isinstance(specification, Noise):
+        specification.check_size()
+        return guided(specification.build(), PRELOAD_S)
+    return guided(designed(specification)[0], PRELOAD_S)
+
+
+def _step(steps: tuple[Step, ...], number: int) -> Step | None:
+    return next((step for step in steps if step.number == number), None)
+
+
+def _keep(recorder: SessionRecorder, plan: TestPlan) -> None:
     """Whatever was recorded before it went wrong becomes a session; an empty one leaves nothing."""
     session = recorder.finish_or_discard()
     if session is not None:
-        _tell(recorder.path, session)
+        _tell(plan, session)
 
 
-def _tell(path: Path, session: Session) -> None:
-    console.print(f"session: {path}", markup=False)
+def _tell(plan: TestPlan, session: Session) -> None:
+    console.print(f"session: {plan.out}", markup=False)
+    console.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
-        console.print(f"  test {test.number}: {test.status}, {test.samples} samples", markup=False)
+        if short := out_of_reach(test):
+            console.print(f"test {test.number}: {short}", markup=False)
         if lost := test.notes.get("samples_lost"):
-            console.print(f"    {lost:.0f} samples were lost and are marked as such", markup=False)
+            console.print(f"test {test.number}: {lost:.0f} samples were lost and are marked as such", markup=False)
+        if reason := test.notes.get("reason"):
+            console.print(f"test {test.number}: {reason}", markup=False)

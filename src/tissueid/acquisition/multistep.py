@@ -1,0 +1,231 @@
+"""The multistep test: identify, redesign the stimulus for a uniform depth, test again, without supervision (6.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.acquisition.choice import PRELOAD_S
+from tissueid.acquisition.guided import GuidedTest, Progress, check_test, find_surface, run_guided_test
+from tissueid.acquisition.recorder import SessionRecorder
+from tissueid.acquisition.waiting import meanwhile
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Model
+from tissueid.identification.registry import get_engine
+from tissueid.identification.validation import validate
+from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
+from tissueid.records import Record, joined
+from tissueid.stimuli.base import Array, guided
+from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.redesign import DepthDesign, Redesign, redesign, uniform_distance
+
+_ENGINES = ("wiener", "dpn")
+"""Tried in this order, the quick one first."""
+
+_WELL_ENOUGH_PERCENT = 99.0
+"""Held-out VAF at which no slower engine is tried."""
+
+_FITTED_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class Step:
+    """One test of a multistep run.
+
+    ``distance`` is the measured Kolmogorov distance of the depth from uniform over ``depth_min_m`` to ``depth_max_m``,
+    which is the range that was asked, or what of it the forces can reach. Before the first test nothing was
+    ``predicted``, and no engine had been fitted: None.
+    """
+
+    number: int
+    distance: float
+    depth_min_m: float
+    depth_max_m: float
+    predicted: float | None = None
+    engine: str | None = None
+    vaf_held_out_percent: float | None = None
+
+
+@dataclass(frozen=True)
+class Described:
+    """A description fitted to all tests so far, and how well it foretold what it was not fitted to."""
+
+    engine: str
+    model: Model
+    vaf_held_out_percent: float
+
+
+@dataclass(frozen=True)
+class MultistepTest:
+    """What a multistep run is to do: at most ``steps`` tests, fewer when the depth is as even as ``target`` says."""
+
+    design: DepthDesign
+    site: str
+    steps: int = 3
+    target: float = 0.05
+    seed: int = 1
+    limits: Limits = CLINICAL
+    preload_s: float = PRELOAD_S
+
+    def guided_test(self, noise: Noise, notes: dict[str, str | float]) -> GuidedTest:
+        """One of its tests."""
+        return GuidedTest(guided(noise.build(), self.preload_s), self.site, limits=self.limits, notes=notes)
+
+
+def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
+    """Refuse what could not be played, before anybody is touched.
+
+    Raises:
+        LimitError: the force range or the length goes beyond the limits.
+        UnusableInputError: another sample rate than the device's, or a depth beyond its stroke.
+    """
+    if test.design.depth_max_m > device.stroke_m:
+        raise UnusableInputError(
+            f"a depth of {1e3 * test.design.depth_max_m:g} mm is beyond the stroke of {1e3 * device.stroke_m:g} mm"
+        )
+    ends = np.array([test.design.force_min_n, test.design.force_max_n])
+    check_test(test.guided_test(test.design.with_quantiles(ends, test.seed), {}), device)
+
+
+def run_multistep(
+    instrument: Instrument,
+    test: MultistepTest,
+    recorder: SessionRecorder,
+    *,
+    surface_m: float | None = None,
+    progress: Callable[[str, Progress], None] = lambda _label, _progress: None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> tuple[Step, ...]:
+    """Run the tests into the recorder; every one of them is kept, with notes of what it was designed for.
+
+    ``progress`` is told which test it is, in words. Between tests the coil is free and the line to the instrument is
+    kept alive.
+
+    Raises:
+        UnusableInputError: nothing of the depth range is within reach, or no engine could be fitted.
+        CancelledError, LimitError, InstrumentError, JournalError: as for one test.
+    """
+    device, design = instrument.device, test.design
+    check_multistep(test, device)
+    if surface_m is None:
+        surface_m = find_surface(
+            instrument, test.limits, progress=lambda p: progress("placing the probe", p), cancelled=cancelled
+        )
+    records: list[Record] = []
+    steps: list[Step] = []
+    described: Described | None = None
+    redesigned: Redesign | None = None
+    while True:
+        notes = _notes(design, len(steps) + 1, described, redesigned)
+        noise = design.first(test.seed) if redesigned is None else redesigned.stimulus
+        label = f"step {len(steps) + 1} of {test.steps}"
+        blocks: list[NDArray[np.void]] = []
+
+        def take(p: Progress, label: str = label, blocks: list[NDArray[np.void]] = blocks) -> None:
+            blocks.append(p.samples)
+            progress(label, p)
+
+        number = run_guided_test(
+            instrument,
+            test.guided_test(noise, notes),
+            recorder,
+            surface_m=surface_m,
+            progress=take,
+            cancelled=cancelled,
+        )
+        records.append(_record(blocks, device, surface_m, test.preload_s))
+        low, high = (
+            (design.depth_min_m, design.depth_max_m)
+            if redesigned is None
+            else (redesigned.depth_min_m, redesigned.depth_max_m)
+        )
+        distance = uniform_distance(records[-1].output, low, high)
+        recorder.event("depth", distance=distance, depth_min_m=low, depth_max_m=high)
+        steps.append(
+            Step(
+                number,
+                distance,
+                low,
+                high,
+                predicted=redesigned.distance if redesigned else None,
+                engine=described.engine if described else None,
+                vaf_held_out_percent=described.vaf_held_out_percent if described else None,
+            )
+        )
+        if distance <= test.target or len(steps) == test.steps:
+            return tuple(steps)
+        seed = test.seed + len(steps)
+        described, redesigned = meanwhile(instrument, partial(_next, records, design, seed, test.preload_s), cancelled)
+
+
+def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES) -> Described:
+    """Fit engines to three quarters of each record, take the one that foretells the rest best, and fit it to all.
+
+    A slower engine is tried only where the quicker ones do not foretell well enough.
+
+    Raises:
+        UnusableInputError: none could be fitted; the line is that of the last.
+    """
+    whole = tuple(records)
+    cuts = [round(_FITTED_SHARE * len(record)) for record in whole]
+    fitted = joined([record[:cut] for record, cut in zip(whole, cuts, strict=True)])
+    best: tuple[float, str] | None = None
+    refused: UnusableInputError | None = None
+    for name in engines:
+        specification = get_engine(name).from_options({"hold": "zero-order"})
+        try:
+            model = specification.fit(fitted)
+            scores = [
+                validate(model, record, slice(cut, None)).vaf_percent for record, cut in zip(whole, cuts, strict=True)
+            ]
+        except UnusableInputError as error:
+            refused = error
+            continue
+        worst = min(scores)
+        if best is None or worst > best[0]:
+            best = worst, name
+        if worst >= _WELL_ENOUGH_PERCENT:
+            break
+    if best is None:
+        raise UnusableInputError(f"nothing could be fitted to the tests so far: {refused}")
+    return Described(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
+
+
+def _next(records: list[Record], design: DepthDesign, seed: int, preload_s: float) -> tuple[Described, Redesign]:
+    described = describe_system(records)
+    return described, redesign(described.model.simulate, design, seed, preload_s)
+
+
+def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m: float, preload_s: float) -> Record:
+    """Command, as the force that it holds at rest, and depth from the surface, after the preload.
+
+    From the command and not from the measured force: what is to be designed is a command, and the brake of the coil's
+    own motion is part of what answers it.
+    """
+    samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])[round(preload_s * device.sample_rate_hz) :]
+    force_n: Array = samples["command"] / device.voltage_for_force(1.0)
+    return Record(force_n, samples["position"] - surface_m, device.sample_rate_hz)
+
+
+def _notes(
+    design: DepthDesign, step: int, described: Described | None, redesigned: Redesign | None
+) -> dict[str, str | float]:
+    notes: dict[str, str | float] = {
+        "multistep": float(step),
+        "depth_asked_min_m": design.depth_min_m,
+        "depth_asked_max_m": design.depth_max_m,
+    }
+    if described is not None and redesigned is not None:
+        notes |= {
+            "depth_min_m": redesigned.depth_min_m,
+            "depth_max_m": redesigned.depth_max_m,
+            "distance_predicted": redesigned.distance,
+            "designed_by": described.engine,
+            "vaf_held_out_percent": described.vaf_held_out_percent,
+        }
+    return notes

@@ -1,0 +1,127 @@
+"""What came of the tests that ``tissueid test`` ran: a table for people, keys for JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from rich.table import Table
+
+from tissueid.acquisition import Step
+from tissueid.cli.output import table
+from tissueid.errors import UnusableInputError
+from tissueid.sessions import Test
+from tissueid.stimuli.base import GUIDED
+from tissueid.stimuli.redesign import uniform_distance
+from tissueid.wording import fixed, grouped
+
+DepthRange = tuple[float, float]
+
+
+def answer_of(test: Test, asked: DepthRange | None, step: Step | None) -> dict[str, Any]:
+    """One test as JSON holds it; what does not belong to its kind of stimulus is None."""
+    depths = depth_range_of(test, asked)
+    answer: dict[str, Any] = {
+        "test": test.number,
+        "status": test.status,
+        "samples": test.samples,
+        "stimulus": stimulus_of(test).get("type"),
+        "depth_min_m": None if depths is None else depths[0],
+        "depth_max_m": None if depths is None else depths[1],
+        "kolmogorov_distance": kolmogorov_distance(test, depths),
+    }
+    for note in ("late_blocks", "held_samples"):
+        count = test.notes.get(note)
+        answer[note] = int(count) if isinstance(count, float) else None
+    for note in ("generating_share", "generating_longest_s", "ended_early_s", "reason"):
+        answer[note] = test.notes.get(note)
+    if step is not None:
+        answer |= {
+            "kolmogorov_distance_predicted": step.predicted,
+            "designed_by": step.engine,
+            "vaf_held_out_percent": step.vaf_held_out_percent,
+        }
+    return answer
+
+
+def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:
+    """One row a test; columns that no test has something for are left out."""
+    answers = [answer_of(test, asked, None) for test in tests]
+    columns = {
+        "samples": [grouped(a["samples"]) for a in answers],
+        "depth mm": [_millimetres(a) for a in answers],
+        "distance from even": [fixed(a["kolmogorov_distance"], 3) for a in answers],
+        "computing %": [fixed(_percent(a["generating_share"]), 1) for a in answers],
+        "late blocks": [grouped(a["late_blocks"]) for a in answers],
+        "held samples": [grouped(a["held_samples"]) for a in answers],
+    }
+    needs = {
+        "depth mm": "depth_min_m",
+        "distance from even": "kolmogorov_distance",
+        "computing %": "generating_share",
+        "late blocks": "late_blocks",
+        "held samples": "held_samples",
+    }
+    shown = [name for name in columns if name not in needs or any(a[needs[name]] is not None for a in answers)]
+    rows = table("Tests", "test", "stimulus", "status", *shown)
+    for k, answer in enumerate(answers):
+        rows.add_row(
+            str(answer["test"]), str(answer["stimulus"]), answer["status"], *(columns[name][k] for name in shown)
+        )
+    return rows
+
+
+def stimulus_of(test: Test) -> dict[str, Any]:
+    """The description of what a test played, without its preload."""
+    fields = test.stimulus
+    while fields.get("type") == GUIDED and isinstance(fields.get("stimulus"), dict):
+        fields = fields["stimulus"]
+    return fields
+
+
+def depth_range_of(test: Test, asked: DepthRange | None) -> DepthRange | None:
+    """The depths, m, that a test was to spread over: as it was designed, or as was asked; None where neither says."""
+    for source in (test.notes, stimulus_of(test)):
+        least, most = source.get("depth_min_m"), source.get("depth_max_m")
+        if isinstance(least, float) and isinstance(most, float):
+            return least, most
+    return asked
+
+
+def out_of_reach(test: Test) -> str:
+    """What of the depths that were asked for a test was not designed for, in words; empty where that is nothing."""
+    notes = test.notes
+    if "depth_asked_min_m" not in notes or "depth_min_m" not in notes:
+        return ""
+    asked, designed = ((notes[f"{name}_min_m"], notes[f"{name}_max_m"]) for name in ("depth_asked", "depth"))
+    if asked == designed:
+        return ""
+    spans = [f"{fixed(1e3 * float(low), 2)} to {fixed(1e3 * float(high), 2)} mm" for low, high in (designed, asked)]
+    return f"designed for {spans[0]} of the {spans[1]} that were asked for: these forces do not spread it further"
+
+
+def kolmogorov_distance(test: Test, depths: DepthRange | None) -> float | None:
+    """Distance of the depth from the distribution that was wanted: what its stimulus says, or from uniform."""
+    report = test.notes.get("stimulus_report")
+    said = json.loads(report).get("kolmogorov_distance") if isinstance(report, str) else None
+    if isinstance(said, float):
+        return said
+    if depths is None:
+        return None
+    try:
+        return uniform_distance(test.record().output - test.surface_position_m, *depths)
+    except UnusableInputError:
+        return None
+
+
+def _millimetres(answer: dict[str, Any]) -> str:
+    return f"{fixed(_thousandfold(answer['depth_min_m']), 2)} to {fixed(_thousandfold(answer['depth_max_m']), 2)}"
+
+
+def _thousandfold(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
+
+
+def _percent(value: float | None) -> float | None:
+    return None if value is None else 100.0 * value

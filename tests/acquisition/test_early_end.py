@@ -1,0 +1,113 @@
+"""A test that ends when enough is known: as long as what was played, and whole, in the session and in the journal."""
+
+import numpy as np
+import pytest
+from feedback_kinds import PushBack
+from support import connect
+
+from tissueid.acquisition import GuidedTest, SessionRecorder, recover, run_guided_test
+from tissueid.acquisition.journal import Entry, encode_json, journal_path
+from tissueid.errors import UnusableInputError
+from tissueid.instrument import ReplayInstrument, SimulatedInstrument
+from tissueid.sessions import read_session
+from tissueid.stimuli import guided
+from tissueid.stimuli.kinds.noise import Noise
+
+SURFACE = 0.01
+PRELOAD = 1000
+
+
+def noise(seconds=3.0):
+    return guided(Noise(seconds=seconds, force_min_n=1.0, force_max_n=7.0, seed=4).build())
+
+
+class After:
+    """Says that it is enough once so many seconds of the test have been shown."""
+
+    def __init__(self, seconds):
+        self.samples = seconds * 2000.0
+        self.seen = self.asked = 0
+
+    def progress(self, item):
+        self.seen += item.samples.size
+
+    def enough(self):
+        self.asked += 1
+        return self.seen >= self.samples
+
+
+def run(instrument, stimulus, path, after, **arguments):
+    recorder = SessionRecorder(path, instrument.device)
+    test = GuidedTest(stimulus, "x")
+    run_guided_test(
+        instrument, test, recorder, surface_m=SURFACE, progress=after.progress, enough=after.enough, **arguments
+    )
+    recorder.finish()
+    return read_session(path).test()
+
+
+@pytest.mark.parametrize("make", [connect, SimulatedInstrument], ids=["firmware", "in process"])
+@pytest.mark.parametrize("stimulus", [noise(), PushBack(seconds=3.0, lead=3)], ids=["open loop", "feedback"])
+def test_it_is_completed_and_as_long_as_what_was_played(make, stimulus, tmp_path):
+    instrument = make()
+    after = After(2.0)
+    test = run(instrument, stimulus, tmp_path / "s.h5", after, why=lambda: "stiffness known to 2 %")
+    assert test.status == "completed"
+    assert 4000 <= test.samples < 4400
+    assert not np.isnan(test.signals["position"]).any()
+    assert test.notes["ended_early_s"] == pytest.approx((test.samples - PRELOAD) / 2000.0)
+    assert test.notes["reason"] == f"ended after {test.notes['ended_early_s']:.2f} s: stiffness known to 2 %"
+    if not isinstance(stimulus, PushBack):
+        command = test.signals["command"] / instrument.device.voltage_for_force(1.0)
+        np.testing.assert_allclose(command, stimulus.values[: test.samples], atol=1e-3)
+    # The soft release runs out, and the next test begins as if nothing had been.
+    second = run(instrument, stimulus, tmp_path / "t.h5", After(np.inf))
+    assert "ended_early_s" not in second.notes
+    assert second.samples == PRELOAD + 6000
+    instrument.close()
+
+
+def test_what_is_enough_at_once_ends_after_the_preload(tmp_path):
+    test = run(SimulatedInstrument(), noise(), tmp_path / "s.h5", After(0.0))
+    assert PRELOAD < test.samples < PRELOAD + 100
+    assert len(test.record()) > 0
+
+
+def test_it_is_asked_no_more_once_it_was_enough(tmp_path):
+    after = After(1.0)
+    run(SimulatedInstrument(), noise(), tmp_path / "s.h5", after)
+    assert after.asked < 60
+
+
+def test_a_replay_ends_early_too(tmp_path):
+    source = SimulatedInstrument()
+    recorded = run(source, noise(), tmp_path / "a.h5", After(np.inf))
+    test = run(ReplayInstrument(source.device, recorded.signals), noise(), tmp_path / "b.h5", After(1.5))
+    assert 3000 <= test.samples < 3100
+    np.testing.assert_array_equal(test.signals["position"], recorded.signals["position"][: test.samples])
+
+
+def test_a_host_that_dies_after_an_early_end_leaves_just_what_was_played(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    after = After(2.0)
+    run_guided_test(
+        instrument, GuidedTest(noise(), "x"), recorder, surface_m=SURFACE, progress=after.progress, enough=after.enough
+    )
+    recorder.abandon()
+    _, session = recover(tmp_path / "s.h5")
+    assert session.test().status == "completed"
+    assert 4000 <= session.test().samples < 4400
+    assert not np.isnan(session.test().signals["position"]).any()
+
+
+@pytest.mark.parametrize("samples", [0, -1, 10_000_000])
+def test_a_journal_whose_lengths_make_no_sense_is_refused(samples, tmp_path):
+    instrument = SimulatedInstrument()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, GuidedTest(noise(0.5), "x"), recorder, surface_m=SURFACE)
+    recorder.abandon()
+    with journal_path(tmp_path / "s.h5").open("ab") as file:
+        file.write(encode_json(Entry.TEST_END, {"status": "completed", "notes": {}, "samples": samples}))
+    with pytest.raises(UnusableInputError, match="samples that played"):
+        recover(tmp_path / "s.h5")

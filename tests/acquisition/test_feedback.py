@@ -1,0 +1,283 @@
+"""Feedback stimuli on every kind of instrument: what the source sees, what is played, and what mishaps leave."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from feedback_kinds import PushBack, Runaway
+from support import connect
+
+from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
+from tissueid.errors import (
+    CancelledError,
+    FirmwareFaultError,
+    InstrumentError,
+    LimitError,
+    LinkLostError,
+    TissueIDError,
+    UnusableInputError,
+)
+from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
+from tissueid.stimuli import get_stimulus
+from tissueid.stimuli.feedback import BLOCK
+
+PRELOAD = 1000
+SURFACE = 0.01
+
+
+def a_test(seconds=1.0, **options):
+    return GuidedTest(PushBack(seconds=seconds, **options), "left forearm")
+
+
+def run(instrument, test, path, **arguments):
+    recorder = SessionRecorder(path, instrument.device)
+    try:
+        run_guided_test(instrument, test, recorder, surface_m=SURFACE, **arguments)
+    except TissueIDError:
+        session = recorder.finish_or_discard()
+        raise
+    else:
+        session = recorder.finish()
+    return session.test()
+
+
+def replayed(test, kind, device):
+    """The set-points, V, that the recorded answers ask for, one block after the other."""
+    source = kind.start(SURFACE)
+    force, position = test.signals["force"], test.signals["position"]
+    volts, taken = [], -PRELOAD
+    for block in range(-(-(test.samples - PRELOAD) // BLOCK)):
+        due = (block - kind.lead) * BLOCK
+        for first in range(taken, due, BLOCK):
+            part = slice(PRELOAD + first, PRELOAD + min(first + BLOCK, due))
+            source.take(force[part], position[part], first)
+        taken = max(taken, due)
+        volts.append(source.next_block() * device.voltage_for_force(1.0))
+    return np.concatenate(volts)[: test.samples - PRELOAD]
+
+
+@pytest.mark.parametrize("make", [connect, SimulatedInstrument], ids=["firmware", "in process"])
+@pytest.mark.parametrize("lead", [1, 3])
+def test_what_is_played_is_what_the_recorded_answers_ask_for(make, lead, tmp_path):
+    instrument = make()
+    lead = lead + (make is connect)  # a cable needs a block of its own
+    test = a_test(seconds=1.015, lead=lead)
+    seen = []
+    played = run(instrument, test, tmp_path / "s.h5", progress=seen.append)
+    instrument.close()
+    assert (played.status, played.samples, played.preload_s, played.seed) == ("completed", PRELOAD + 2030, 0.5, 0)
+    assert played.stimulus == {"type": "guided", "preload_s": 0.5, "stimulus": test.stimulus.describe()}
+    assert not np.isnan(played.signals["position"]).any()
+    wanted = replayed(played, test.stimulus, instrument.device)
+    step = 48.0 / 32767  # of the converter
+    np.testing.assert_allclose(played.signals["command"][PRELOAD:], wanted, atol=step)
+    assert played.notes["late_blocks"] == played.notes["held_samples"] == 0
+    assert json.loads(played.notes["stimulus_report"]) == {"blocks": 41, "samples": PRELOAD + 2030, "lost": 0}
+    assert np.ptp(wanted) > 4.0
+    phases = list(dict.fromkeys(item.phase for item in seen))
+    assert phases == [Phase.PRELOAD, Phase.STIMULUS, Phase.RELEASE]
+    fractions = [item.fraction for item in seen[:-1]]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+
+
+def test_the_preload_rises_softly_to_the_load_of_the_kind(tmp_path):
+    instrument = SimulatedInstrument()
+    test = run(instrument, a_test(), tmp_path / "s.h5")
+    newtons = test.signals["command"] / instrument.device.voltage_for_force(1.0)
+    assert newtons[0] == 0.0
+    assert np.abs(np.diff(newtons[:PRELOAD])).max() < 0.07
+    np.testing.assert_allclose(newtons[100:PRELOAD], 4.0)
+
+
+def test_the_source_gets_whole_blocks_in_order_and_none_that_is_not_due(tmp_path):
+    sources = []
+
+    class Watched(PushBack):
+        def start(self, surface_m):
+            sources.append(super().start(surface_m))
+            return sources[-1]
+
+    run(SimulatedInstrument(), GuidedTest(Watched(seconds=0.5, seed=11), "x"), tmp_path / "s.h5")
+    taken = sources[-1].taken
+    assert taken[0] == (-PRELOAD, BLOCK)
+    assert all(first + count == following for (first, count), (following, _) in pairwise(taken))
+    assert {count for _, count in taken} == {BLOCK}
+    assert sum(taken[-1]) == 1000
+
+
+def test_lost_samples_reach_the_source_as_nan_and_are_told(tmp_path):
+    instrument = connect()
+    reads = iter(range(100_000))
+    instrument._link.to_host = lambda data: b"" if next(reads) % 60 == 59 else data
+    test = run(instrument, a_test(lead=4), tmp_path / "s.h5")
+    lost = int(np.isnan(test.signals["position"]).sum())
+    assert lost > 0
+    assert json.loads(test.notes["stimulus_report"])["lost"] == lost
+    assert test.notes["samples_lost"] == lost
+
+
+def test_the_time_in_the_source_is_measured_by_the_clock_that_is_given(tmp_path):
+    ticks = iter(range(100_000))
+    test = run(SimulatedInstrument(), a_test(), tmp_path / "s.h5", clock=lambda: 1e-3 * next(ticks))
+    assert test.notes["generating_longest_s"] == pytest.approx(1e-3)
+    assert test.notes["generating_share"] == pytest.approx(40e-3 / 1.5)
+
+
+def test_it_repeats_bit_by_bit_in_process(tmp_path):
+    first, second = (
+        run(SimulatedInstrument(seed=3), a_test(seed=5), tmp_path / f"{name}.h5").signals["command"] for name in "ab"
+    )
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("test", "error", "words"),
+    [
+        (a_test(force_max_n=13.0), LimitError, r"reaches 13\.0 N; the limit is 12 N"),
+        (a_test(force_min_n=-12.5), LimitError, r"reaches 12\.5 N; the limit is 12 N"),
+        (a_test(seconds=29.6), LimitError, r"lasts 30\.1 s; the limit is 30 s"),
+        (a_test(sample_rate=1000.0), UnusableInputError, "1000 samples a second, the instrument 2000"),
+        (GuidedTest(PushBack(), "x", preload_s=0.01), UnusableInputError, "at least its rise"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anybody_is_touched(test, error, words, tmp_path):
+    instrument = SimulatedInstrument()
+    with pytest.raises(error, match=words):
+        run(instrument, test, tmp_path / "s.h5")
+    assert list(tmp_path.iterdir()) == []
+    assert instrument.poll(0.0)["command"].max() == 0.0
+
+
+def test_a_source_that_leaves_its_range_frees_the_coil(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    with pytest.raises(UnusableInputError, match="'runaway' left its range of 0 to 10 N"):
+        run_guided_test(instrument, GuidedTest(Runaway(), "x"), recorder, surface_m=SURFACE)
+    assert not instrument._link.firmware.energised
+    test = recorder.finish().test()
+    assert test.status == "aborted"
+    assert test.samples > PRELOAD + 10 * BLOCK
+    assert "left its range" in test.notes["reason"]
+    assert np.abs(test.signals["force"]).max() < 12.0
+
+
+def test_a_replay_refuses_set_points_in_one_line(tmp_path):
+    source = SimulatedInstrument()
+    recorded = run(source, a_test(), tmp_path / "a.h5")
+    with pytest.raises(InstrumentError, match=r"^[^\n]*$"):
+        run(ReplayInstrument(source.device, recorded.signals), a_test(), tmp_path / "b.h5")
+
+
+@pytest.mark.parametrize(
+    ("mishap", "error"),
+    [
+        (lambda link: setattr(link, "plugged", False), LinkLostError),
+        (lambda link: link.firmware.reboot(), FirmwareFaultError),
+        (lambda link: link.firmware.stall(link.now + 10), LinkLostError),
+        (lambda link: setattr(link.firmware.bench, "button", True), FirmwareFaultError),
+    ],
+    ids=["unplug", "reset", "stall", "button"],
+)
+def test_a_mishap_in_mid_feedback_frees_the_coil_and_keeps_the_recorded_part(tmp_path, mishap, error):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    pending = [mishap]
+
+    def progress(item):
+        if item.fraction > 0.5 and pending:
+            pending.pop()(instrument._link)
+
+    with pytest.raises(error):
+        run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE, progress=progress)
+    instrument._link.run_for(1.0)
+    assert not instrument._link.firmware.energised
+    instrument.close()
+    test = recorder.finish().test()
+    assert test.status == "aborted"
+    assert test.samples >= 3500
+    assert test.notes["generating_share"] > 0.0
+    assert "stimulus_report" not in test.notes
+
+
+def test_a_host_that_stops_sending_is_held_and_then_released(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    send, sent = instrument.send, iter(range(1000))
+
+    def fails_after_a_second(offset, command_v):
+        if next(sent) < 40:
+            send(offset, command_v)
+
+    instrument.send = fails_after_a_second
+    with pytest.raises(FirmwareFaultError, match="fell behind"):
+        run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE)
+    assert not instrument._link.firmware.energised
+    test = recorder.finish().test()
+    newtons = test.signals["command"] / instrument.device.voltage_for_force(1.0)
+    np.testing.assert_allclose(newtons[PRELOAD + 2000 + 150 : PRELOAD + 2900], 4.0, atol=0.01)
+    assert test.status == "aborted"
+    assert test.notes["held_samples"] >= 500
+
+
+def test_cancelling_keeps_what_was_recorded(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    seen = []
+    with pytest.raises(CancelledError):
+        run_guided_test(
+            instrument,
+            a_test(3.0),
+            recorder,
+            surface_m=SURFACE,
+            progress=seen.append,
+            cancelled=lambda: bool(seen) and seen[-1].fraction > 0.5,
+        )
+    assert not instrument._link.firmware.energised
+    assert recorder.finish().test().status == "aborted"
+
+
+def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+
+    class PowerCut(Exception):
+        pass
+
+    def progress(item):
+        if item.fraction > 0.6:
+            raise PowerCut
+
+    with pytest.raises(PowerCut):
+        run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
+    recorder.abandon()
+    _, session = recover(tmp_path / "s.h5")
+    assert session.test().status == "recovered"
+    assert session.test().samples > 2500
+    assert session.test().stimulus["stimulus"]["type"] == "push_back"
+
+
+def test_a_limit_broken_in_mid_feedback(tmp_path):
+    recorder = SessionRecorder(tmp_path / "s.h5", (instrument := SimulatedInstrument()).device)
+    test = GuidedTest(PushBack(), "x", limits=Limits(max_position_m=0.013))
+    with pytest.raises(LimitError, match="end of its stroke"):
+        run_guided_test(instrument, test, recorder, surface_m=SURFACE)
+    assert recorder.finish().test().status == "aborted"
+
+
+@pytest.mark.parametrize(
+    ("make", "depths"),
+    [(SimulatedInstrument, (1.5e-3, 4.5e-3)), (lambda: connect("wiener-demo"), (1.0e-3, 6.0e-3))],
+    ids=["twin", "wiener-demo"],
+)
+def test_real_time_input_generation_spreads_the_depth(make, depths, tmp_path):
+    instrument = make()
+    kind = get_stimulus("rtig")(depth_min_m=depths[0], depth_max_m=depths[1], force_max_n=11.0, seconds=5.0)
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, GuidedTest(kind, "x"), recorder)
+    test = recorder.finish().test()
+    depth = np.sort(test.record().output - test.surface_position_m)
+    share = np.clip((depth - depths[0]) / (depths[1] - depths[0]), 0.0, 1.0)
+    assert np.abs(share - np.arange(depth.size) / depth.size).max() < 0.08
+    assert test.notes["late_blocks"] == test.notes["held_samples"] == 0

@@ -1,0 +1,218 @@
+"""``tissueid test`` with any stimulus, in steps, and until it is good enough: answers, tables, and refusals."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from firmware_sim_process import firmware_process
+
+from tissueid.acquisition import SessionRecorder
+from tissueid.acquisition.stimulus_file import save_stimulus
+from tissueid.cli import main
+from tissueid.sessions import read_session
+from tissueid.stimuli import get_stimulus
+
+A_TEST = ["test", "--device", "simulated://forearm?seed=2", "--site", "x", "--out", "FOLDER/a.h5"]
+KEYS = {
+    "test",
+    "status",
+    "samples",
+    "stimulus",
+    "kolmogorov_distance",
+    "late_blocks",
+    "held_samples",
+    "generating_share",
+    "ended_early_s",
+}
+
+
+def run(capsys, tmp_path, *arguments, device="simulated://forearm?seed=2"):
+    """Run the command; returns its JSON, the session, and what people read."""
+    out = tmp_path / "s.h5"
+    command = ["test", "--device", device, "--site", "left forearm", "--out", str(out), "--json", "-"]
+    assert main([*command, *map(str, arguments)]) == 0
+    captured = capsys.readouterr()
+    answer = json.loads(captured.out)
+    session = read_session(out)
+    assert [test["test"] for test in answer["tests"]] == [test.number for test in session.tests]
+    assert all(test.keys() >= KEYS for test in answer["tests"])
+    return answer["tests"], session, captured.err
+
+
+def force(test):
+    """What was asked for, N, after the preload."""
+    return test.signals["command"][round(test.preload_s * test.sample_rate_hz) :] / 4.0
+
+
+def test_without_options_it_is_the_noise_that_it_always_was(capsys, tmp_path):
+    (answer,), session, _ = run(capsys, tmp_path)
+    assert (answer["stimulus"], answer["samples"]) == ("noise", 9000)
+    assert answer["kolmogorov_distance"] is answer["late_blocks"] is answer["ended_early_s"] is None
+    assert (force(session.test()).min(), force(session.test()).max()) == (0.5, 10.5)
+    assert session.test().seed == 1
+
+
+def test_options_reach_the_stimulus(capsys, tmp_path):
+    options = ["--min-force", 2, "--max-force", 6, "--seconds", 1.5, "--seed", 7, "--distribution", "uniform"]
+    (answer,), session, _ = run(capsys, tmp_path, *options, "--option", "cutoff_hz=100", "--depth-range", "1:5")
+    description = session.test().stimulus["stimulus"]
+    assert {description[name] for name in ("seed", "cutoff_hz", "distribution")} == {7, 100.0, "uniform"}
+    assert np.allclose(np.sort(force(session.test())), np.linspace(2.0, 6.0, 3000))
+    assert 0.1 < answer["kolmogorov_distance"] < 1.0
+
+
+def test_another_kind_has_its_own_defaults(capsys, tmp_path):
+    (answer,), session, _ = run(
+        capsys, tmp_path, "--stimulus", "multisine", "--max-force", 7, "--option", "phases=schroeder"
+    )
+    assert answer["stimulus"] == "multisine"
+    assert session.test().stimulus["stimulus"]["force_max_n"] == 7.0
+    assert force(session.test()).max() <= 7.0 + 1e-9
+
+
+def test_real_time_input_generation_from_the_shell(capsys, tmp_path):
+    options = ["--stimulus", "rtig", "--depth-range", "1.5:4.5", "--max-force", 11, "--seconds", 5]
+    (answer,), session, told = run(capsys, tmp_path, *options)
+    assert (answer["stimulus"], answer["samples"]) == ("rtig", 11000)
+    assert answer["kolmogorov_distance"] < 0.08
+    assert answer["late_blocks"] == answer["held_samples"] == 0
+    assert 0.0 < answer["generating_share"] < 1.0
+    depth = np.sort(session.test().record().output - session.test().surface_position_m)
+    even = np.clip((depth - 1.5e-3) / 3e-3, 0.0, 1.0)
+    assert np.abs(even - np.arange(depth.size) / depth.size).max() == pytest.approx(
+        answer["kolmogorov_distance"], abs=0.04
+    )
+    for words in ("distance from even", "computing %", "late blocks", "1.50 to 4.50"):
+        assert words in told
+
+
+def test_repeats_of_a_feedback_stimulus_repeat_no_command(capsys, tmp_path):
+    options = ["--stimulus", "rtig", "--seconds", 1, "--repeats", 2]
+    answers, session, _ = run(capsys, tmp_path, *options)
+    assert [test.repeat_of for test in session.tests] == [None, None]
+    assert len(answers) == 2
+
+
+def test_a_saved_stimulus_is_played_sample_for_sample(capsys, tmp_path):
+    saved = get_stimulus("noise")(distribution="rayleigh", seconds=1.0, seed=9, force_min_n=1.0, force_max_n=5.0)
+    save_stimulus(tmp_path / "n.json", saved.build())
+    (answer,), session, _ = run(capsys, tmp_path, "--stimulus-file", tmp_path / "n.json")
+    assert answer["samples"] == 3000
+    np.testing.assert_allclose(force(session.test()), saved.build().values, atol=1e-12)
+
+
+def test_a_saved_feedback_stimulus_is_generated(capsys, tmp_path):
+    save_stimulus(tmp_path / "r.json", get_stimulus("rtig")(seconds=1.0, depth_max_m=3.5e-3))
+    (answer,), _, _ = run(capsys, tmp_path, "--stimulus-file", tmp_path / "r.json")
+    assert (answer["stimulus"], answer["depth_max_m"]) == ("rtig", 3.5e-3)
+
+
+def test_steps_towards_an_even_depth(capsys, tmp_path):
+    options = ["--multistep", 3, "--depth-range", "0.5:4.5", "--seconds", 1, "--target", 0.1]
+    answers, session, told = run(capsys, tmp_path, *options)
+    assert 2 <= len(answers) <= 3
+    assert answers[0]["kolmogorov_distance"] > 0.2
+    assert answers[-1]["kolmogorov_distance"] <= 0.1
+    assert answers[-1]["designed_by"] in ("wiener", "dpn")
+    assert answers[-1]["depth_min_m"] > 0.5e-3  # the weight of the coil alone goes deeper
+    assert session.tests[-1].notes["multistep"] == len(answers)
+    assert f"designed for {1e3 * answers[-1]['depth_min_m']:.2f} to 4.50 mm of the 0.50 to 4.50 mm" in told
+
+
+def test_it_stops_when_it_is_good_enough(capsys, tmp_path):
+    (answer,), _, told = run(capsys, tmp_path, "--stop-when", "stiffness=0.05", "--live")
+    assert answer["status"] == "completed"
+    assert 1.0 <= answer["ended_early_s"] < 4.0
+    assert answer["samples"] == 1000 + round(2000 * answer["ended_early_s"])
+    assert "stiffness" in answer["reason"]
+    assert answer["reason"] in told
+    assert sum(line.startswith(("0.", "1.")) and "N/m" in line for line in told.splitlines()) >= 3
+
+
+def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
+    (answer,), _, _ = run(capsys, tmp_path, "--stop-when", "mass=1e-9", "--seconds", 2)
+    assert answer["samples"] == 5000
+    assert answer["ended_early_s"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--stimulus", "magic"], "magic"),
+        (["--stimulus", "rtig", "--option", "colour=red"], "colour"),
+        (["--option", "colour"], "NAME=VALUE"),
+        (["--option", "bins=30"], "bins"),
+        (["--option", "seed=1", "--seed", "2"], "seed is given twice"),
+        (["--option", "cutoff_hz=50", "--option", "cutoff_hz=60"], "cutoff_hz of the stimulus is given twice"),
+        (["--stimulus", "rtig", "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
+        (["--stimulus", "rtig", "--seconds", "29.6"], "lasts 30.1 s; the limit is 30 s"),
+        (["--stimulus", "rtig", "--option", "sample_rate=1000"], "1000 samples a second, the instrument 2000"),
+        (["--option", "cutoff_hz=1500"], "needs more than 3000 samples a second"),
+        (["--depth-range", "4"], "such as 1:4, not '4'"),
+        (["--depth-range", "4:1"], "such as 1:4, not '4:1'"),
+        (["--depth-range", "a:b"], "such as 1:4, not 'a:b'"),
+        (["--depth-range", "nan:4"], "such as 1:4, not 'nan:4'"),
+        (["--multistep", "3"], "needs a --depth-range"),
+        (["--multistep", "0", "--depth-range", "1:4"], "multistep"),
+        (["--multistep", "3", "--depth-range", "1:4", "--stimulus", "rtig"], "designs its stimuli itself"),
+        (["--multistep", "3", "--depth-range", "1:4", "--repeats", "2"], "designs its stimuli itself"),
+        (["--multistep", "3", "--depth-range", "1:4", "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
+        (["--multistep", "3", "--depth-range", "1:60"], "depth_max_m"),
+        (["--multistep", "3", "--depth-range", "1:40"], "beyond the stroke"),
+        (["--target", "0.1"], "--target goes with --multistep"),
+        (["--stop-when", "stiffness"], "NAME=SHARE"),
+        (["--stop-when", "colour=0.1"], "colour"),
+        (["--stop-when", "stiffness=2"], "between 0 and 0.5"),
+        (["--stimulus-file", "FOLDER/none.json"], "no such file"),
+        (["--stimulus-file", "FOLDER/rubbish.json"], "not a saved stimulus"),
+        (["--stimulus-file", "FOLDER/rubbish.json", "--seed", "1"], "its options are in it"),
+        (["--stimulus-file", "FOLDER/rubbish.json", "--stimulus", "rtig"], "its options are in it"),
+    ],
+    ids=lambda item: " ".join(item) if isinstance(item, list) else "",
+)
+def test_what_cannot_be_run_is_said_in_one_line(arguments, words, capsys, tmp_path):
+    (tmp_path / "rubbish.json").write_text("rubbish")
+    line = [argument.replace("FOLDER", str(tmp_path)) for argument in [*A_TEST, *arguments]]
+    assert main(line) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    last = captured.err.strip().splitlines()[-1]
+    assert last.startswith("tissueid: ")
+    assert words in last
+    assert [path.name for path in tmp_path.iterdir()] == ["rubbish.json"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_the_loop_is_closed_over_a_cable(capsys, tmp_path):
+    options = ["--stimulus", "rtig", "--depth-range", "2:3.8", "--max-force", 11, "--seconds", 3]
+    with firmware_process("--preset", "left-posterior-forearm") as (url, _):
+        (answer,), session, _ = run(capsys, tmp_path, *options, device=url)
+    assert answer["samples"] == 7000
+    assert answer["kolmogorov_distance"] < 0.15  # 3 s; what 5 s reach is among the claims
+    assert answer["held_samples"] <= 100  # of 6000: on a machine that is busy with other tests
+    assert "samples_lost" not in session.test().notes
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_an_instrument_that_dies_in_mid_feedback_leaves_the_recorded_part(monkeypatch, capsys, tmp_path):
+    out = tmp_path / "s.h5"
+    command = ["--site", "x", "--out", str(out), "--stimulus", "rtig", "--depth-range", "2:3.8", "--seconds", "10"]
+    add = SessionRecorder.add
+    with firmware_process("--preset", "left-posterior-forearm") as (url, process):
+
+        def add_and_pull_the_plug(self, samples):
+            add(self, samples)
+            if self.samples_appended > 2500:
+                process.kill()
+
+        monkeypatch.setattr(SessionRecorder, "add", add_and_pull_the_plug)
+        assert main(["test", "--device", url, *command]) == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("tissueid: ")
+    assert "broke" in last or "silent" in last
+    test = read_session(out).test()
+    assert test.status == "aborted"
+    assert 2500 < test.samples < 10_000
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
