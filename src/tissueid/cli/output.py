@@ -25,10 +25,10 @@ def people_read(json_file: Path | None) -> Console:
     return console if str(json_file) == "-" else Console(highlight=False)
 
 
-def check_output(target: Path | None, begins: tuple[str, ...]) -> None:
+def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
     """Refuse, before any work, a file that cannot be written or that holds something else.
 
-    ``begins`` are the first characters of the kind of file that may be written anew.
+    ``begins`` are the first characters, or bytes, of the kind of file that may be written anew.
 
     Raises:
         UnusableInputError: no such folder, a folder itself, or a file that is not of that kind.
@@ -42,7 +42,8 @@ def check_output(target: Path | None, begins: tuple[str, ...]) -> None:
     if target.exists():
         with target.open("rb") as file:
             head = file.read(512).lstrip()
-        if head and not head.startswith(tuple(text.encode() for text in begins)):
+        known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
+        if head and not head.startswith(known):
             raise UnusableInputError(f"{target} is there already and holds something else; it is not written over")
 
 
@@ -62,6 +63,15 @@ def write_json(target: Path, value: Any) -> None:
         sys.stdout.write(text)
         return
     check_json(target)
+    write_text(target, text)
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a text file whole or not at all.
+
+    Raises:
+        UnusableInputError: the file cannot be written.
+    """
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         partial.write_text(text, encoding="utf-8")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
@@ -36,9 +36,26 @@ _WAYS = {1: "in", -1: "out"}
 def depth_panels(
     profiles: Mapping[str, DepthProfile], surface_position_m: float = float("nan"), visited: Array | None = None
 ) -> Figure:
-    """Mass, damping and stiffness against depth with 95 % bars or bands (Chen 2010, Figs. 5.9 to 5.11).
+    """Mass, damping and stiffness against depth with 95 % bars or bands; arguments as :func:`draw_depth_panels`.
+
+    Raises:
+        UnusableInputError: no row holds a value.
+    """
+    figure = new_figure(FULL_WIDTH, 4.3)
+    draw_depth_panels(figure, profiles, surface_position_m, visited)
+    return figure
+
+
+def draw_depth_panels(
+    figure: FigureBase,
+    profiles: Mapping[str, DepthProfile],
+    surface_position_m: float = float("nan"),
+    visited: Array | None = None,
+) -> None:
+    """Draw mass, damping and stiffness against depth with 95 % bars or bands (Chen 2010, Figs. 5.9 to 5.11).
 
     Args:
+        figure: what is drawn into.
         profiles: by the name that the legend gives them.
         surface_position_m: where the tissue begins, from which depth is counted; NaN for positions on the actuator.
         visited: output (n,), whose distribution is drawn below; the support of a single profile when None.
@@ -50,7 +67,6 @@ def depth_panels(
     if not known:
         raise UnusableInputError("the record holds mass, damping and stiffness at no depth")
     origin = surface_position_m if np.isfinite(surface_position_m) else 0.0
-    figure = new_figure(FULL_WIDTH, 4.3)
     every = figure.subplots(2, 3, sharex=True, height_ratios=(3.2, 1.0))
     series = _series(known)
     for axes, (name, label, scale) in zip(every[0], _QUANTITIES, strict=True):
@@ -61,13 +77,12 @@ def depth_panels(
         axes.set_ylabel(label)
     for axes in every[1]:
         _visits(axes, series, origin, visited)
-        axes.set_xlabel("Depth (mm)" if origin else "Position (mm)")
+        axes.set_xlabel("Depth (mm)" if np.isfinite(surface_position_m) else "Position (mm)")
     every[1, 0].set_ylabel("Samples")
     figure.align_ylabels()
     if len(series) > 1:
         handles, labels = every[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=min(6, len(labels)))
-    return figure
 
 
 def _series(profiles: Mapping[str, DepthProfile]) -> list[_Series]:
@@ -130,8 +145,7 @@ def _visits(axes: Axes, series: Sequence[_Series], origin: float, visited: Array
         for place, (_, profile, rows) in enumerate(series):
             low, high = 1e3 * (profile.low[rows] - origin), 1e3 * (profile.high[rows] - origin)
             colour = SERIES[place % len(SERIES)]
-            offset = 0.5 if len(series) > 1 else 1.0
-            left = low + (0.5 * (high - low) if place % 2 and len(series) > 1 else 0.0)
-            axes.bar(left, profile.support[rows], offset * (high - low), align="edge", color=colour, alpha=0.5)
+            width = (high - low) / len(series)
+            axes.bar(low + place * width, profile.support[rows], width, align="edge", color=colour, alpha=0.5)
     axes.set_facecolor(SHADE)
     axes.locator_params(axis="y", nbins=3)

@@ -179,8 +179,16 @@ def _power_label(value: float, *, plain: bool) -> str:
     return f"{times}10{superscript(exponent)}"
 
 
+_UNDATED: dict[str, dict[str, None]] = {
+    "svg": {"Date": None},
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Producer": None},
+}
+"""What a file says of when and by what it was made: nothing, so that the same figure gives the same file."""
+
+
 def plain_image(
-    figure: Figure, target: IO[bytes] | Path, form: Literal["svg", "png"], dots_per_inch: float = 144.0
+    figure: Figure, target: IO[bytes] | Path, form: Literal["svg", "png", "pdf"], dots_per_inch: float = 144.0
 ) -> None:
     """Write the figure for use outside of a page: on white, in colours that need no style sheet.
 
@@ -189,9 +197,7 @@ def plain_image(
     """
     with _house_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        figure.savefig(
-            target, format=form, dpi=dots_per_inch, metadata={"Date": None} if form == "svg" else {"Software": None}
-        )
+        figure.savefig(target, format=form, dpi=dots_per_inch, metadata=_UNDATED[form])
 
 
 # -- pages ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,174 @@
+"""A designed stimulus beside what it was to be: amplitudes, autocorrelation, lines, and what it does to the coil."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli import Stimulus, StimulusKind, get_stimulus
+from tissueid.stimuli.appraisal import Appraisal
+from tissueid.stimuli.base import GUIDED
+from tissueid.stimuli.distributions import kolmogorov_distance
+from tissueid.stimuli.interchange import Interchanged, autocorrelation
+from tissueid.stimuli.kinds.multisine import Multisine
+from tissueid.stimuli.shaped import Shaped
+from tissueid.wording import fixed, number, with_unit
+
+LAGS = 500
+"""Lags over which the error of the autocorrelation is summed where the stimulus does not say."""
+
+_GRID = 1 << 13
+"""Samples of a transform on whose frequencies a target's power is drawn."""
+
+Array = NDArray[np.float64]
+Row = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A stimulus, the device that is to play it, and what was found of it.
+
+    ``search`` is the interchange that led to it, where there was one and it is known.
+    """
+
+    stimulus: Stimulus
+    device: DeviceDescription
+    appraisal: Appraisal
+    search: Interchanged | None = None
+
+    @cached_property
+    def specification(self) -> StimulusKind:
+        """What it was built from, without its preload."""
+        fields = dict(self.stimulus.description)
+        while fields.get("type") == GUIDED:
+            fields = dict(fields["stimulus"])
+        return get_stimulus(str(fields.pop("type"))).from_options(fields)
+
+    @cached_property
+    def played(self) -> Array:
+        """The values after the preload, (n,)."""
+        return self.stimulus.values[round(self.stimulus.preload_s * self.stimulus.sample_rate_hz) :]
+
+    @cached_property
+    def intended_amplitudes(self) -> Array | None:
+        """The amplitudes (n,) that were asked for, rising, in the unit of the stimulus; None where none were."""
+        kind = self.specification
+        if not isinstance(kind, Shaped):
+            return None
+        return kind.over_range(kind.wanted_distribution().levels(self.played.size))
+
+    @cached_property
+    def autocorrelation(self) -> Array:
+        """Its autocorrelation (lags + 1,) from lag 0, as the interchange counts it.
+
+        Raises:
+            UnusableInputError: the values do not vary, or are too few.
+        """
+        if self.played.size < 3:
+            raise UnusableInputError("the stimulus is too short for an autocorrelation")
+        return autocorrelation(self.played, min(self.lags, self.played.size - 2))
+
+    @property
+    def lags(self) -> int:
+        """Lags that are looked at."""
+        return int(getattr(self.specification, "lags", LAGS))
+
+    @cached_property
+    def target_autocorrelation(self) -> Array | None:
+        """The autocorrelation (lags + 1,) that was asked for; None where none was."""
+        kind = self.specification
+        if not isinstance(kind, Shaped):
+            return None
+        return kind.wanted_spectrum().autocorrelation(self.autocorrelation.size - 1, kind.sample_rate)
+
+    @property
+    def autocorrelation_error(self) -> float | None:
+        """Sum of squared differences from the target over lags 1 to the last (Chen 2010, 6.1)."""
+        target = self.target_autocorrelation
+        if target is None:
+            return None
+        apart = (self.autocorrelation - target)[1:]
+        return float(apart @ apart)
+
+    @cached_property
+    def target_power(self) -> tuple[Array, Array] | None:
+        """Frequencies, Hz, and power density of any scale that were asked for; None where none were."""
+        kind = self.specification
+        if not isinstance(kind, Shaped):
+            return None
+        density = kind.wanted_spectrum().power(_GRID, kind.sample_rate)
+        return np.asarray(np.fft.rfftfreq(_GRID, 1.0 / kind.sample_rate), dtype=np.float64), density
+
+    @property
+    def amplitude_distance(self) -> float | None:
+        """Largest difference of the distribution of amplitudes from the intended one, 0 to 1."""
+        wanted = self.intended_amplitudes
+        return None if wanted is None else kolmogorov_distance(self.played, wanted)
+
+    def rows(self) -> tuple[Row, ...]:
+        """What was found, as label and value."""
+        return (*_appraised(self.appraisal), *self._found())
+
+    def answer(self) -> dict[str, Any]:
+        """What was reached of what was asked for, as JSON holds it; None where nothing was asked."""
+        kind, search = self.specification, self.search
+        return {
+            "amplitude_distance": self.amplitude_distance,
+            "autocorrelation_lags": self.autocorrelation.size - 1,
+            "autocorrelation_error": self.autocorrelation_error,
+            "interchange": None
+            if search is None
+            else {
+                "error_before": search.error_before,
+                "error": search.error,
+                "tried": search.tried,
+                "accepted": search.accepted,
+                "drift": search.drift,
+            },
+            "lines": None
+            if not isinstance(kind, Multisine)
+            else {
+                "resolution_hz": kind.resolution_hz,
+                "driven": kind.driven_lines().tolist(),
+                "detection": kind.detection_lines().tolist(),
+            },
+        }
+
+    def _found(self) -> Iterator[Row]:
+        distance, error, kind = self.amplitude_distance, self.autocorrelation_error, self.specification
+        if distance is not None:
+            yield "Distribution off the intended one by at most", f"{number(100.0 * distance, 2)} % of the samples"
+        if error is not None:
+            yield f"Autocorrelation, squared error over {self.autocorrelation.size - 1} lags", number(error, 2)
+        if self.search is not None:
+            yield "Swaps accepted, of those tried", f"{self.search.accepted} of {self.search.tried}"
+        if isinstance(kind, Multisine):
+            driven, detection = kind.driven_lines(), kind.detection_lines()
+            yield "Lines driven", f"{driven.size}, {number(kind.resolution_hz)} Hz apart or multiples of it"
+            yield "Detection lines", str(detection.size) if detection.size else "none"
+
+
+def _appraised(found: Appraisal) -> Iterator[Row]:
+    yield "Length", with_unit(fixed(found.seconds, 2), "s")
+    yield "Range of force", f"{fixed(found.force_min_n, 2)} to {fixed(found.force_max_n, 2)} N"
+    yield "Command, coil at rest", f"{fixed(found.voltage_min_v, 1)} to {fixed(found.voltage_max_v, 1)} V"
+    yield "Mean, and root mean square about it", f"{fixed(found.force_mean_n, 2)} N, {fixed(found.force_std_n, 2)} N"
+    yield "Crest factor", fixed(found.crest_factor, 2)
+    yield "95 % and 99 % of its power below", f"{fixed(found.power_95_hz, 0)} Hz, {fixed(found.power_99_hz, 0)} Hz"
+    yield (
+        "Steepest edge",
+        f"{fixed(found.steepest_edge_n_per_ms, 2)} N/ms, {fixed(found.edge_ratio, 1)} times that of painless noise",
+    )
+    yield "Current, rms and peak", f"{fixed(found.rms_current_a, 2)} A, {fixed(found.peak_current_a, 2)} A"
+    warmth = found.heating
+    yield (
+        "Coil warms by",
+        f"{fixed(warmth.expected_k, 1)} K ({fixed(warmth.least_k, 1)} to {fixed(warmth.most_k, 1)} K)",
+    )

@@ -1,0 +1,221 @@
+"""``tissueid stimulus``: what there is to play, a stimulus designed and drawn, a saved one checked."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
+from tissueid.analysis.design import Design
+from tissueid.cli.output import people_read, progress_bars, write_json, write_text
+from tissueid.cli.stimulus_options import (
+    CommonOptions,
+    kinds_answer,
+    kinds_table,
+    options_answer,
+    options_table,
+    specified,
+)
+from tissueid.cli.stimulus_targets import CSV_HEAD, Targets, draw, rows_table
+from tissueid.device import DeviceDescription
+from tissueid.errors import LimitError, UnusableInputError
+from tissueid.instrument import PROFILES, Limits, open_instrument
+from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
+from tissueid.stimuli.appraisal import Appraisal, appraise
+from tissueid.stimuli.interchange import Interchanged, Progress
+from tissueid.stimuli.kinds.interchange import Interchange
+
+
+def run_stimulus(
+    what: str | None,
+    common: CommonOptions,
+    options: Sequence[str],
+    list_options: bool,
+    targets: Targets,
+    url: str | None,
+    limits_name: str,
+) -> None:
+    """List kinds or options, or design a stimulus or read a saved one; then judge, tell, and write what is asked."""
+    if limits_name not in PROFILES:
+        raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {limits_name!r}")
+    targets.check()
+    people = people_read(targets.json)
+    if not people.is_terminal:
+        people.width = 120
+    if what is None or list_options:
+        _refuse_extras(common, options, targets)
+        _list(what, targets.json, people)
+        return
+    limits = PROFILES[limits_name]
+    if _is_file(what):
+        if options or common.given():
+            raise UnusableInputError(f"{what} is a saved stimulus: its options are in it")
+        chosen: Stimulus | StimulusKind = load_stimulus(Path(what))
+    else:
+        chosen = specified(what, common, options)
+    if isinstance(chosen, FeedbackKind):
+        from tissueid.cli.stimulus_feedback import show_feedback
+
+        show_feedback(chosen, url, limits, targets, people)
+    elif isinstance(chosen, Stimulus):
+        show_open_loop(chosen, None, _device(url), limits, targets, people)
+    elif isinstance(chosen, OpenLoopKind):
+        device = _device(url)
+        show_open_loop(*designed(chosen), device, limits, targets, people)
+    else:
+        raise UnusableInputError(f"the stimulus {what!r} can neither be built nor generated")
+
+
+def _is_file(what: str) -> bool:
+    return what.lower().endswith(".json") or "/" in what or Path(what).is_file()
+
+
+def _refuse_extras(common: CommonOptions, options: Sequence[str], targets: Targets) -> None:
+    if options or common.given() or targets.out or targets.csv or targets.plot:
+        raise UnusableInputError("say which stimulus; 'tissueid stimulus' lists them")
+
+
+def _list(kind: str | None, json_file: Path | None, people: Console) -> None:
+    if kind is None:
+        people.print(kinds_table())
+        people.print("'tissueid stimulus KIND --options' lists the options of one.", style="dim")
+        answer: Any = kinds_answer()
+    else:
+        people.print(options_table(get_stimulus(kind)))
+        people.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
+        answer = options_answer(get_stimulus(kind))
+    if json_file is not None:
+        write_json(json_file, answer)
+
+
+def _device(url: str | None) -> DeviceDescription:
+    """What is to play it: what a URL names, or the desktop device of the thesis."""
+    if url is None:
+        return DeviceDescription()
+    instrument = open_instrument(url)
+    try:
+        return instrument.device
+    finally:
+        instrument.close()
+
+
+def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None]:
+    """Build a stimulus, with a bar that tells how far it has come, and the search that led to it if there was one.
+
+    Raises:
+        UnusableInputError: it cannot be built.
+    """
+    specification.check_size()
+    label = f"designing {specification.name}"
+    with progress_bars() as show:
+        show(label, 0.0)
+        if isinstance(specification, Interchange):
+            first: list[Progress] = []
+
+            def follow(told: Progress) -> None:
+                first[:] = first or [told]
+                show(label, _share(first[0], told))
+
+            search = specification.design(follow)
+            built = specification.played(search)
+        else:
+            search, built = None, specification.build()
+        show(label, 1.0)
+    return built, search
+
+
+def _share(first: Progress, told: Progress) -> float:
+    """How much of a search is done: of the fall of the error, in decades, or of the swaps that it may try."""
+    tried = told.tried / told.max_trials
+    if not first.error > told.tolerance:
+        return tried
+    fallen = math.log(first.error / told.error) / math.log(first.error / told.tolerance)
+    return min(max(fallen, tried), 1.0)
+
+
+def show_open_loop(
+    stimulus: Stimulus,
+    search: Interchanged | None,
+    device: DeviceDescription,
+    limits: Limits,
+    targets: Targets,
+    people: Console,
+) -> None:
+    """Judge a stimulus, tell of it, and write what was asked for.
+
+    Raises:
+        LimitError: the instrument would refuse it.
+    """
+    found = appraise(
+        stimulus,
+        device,
+        max_force_n=limits.max_force_n,
+        max_seconds=limits.max_seconds,
+        max_temperature_c=limits.max_temperature_c,
+    )
+    for concern in found.concerns:
+        if concern.severity == "refused":
+            said = concern.words.rstrip(".")
+            raise LimitError(f"the instrument would refuse this stimulus: {said[:1].lower()}{said[1:]}")
+    design = Design(stimulus, device, found, search)
+    people.print(rows_table(f"Stimulus {design.specification.name}", design.rows()))
+    for concern in found.concerns:
+        people.print(f"{concern.severity}: {concern.words}", markup=False)
+    if targets.plot is not None:
+        from tissueid.reports.stimulus_report import stimulus_report
+
+        draw(targets.plot, stimulus_report(design))
+    if targets.csv is not None:
+        write_text(targets.csv, _csv(stimulus, device))
+    if targets.out is not None:
+        save_stimulus(targets.out, stimulus)
+    targets.tell(people)
+    if targets.json is not None:
+        write_json(targets.json, _answer(stimulus, found) | design.answer())
+
+
+def _csv(stimulus: Stimulus, device: DeviceDescription) -> str:
+    """Time, value and command of every sample; numbers in full, so that they come back to the last bit."""
+    command = to_voltage(stimulus.values, device, stimulus.unit)
+    quantity = "force_n" if stimulus.unit == "N" else "voltage_v"
+    text = io.StringIO()
+    text.write(f"{CSV_HEAD}{quantity},command_v\n")
+    time_s = np.arange(len(stimulus)) / stimulus.sample_rate_hz
+    for row in zip(time_s.tolist(), stimulus.values.tolist(), command.tolist(), strict=True):
+        text.write(f"{row[0]:.9g},{row[1]!r},{row[2]!r}\n")
+    return text.getvalue()
+
+
+def _answer(stimulus: Stimulus, found: Appraisal) -> dict[str, Any]:
+    return {
+        "description": stimulus.description,
+        "samples": len(stimulus),
+        "sample_rate_hz": stimulus.sample_rate_hz,
+        "unit": stimulus.unit,
+        "sha256": checksum(stimulus),
+        "seconds": found.seconds,
+        "force_min_n": found.force_min_n,
+        "force_max_n": found.force_max_n,
+        "voltage_min_v": found.voltage_min_v,
+        "voltage_max_v": found.voltage_max_v,
+        "force_mean_n": found.force_mean_n,
+        "force_std_n": found.force_std_n,
+        "crest_factor": found.crest_factor,
+        "power_95_hz": found.power_95_hz,
+        "power_99_hz": found.power_99_hz,
+        "steepest_edge_n_per_s": found.steepest_edge_n_per_s,
+        "edge_ratio": found.edge_ratio,
+        "rms_current_a": found.rms_current_a,
+        "peak_current_a": found.peak_current_a,
+        "heating_expected_k": found.heating.expected_k,
+        "heating_least_k": found.heating.least_k,
+        "heating_most_k": found.heating.most_k,
+        "heating_bound_k": found.heating.bound_k,
+        "concerns": [{"severity": concern.severity, "words": concern.words} for concern in found.concerns],
+    }

@@ -1,0 +1,107 @@
+"""``tissueid stimulus`` for kinds that are generated while a test runs: the loop is closed on a simulated tissue."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
+from tissueid.acquisition.guided import check_test
+from tissueid.acquisition.stimulus_file import save_stimulus
+from tissueid.cli.output import progress_bars, write_json
+from tissueid.cli.stimulus_targets import Targets, draw, rows_table
+from tissueid.errors import UnusableInputError
+from tissueid.instrument import Limits, open_instrument
+from tissueid.instrument.discovery import IN_PROCESS
+from tissueid.reports.feedback_figures import FeedbackRun
+from tissueid.reports.feedback_run import REPORT_NOTE, feedback_run
+from tissueid.reports.stimulus_report import feedback_report
+from tissueid.sessions import Test
+from tissueid.stimuli import FeedbackKind
+from tissueid.wording import fixed, grouped
+
+_TISSUE = f"{IN_PROCESS}forearm"
+
+
+def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: Targets, people: Console) -> None:
+    """Run the stimulus on a simulated tissue, tell what came of it, and write what was asked for.
+
+    Raises:
+        UnusableInputError: a real instrument was named, or samples as text were asked for.
+        LimitError: it could ask for more than the instrument gives, or did.
+    """
+    url = url or _TISSUE
+    if not url.startswith(IN_PROCESS):
+        raise UnusableInputError(
+            f"a stimulus that is generated while a test runs is designed on {IN_PROCESS}TISSUE; "
+            f"'tissueid test --stimulus {kind.name}' plays it on an instrument"
+        )
+    if targets.csv is not None:
+        raise UnusableInputError(f"the stimulus {kind.name} has no samples before its test: leave out --csv")
+    test = _simulated(kind, url, limits)
+    run = feedback_run(test, url.removeprefix(IN_PROCESS))
+    people.print(rows_table(f"Stimulus {kind.name} on {url}", tuple(_rows(test, run))))
+    if targets.plot is not None:
+        draw(targets.plot, feedback_report(kind, [run], tuple(_rows(test, run))))
+    if targets.out is not None:
+        save_stimulus(targets.out, kind)
+    targets.tell(people)
+    if targets.json is not None:
+        write_json(targets.json, _answer(kind, test, run, url))
+
+
+def _simulated(kind: FeedbackKind, url: str, limits: Limits) -> Test:
+    """One test as an instrument would run it, into a session that is thrown away."""
+    instrument = open_instrument(url)
+    guided = GuidedTest(kind, url, limits=limits)
+    label = f"playing {kind.name}"
+    try:
+        check_test(guided, instrument.device)
+        with tempfile.TemporaryDirectory() as folder:
+            recorder = SessionRecorder(Path(folder) / "designed.h5", instrument.device)
+            try:
+                with progress_bars() as show:
+                    run_guided_test(instrument, guided, recorder, progress=lambda told: show(label, told.fraction))
+            except BaseException:
+                recorder.finish_or_discard()
+                raise
+            return recorder.finish().tests[0]
+    finally:
+        instrument.close()
+
+
+def _rows(test: Test, run: FeedbackRun) -> Iterator[tuple[str, str]]:
+    force, depth = run.force, run.depth
+    yield "Length", f"{fixed(force.size / run.sample_rate_hz, 2)} s"
+    yield "Range of force", f"{fixed(float(force.min()), 2)} to {fixed(float(force.max()), 2)} N"
+    yield "Range of depth", f"{fixed(1e3 * float(depth.min()), 2)} to {fixed(1e3 * float(depth.max()), 2)} mm"
+    yield "Depth asked for", f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm"
+    yield "Distance of depth from the desired distribution", fixed(run.distance, 3)
+    yield "Computing time over that of the test", f"{fixed(100.0 * _note(test, 'generating_share'), 1)} %"
+    yield "Late blocks", grouped(_note(test, "late_blocks"))
+
+
+def _note(test: Test, name: str) -> float:
+    value = test.notes.get(name, float("nan"))
+    return float(value)
+
+
+def _answer(kind: FeedbackKind, test: Test, run: FeedbackRun, url: str) -> dict[str, Any]:
+    return {
+        "description": kind.describe(),
+        "device": url,
+        "samples": int(run.force.size),
+        "sample_rate_hz": run.sample_rate_hz,
+        "unit": "N",
+        "kolmogorov_distance": run.distance,
+        "generating_share": _note(test, "generating_share"),
+        "generating_longest_s": _note(test, "generating_longest_s"),
+        "late_blocks": _note(test, "late_blocks"),
+        "report": json.loads(str(test.notes[REPORT_NOTE])),
+        "depth_profile": None if run.profile is None else run.profile.as_rows(),
+    }

@@ -1,0 +1,160 @@
+"""What ``tissueid stimulus`` tells of kinds and their options, and how options on the command line reach them."""
+
+from __future__ import annotations
+
+import re
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Union, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+from rich.table import Table
+
+from tissueid.cli.identify import parse_options
+from tissueid.cli.output import table
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli import FeedbackKind, StimulusKind, get_stimulus, stimulus_names
+
+_BOUNDS = (("ge", "{} or more"), ("gt", "over {}"), ("le", "up to {}"), ("lt", "under {}"))
+_SOURCE = re.compile(r"\s*\([^()]*\d{4}[^()]*\)")
+_WORDS = {float: "number", int: "whole number", bool: "true or false", str: "text", tuple: "list"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """Options that many kinds share and that have a name of their own on the command line; None where not given."""
+
+    min_force: float | None = None
+    max_force: float | None = None
+    min_volts: float | None = None
+    max_volts: float | None = None
+    seconds: float | None = None
+    seed: int | None = None
+
+    def given(self) -> dict[str, tuple[str, float | int]]:
+        """Field of the specification: name on the command line and value, of those that were given."""
+        names = {
+            "force_min_n": ("--min-force", self.min_force),
+            "force_max_n": ("--max-force", self.max_force),
+            "voltage_min_v": ("--min-volts", self.min_volts),
+            "voltage_max_v": ("--max-volts", self.max_volts),
+            "seconds": ("--seconds", self.seconds),
+            "seed": ("--seed", self.seed),
+        }
+        return {field: (name, value) for field, (name, value) in names.items() if value is not None}
+
+
+def specified(
+    kind: str, common: CommonOptions, options: Sequence[str], defaults: Mapping[str, Any] | None = None
+) -> StimulusKind:
+    """The specification of a kind from what the command line says; ``defaults`` stand in for what it does not say.
+
+    Raises:
+        UnusableInputError: no such kind, an option that it does not have or that does not hold, or one given twice.
+    """
+    declared = get_stimulus(kind)
+    chosen = parse_options(options)
+    for field, (name, value) in common.given().items():
+        if field not in declared.model_fields:
+            raise UnusableInputError(
+                f"the stimulus {kind} takes no {name}; 'tissueid stimulus {kind} --options' lists what it takes"
+            )
+        if field in chosen:
+            raise UnusableInputError(f"{field} is given twice, by {name} and by --option")
+        chosen[field] = value
+    for field, default in (defaults or {}).items():
+        if field in declared.model_fields:
+            chosen.setdefault(field, default)
+    return declared.from_options(chosen)
+
+
+def kinds_answer() -> list[dict[str, Any]]:
+    """All kinds as JSON holds them: name, what they are, whether they are generated while a test runs, options."""
+    return [
+        {
+            "kind": name,
+            "what": summary(get_stimulus(name)),
+            "generated_while_the_test_runs": issubclass(get_stimulus(name), FeedbackKind),
+            "options": list(get_stimulus(name).model_fields),
+        }
+        for name in stimulus_names()
+    ]
+
+
+def kinds_table() -> Table:
+    """All kinds with one line each."""
+    rows = table("Kinds of stimulus", "kind", "made", "what it is")
+    for column in rows.columns[1:]:
+        column.justify = "left"
+    for name in stimulus_names():
+        kind = get_stimulus(name)
+        when = "while the test runs" if issubclass(kind, FeedbackKind) else "before the test"
+        rows.add_row(name, when, summary(kind))
+    return rows
+
+
+def options_table(kind: type[StimulusKind]) -> Table:
+    """The options of a kind: what each is, its bounds and its default."""
+    rows = table(f"Options of the stimulus {kind.name}", "option", "default", "may be", "what it is")
+    for column in rows.columns[1:]:
+        column.justify = "left"
+    for name, field in kind.model_fields.items():
+        rows.add_row(name, default_of(field), allowed(field), field.description or "")
+    return rows
+
+
+def options_answer(kind: type[StimulusKind]) -> dict[str, Any]:
+    """The options of a kind as a JSON schema."""
+    return kind.model_json_schema()
+
+
+def summary(kind: type[StimulusKind]) -> str:
+    """First line of what a kind says of itself, without its sources."""
+    lines = (kind.__doc__ or "").strip().splitlines()
+    return _SOURCE.sub("", lines[0]).rstrip(".") if lines else ""
+
+
+def default_of(field: FieldInfo) -> str:
+    """The default of an option in words."""
+    if field.default is PydanticUndefined:
+        return "must be given"
+    if field.default is None or field.default == ():
+        return "none"
+    return f"{field.default:g}" if isinstance(field.default, float) else str(field.default).lower()
+
+
+def allowed(field: FieldInfo) -> str:
+    """What an option may be: its choices, or its type with bounds."""
+    choices, kinds = _choices(field.annotation)
+    if choices:
+        return ", ".join(choices)
+    bounds = [words.format(_short(value)) for words, value in _bounds(field)]
+    return ", ".join([" or ".join(kinds), *bounds])
+
+
+def _bounds(field: FieldInfo) -> Iterator[tuple[str, float]]:
+    for item in field.metadata:
+        for name, words in _BOUNDS:
+            value = getattr(item, name, None)
+            if isinstance(value, int | float):
+                yield words, value
+
+
+def _short(value: float) -> str:
+    if isinstance(value, int) and value == 2**63 - 1:
+        return "2⁶³ − 1"
+    return f"{value:g}"
+
+
+def _choices(annotation: Any) -> tuple[list[str], list[str]]:
+    """Choices of a literal type, and the types in words of the others."""
+    origin = get_origin(annotation)
+    if origin is Literal:
+        return [str(choice) for choice in get_args(annotation)], []
+    if origin in (Union, types.UnionType):
+        parts = [_choices(part) for part in get_args(annotation) if part is not type(None)]
+        return [choice for choices, _ in parts for choice in choices], [kind for _, kinds in parts for kind in kinds]
+    plain = origin if isinstance(origin, type) else annotation
+    return [], [_WORDS.get(plain, "value")]
