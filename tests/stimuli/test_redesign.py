@@ -116,7 +116,7 @@ def test_the_first_stimulus_is_gentle():
         ({"depth_min_m": 6e-3}, r"least depth \(6 mm\) must be below the greatest \(5 mm\)"),
         ({"force_min_n": 11.0}, r"least force \(11 N\) must be below the greatest \(10 N\)"),
         ({"seconds": 0.0}, "multistep, option 'seconds'"),
-        ({"colour": "red"}, "multistep, option 'colour'"),
+        ({"colour": "red"}, "multistep has no option 'colour'"),
         ({"depth_max_m": 1.0}, "multistep, option 'depth_max_m'"),
     ],
 )

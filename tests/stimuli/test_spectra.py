@@ -109,6 +109,7 @@ def test_rounding_to_three_digits_does_not_make_an_autocorrelation_impossible():
             r"no signal has this autocorrelation: its spectrum would be negative, at 1000 Hz by 0\.8 times the mean",
         ),
         (AutocorrelationTable((0.0, 0.01, 0.0101), (1.0, 1.0, 0.0)), "its spectrum would be negative"),
+        (AutocorrelationTable((0.0, 1e9), (1.0, 0.0)), "reaches 2e\\+12 samples, and 5e\\+06 is the most"),
     ],
     ids=repr,
 )

@@ -55,6 +55,16 @@ def test_third_parties_add_kinds_and_a_broken_one_costs_nobody(monkeypatch: pyte
         assert {"noise", "silence"} <= set(stimulus_names())
 
 
+def test_an_option_that_a_kind_does_not_have_lists_those_that_it_has():
+    with pytest.raises(UnusableInputError, match=r"^stimulus noise has no option 'cutof_hz': it has .*cutoff_hz"):
+        Noise.from_options({"cutof_hz": 100.0})
+
+
+def test_a_list_that_is_none_is_told_what_one_looks_like():
+    with pytest.raises(UnusableInputError, match=r"option 'quantiles': give a list, such as \[1, 2, 3\]"):
+        Noise.from_options({"quantiles": "low"})
+
+
 def test_guided_rises_without_a_step_and_holds_the_mean_load():
     played = Noise(seed=1).build()
     whole = guided(played, preload_s=0.5)

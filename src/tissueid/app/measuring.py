@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition import GuidedTest, Phase, Progress, SessionRecorder, journal_path, run_guided_test
+from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.app.live import LiveSignals
 from tissueid.app.plan import Plan
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError
-from tissueid.instrument import PROFILES, Instrument, Limits, Run, SimulatedInstrument, check_stimulus
+from tissueid.instrument import PROFILES, Instrument, Limits, Run, SimulatedInstrument
 from tissueid.sessions import Session, Subject
-from tissueid.stimuli.base import to_voltage
 
 Wait = Callable[[float], object]
 """Waits for so many seconds, or less when there is a reason to."""
@@ -127,7 +127,8 @@ def measure(
         try:
             device, limits = instrument.device, PROFILES[plan.limits]
             stimulus = plan.stimulus(device.sample_rate_hz)
-            check_stimulus(to_voltage(stimulus.values, device, stimulus.unit), device, limits)
+            test = GuidedTest(stimulus, plan.site, limits=limits)
+            check_test(test, device)
             if stop.is_set():
                 raise CancelledError("stopped before the coil was energised")
             recorder = SessionRecorder(plan.path, device, Subject(plan.pseudonym))
@@ -143,7 +144,6 @@ def measure(
                     identification.feed(progress.samples)
                     identification.step()
 
-            test = GuidedTest(stimulus, plan.site, limits=limits)
             run_guided_test(instrument, test, recorder, progress=show, cancelled=stop.is_set)
         finally:
             try:

@@ -14,7 +14,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.stimuli.base import Array, Stimulus, Unit
 from tissueid.stimuli.heating import Heating, Thermal, heating
 
-Severity = Literal["refused", "caution", "note"]
+Severity = Literal["refused", "caution"]
 
 ROOM_C = 23.0
 """Temperature, degC, of a coil that has not been used."""

@@ -25,6 +25,9 @@ SpectrumName = Literal["butterworth", "white", "band", "exponential", "second_or
 UNREACHABLE = 1e-5
 """Least error, a sum of squares over all lags, that still passes for the rounding of a table to three digits."""
 
+MOST_LAGS = 5_000_000
+"""How far a table of an autocorrelation may reach, samples: as far as the longest stimulus."""
+
 _GRID = 1 << 16
 """Frequencies on which a filter's power is summed, at least: its response must have died away over as many samples."""
 
@@ -258,7 +261,13 @@ class AutocorrelationTable(Spectrum):
 
     def check(self, sample_rate_hz: float) -> None:
         """Its spectrum is negative nowhere: an autocorrelation is positive semidefinite."""
-        n = max(8192, 1 << int(np.ceil(np.log2(4.0 * self._reach(sample_rate_hz) + 4.0))))
+        reach = self._reach(sample_rate_hz)
+        if reach > MOST_LAGS:
+            raise UnusableInputError(
+                f"the table of the autocorrelation reaches {reach:.3g} samples, and {MOST_LAGS:.3g} is the most: "
+                "give its lags in seconds"
+            )
+        n = max(8192, 1 << int(np.ceil(np.log2(4.0 * reach + 4.0))))
         density = self._density(n, sample_rate_hz)
         # A signal's power is nowhere negative, so by Parseval half the mean square of what lies below 0 is the least
         # sum of squares, over all lags to one side, that is left between its autocorrelation and this one.
