@@ -150,7 +150,7 @@ def test_a_port_that_cannot_be_closed_costs_no_data(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "error", "words"),
     [
-        ({"max_force_n": 13.0}, LimitError, "asks for 52 V and the amplifier gives 48 V"),
+        ({"max_force_n": 13.0}, LimitError, "the stimulus reaches 13.0 N; the limit is 12 N"),
         ({"seconds": 40.0}, LimitError, "lasts 40.5 s"),
         ({"min_force_n": 5.0, "max_force_n": 4.0}, UnusableInputError, "least force"),
     ],
