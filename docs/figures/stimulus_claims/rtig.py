@@ -195,7 +195,7 @@ def _bench(tissue: str) -> Claim:
     distances, reachable = [], []
     for seed in range(BENCH_SEEDS):
         options = {"depth_min_m": 0.0005, "depth_max_m": 0.002} if tissue == "linear-demo" else {}
-        report = closed_loop(Rtig(lead=2, seed=seed, **options), _OnBench(tissue, seed), noise_m=0.0).source.report()
+        report = closed_loop(Rtig(seed=seed, **options), _OnBench(tissue, seed), noise_m=0.0).source.report()
         distances.append(report["kolmogorov_distance"])
         reachable.append(report["reachable_m"])
     low, high = 1e3 * np.median(reachable, axis=0)
