@@ -239,7 +239,8 @@ class Firmware:
         room = round(MAX_RUN_S * SAMPLE_RATE_HZ) - self._stimulus.size
         if request["samples"] > room:
             return Result.TOO_LARGE, max(0, room)
-        self._setpoints.agree(request["samples"], float(self._volts(np.array([request["hold_code"]], "<i2"))[0]))
+        hold_v = float(self._volts(np.array([request["hold_code"]], "<i2"))[0])
+        self._setpoints.agree(request["samples"], hold_v if request["samples"] else 0.0)
         return Result.OK, self._stimulus.size + request["samples"]
 
     def _arm(self, payload: bytes, now_s: float) -> tuple[Result, int]:
@@ -286,6 +287,8 @@ class Firmware:
         return result, self._setpoints.next_missing(self._cursor)
 
     def _finish(self) -> tuple[Result, int]:
+        if self.state is State.FAULT:
+            return Result.FAULT_LATCHED, int(self.faults)
         if self.state is State.ARMED:
             return self._release(forget=False)
         if self.state is State.RUNNING:

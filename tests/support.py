@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
-from tissueid.errors import LinkLostError
+from tissueid.acquisition import Progress
+from tissueid.errors import FirmwareFaultError, LinkLostError
 from tissueid.instrument import SerialInstrument
 
 TICK_S = 0.01
@@ -64,3 +67,27 @@ def connect(
     """A driver on a simulated firmware; its link is ``instrument._link``."""
     link = LoopbackLink(Firmware(Bench(preset, seed=seed), identity, seed=seed))
     return SerialInstrument(link, clock=link.clock)
+
+
+MISHAPS = pytest.mark.parametrize(
+    ("mishap", "error"),
+    [
+        (lambda link: setattr(link, "plugged", False), LinkLostError),
+        (lambda link: link.firmware.reboot(), FirmwareFaultError),
+        (lambda link: link.firmware.stall(link.now + 10), LinkLostError),
+        (lambda link: setattr(link.firmware.bench, "button", True), FirmwareFaultError),
+    ],
+    ids=["unplug", "reset", "stall", "button"],
+)
+"""What can happen to a link and the device at its end while a test runs, and the error by which the test ends."""
+
+
+def halfway(instrument: SerialInstrument, mishap: Callable[[LoopbackLink], None]) -> Callable[[Progress], None]:
+    """A test's ``progress`` by which a mishap happens, once, when half of the test is over."""
+    pending = [mishap]
+
+    def progress(item: Progress) -> None:
+        if item.fraction > 0.5 and pending:
+            pending.pop()(instrument._link)
+
+    return progress

@@ -82,11 +82,7 @@ def recorded(preset: str, kind: str, seed: int) -> Record:
 def looks(preset: str, kind: str, seed: int) -> tuple[Precision, ...]:
     """What is known of mass, damping and stiffness about the load as the test goes on, at ``TIMES``."""
     record = recorded(preset, kind, seed)
-    found: list[Precision] = []
-    for seconds in TIMES:
-        start = found[-1].second_order if found else None
-        found.append(precision(record[: round(seconds * RATE)], start=start))
-    return tuple(found)
+    return tuple(precision(record[: round(seconds * RATE)]) for seconds in TIMES)
 
 
 @cache
@@ -130,7 +126,11 @@ class Course:
 @cache
 def course(preset: str, kind: str) -> Course:
     """All runs with a stimulus on a preset."""
-    runs = [looks(preset, kind, seed) for seed in range(FIRST_SEED, FIRST_SEED + RUNS)]
+    return _course(preset, [looks(preset, kind, seed) for seed in range(FIRST_SEED, FIRST_SEED + RUNS)])
+
+
+def _course(preset: str, runs: Sequence[Sequence[Precision]]) -> Course:
+    """What so many looks found in each of the runs."""
     value = [[[np.log(look.estimates[name].value) for name in PARAMETERS] for look in run] for run in runs]
     reported = [[[look.relative_std[name] for name in PARAMETERS] for look in run] for run in runs]
     return Course(np.array(value), np.array(reported), np.log(truth(preset)[1]))
@@ -297,9 +297,6 @@ def variants() -> dict[str, Noise]:
 
 def after_half(preset: str, variant: Noise) -> Course:
     """All runs with a variant, at the end of half the reference's length: one time."""
-    value, reported = [], []
-    for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
-        look = precision(measured(preset, variant.model_copy(update={"seed": seed}).build(), seed))
-        value.append([[np.log(look.estimates[name].value) for name in PARAMETERS]])
-        reported.append([[look.relative_std[name] for name in PARAMETERS]])
-    return Course(np.array(value), np.array(reported), np.log(truth(preset)[1]))
+    seeds = range(FIRST_SEED, FIRST_SEED + RUNS)
+    played = [variant.model_copy(update={"seed": seed}).build() for seed in seeds]
+    return _course(preset, [[precision(measured(preset, *one))] for one in zip(played, seeds, strict=True)])

@@ -7,7 +7,7 @@ from support import connect
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, recover, run_guided_test
 from tissueid.acquisition.journal import Entry, encode_json, journal_path
-from tissueid.errors import UnusableInputError
+from tissueid.errors import FirmwareFaultError, UnusableInputError
 from tissueid.instrument import ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
 from tissueid.stimuli import guided
@@ -65,6 +65,28 @@ def test_it_is_completed_and_as_long_as_what_was_played(make, stimulus, tmp_path
     assert "ended_early_s" not in second.notes
     assert second.samples == PRELOAD + 6000
     instrument.close()
+
+
+def test_a_fault_at_the_moment_of_the_end_is_no_completed_test(tmp_path):
+    instrument = connect()
+    link, firmware = instrument._link, instrument._link.firmware
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    after = After(1.0)
+
+    def enough():
+        if not after.enough():
+            return False
+        firmware.bench.button = True
+        link.tick()
+        firmware.bench.button = False
+        return True
+
+    with pytest.raises(FirmwareFaultError, match="the button was pressed"):
+        run_guided_test(
+            instrument, GuidedTest(noise(), "x"), recorder, surface_m=SURFACE, progress=after.progress, enough=enough
+        )
+    assert not firmware.energised
+    assert recorder.finish().test().status == "aborted"
 
 
 def test_what_is_enough_at_once_ends_after_the_preload(tmp_path):

@@ -1,20 +1,20 @@
 """Feedback stimuli on every kind of instrument: what the source sees, what is played, and what mishaps leave."""
 
 import json
+import shutil
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from feedback_kinds import PushBack, Runaway
-from support import connect
+from feedback_kinds import PushBack, PushBackSource, Runaway
+from support import MISHAPS, connect, halfway
 
-from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
+from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, journal_path, recover, run_guided_test
 from tissueid.errors import (
     CancelledError,
     FirmwareFaultError,
     InstrumentError,
     LimitError,
-    LinkLostError,
     TissueIDError,
     UnusableInputError,
 )
@@ -137,7 +137,7 @@ def test_it_repeats_bit_by_bit_in_process(tmp_path):
     [
         (a_test(force_max_n=13.0), LimitError, r"reaches 13\.0 N; the limit is 12 N"),
         (a_test(force_min_n=-12.5), LimitError, r"reaches 12\.5 N; the limit is 12 N"),
-        (a_test(seconds=29.6), LimitError, r"lasts 30\.1 s; the limit is 30 s"),
+        (a_test(seconds=29.6), LimitError, r"lasts 30\.1 s in all, preload included; the limit is 30 s"),
         (a_test(sample_rate=1000.0), UnusableInputError, "1000 samples a second, the instrument 2000"),
         (GuidedTest(PushBack(), "x", preload_s=0.01), UnusableInputError, "at least its rise"),
     ],
@@ -170,27 +170,12 @@ def test_a_replay_refuses_set_points_in_one_line(tmp_path):
         run(ReplayInstrument(source.device, recorded.signals), a_test(), tmp_path / "b.h5")
 
 
-@pytest.mark.parametrize(
-    ("mishap", "error"),
-    [
-        (lambda link: setattr(link, "plugged", False), LinkLostError),
-        (lambda link: link.firmware.reboot(), FirmwareFaultError),
-        (lambda link: link.firmware.stall(link.now + 10), LinkLostError),
-        (lambda link: setattr(link.firmware.bench, "button", True), FirmwareFaultError),
-    ],
-    ids=["unplug", "reset", "stall", "button"],
-)
+@MISHAPS
 def test_a_mishap_in_mid_feedback_frees_the_coil_and_keeps_the_recorded_part(tmp_path, mishap, error):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    pending = [mishap]
-
-    def progress(item):
-        if item.fraction > 0.5 and pending:
-            pending.pop()(instrument._link)
-
     with pytest.raises(error):
-        run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE, progress=progress)
+        run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE, progress=halfway(instrument, mishap))
     instrument._link.run_for(1.0)
     assert not instrument._link.firmware.energised
     instrument.close()
@@ -238,21 +223,68 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
     assert recorder.finish().test().status == "aborted"
 
 
+def test_what_was_held_in_lost_samples_is_counted(tmp_path):
+    instrument = connect()
+    link = instrument._link
+    begun = []
+
+    def cut(data):
+        if not begun and link.firmware.energised:
+            begun.append(link.now)
+        return b"" if begun and 1.0 < link.now - begun[0] < 1.2 else data
+
+    link.to_host = link.to_device = cut
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, a_test(1.5), recorder, surface_m=SURFACE)
+    notes = recorder.finish().test().notes
+    assert notes["samples_lost"] > 300
+    assert notes["held_samples"] == link.firmware._held_samples > 200
+
+
+class Unreportable(PushBackSource):
+    """A source of somebody else's, whose report is no plain data."""
+
+    def report(self):
+        return {"kolmogorov_distance": np.int64(1)}
+
+
+def test_a_report_that_cannot_be_kept_costs_no_test(tmp_path, monkeypatch):
+    monkeypatch.setattr(PushBack, "start", lambda kind, surface_m: Unreportable(kind, surface_m))
+    notes = run(SimulatedInstrument(), a_test(), tmp_path / "s.h5").notes
+    assert "not JSON serializable" in notes["stimulus_report_failed"]
+    assert "stimulus_report" not in notes
+
+
+def test_a_defect_in_mid_feedback_frees_the_coil_and_closes_the_recording(tmp_path):
+    instrument = connect()
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+
+    def progress(item):
+        if item.fraction > 0.6:
+            raise ZeroDivisionError("somebody's source")
+
+    with pytest.raises(ZeroDivisionError):
+        run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
+    assert not instrument._link.firmware.energised
+    test = recorder.finish().test()
+    assert test.status == "aborted"
+    assert test.notes["reason"] == "a defect of the software: ZeroDivisionError: somebody's source"
+
+
 def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
 
-    class PowerCut(Exception):
-        pass
+    left = journal_path(tmp_path / "left.h5")
 
     def progress(item):
-        if item.fraction > 0.6:
-            raise PowerCut
+        if item.fraction > 0.6 and not left.exists():
+            recorder._journal.sync()
+            shutil.copyfile(journal_path(tmp_path / "s.h5"), left)  # what a power cut would leave here
 
-    with pytest.raises(PowerCut):
-        run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
+    run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
     recorder.abandon()
-    _, session = recover(tmp_path / "s.h5")
+    _, session = recover(tmp_path / "left.h5")
     assert session.test().status == "recovered"
     assert session.test().samples > 2500
     assert session.test().stimulus["stimulus"]["type"] == "push_back"

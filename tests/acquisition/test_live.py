@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -9,7 +12,7 @@ import pytest
 from plant_support import bench_record
 from pydantic import ValidationError
 
-from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
+from tissueid.acquisition import GuidedTest, SessionRecorder, live_process, run_guided_test
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -97,14 +100,13 @@ def test_enough_is_said_once_the_rule_is_met_and_not_by_the_last_look(samples):
     assert not never.enough()
 
 
-def test_a_backlog_is_taken_at_once_and_counted(samples):
+def test_a_backlog_is_taken_at_once(samples):
     live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, apart=False)
     live.feed(samples)
     assert live.step()
     assert not live.step()
-    assert live.looks_left_out == 15
+    assert live.latest().course.seconds.tolist() == [4.0]
     whole = stepped(samples)
-    assert whole.looks_left_out == 0
     np.testing.assert_array_equal(live.latest().impulse_response, whole.latest().impulse_response)
 
 
@@ -176,6 +178,33 @@ def test_a_process_that_cannot_be_started_is_told(samples, monkeypatch):
     live.feed(samples)
     live.close()
     assert live.problem == "live identification could not be started: No such file or directory"
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_options_that_do_not_hold_are_refused_before_a_process_is_started(apart, monkeypatch):
+    monkeypatch.setattr("subprocess.Popen", None)
+    with pytest.raises(UnusableInputError, match=r"a window of 10 s is shorter than two memories of 6 s: lengthen it"):
+        LiveIdentification(DEVICE, memory=6.0, apart=apart)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (
+            b'{"sample_rate_hz": 2000.0, "memory": 6.0}',
+            "a window of 10 s is shorter than two memories of 6 s: lengthen",
+        ),
+        (b'{"memory": 6.0}', "live identification ended by a defect: ValidationError: 1 validation error"),
+    ],
+)
+def test_the_process_tells_in_words_what_ends_it(settings, told):
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", live_process._COMMAND], input=settings + b"\n", capture_output=True, timeout=60.0
+    )
+    news = pickle.loads(ended.stdout)  # noqa: S301 - written by the process that was started above
+    assert news.problem.startswith(told)
+    assert "\n" not in news.problem
+    assert ended.stderr == b""
 
 
 def test_out_of_bounds():

@@ -108,8 +108,13 @@ def described(**options: Any) -> dict[str, Any]:
         ({"description": {"type": "multisine", "period_samples": 2**20, "periods": 500}}, "samples, and|may last"),
         ({"description": {"type": "guided", "preload_s": "x", "stimulus": described()}}, "does not hold together"),
         ({"description": {"type": "guided", "preload_s": 0.5, "stimulus": [1]}}, "does not hold together"),
-        ({"description": {"type": "guided", "preload_s": 1e9, "stimulus": described()}}, "preload in the file"),
-        ({"description": {"type": "guided", "preload_s": 10**400, "stimulus": described()}}, "preload in the file"),
+        (
+            {"description": {"type": "guided", "preload_s": 1e9, "stimulus": described()}},
+            "the preload must last .* up to 60 s",
+        ),
+        ({"description": {"type": "guided", "preload_s": 10**400, "stimulus": described()}}, "the preload must last"),
+        ({"description": {"type": "guided", "preload_s": 0.5, "stimulus": {"type": "rtig"}}}, "preload from the test"),
+        ({"description": described(cutoff_hz=1e-4)}, "cut-off of 0.0001 Hz is too low"),
         (
             {"description": {"type": "guided", "preload_s": 0.5, "stimulus": {"type": "guided"}}},
             "does not hold together",

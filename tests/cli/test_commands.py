@@ -147,7 +147,7 @@ def test_devices_lists_the_simulation(capsys):
         (["report", "SESSION", "--out", "FOLDER"], "is a folder"),
         ([*A_TEST, "--json", "SESSION"], "holds something else"),
         ([*A_TEST, "--json", "FOLDER/a.h5"], "cannot be the same file"),
-        ([*A_TEST, "--seconds", "29.6"], "lasts 30.1 s; the limit is 30 s"),
+        ([*A_TEST, "--seconds", "29.6"], "lasts 30.1 s in all, preload included; the limit is 30 s"),
         ([*A_TEST, "--min-force", "-13"], "reaches 13.0 N; the limit is 12 N"),
         ([*A_TEST, "--subject", " "], "the subject must be one line"),
         (["test", "--device", "simulated://forearm", "--site", "a\x1bb", "--out", "FOLDER/a.h5"], "the site must be"),

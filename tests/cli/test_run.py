@@ -1,7 +1,9 @@
 """``tissueid test`` with any stimulus, in steps, and until it is good enough: answers, tables, and refusals."""
 
 import json
+import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from firmware_sim_process import firmware_process
 from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.stimulus_file import save_stimulus
 from tissueid.cli import main
+from tissueid.cli.played import answer_of
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus
 
@@ -83,7 +86,7 @@ def test_real_time_input_generation_from_the_shell(capsys, tmp_path):
     assert np.abs(even - np.arange(depth.size) / depth.size).max() == pytest.approx(
         answer["kolmogorov_distance"], abs=0.04
     )
-    for words in ("distance from even", "computing %", "late blocks", "1.50 to 4.50"):
+    for words in ("distance from wanted", "computing %", "late blocks", "1.50 to 4.50"):
         assert words in told
 
 
@@ -131,9 +134,26 @@ def test_it_stops_when_it_is_good_enough(capsys, tmp_path):
 
 
 def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
-    (answer,), _, _ = run(capsys, tmp_path, "--stop-when", "mass=1e-9", "--seconds", 2)
+    (answer,), _, told = run(capsys, tmp_path, "--stop-when", "mass=1e-9", "--seconds", 2)
     assert answer["samples"] == 5000
     assert answer["ended_early_s"] is None
+    assert re.search(r"not long enough for what was asked: mass is known to \d\.\d % \(0\.0 % was asked\)", told)
+
+
+def test_depths_out_of_reach_are_told(capsys, tmp_path):
+    options = ["--stimulus", "rtig", "--depth-range", "20:30", "--seconds", 1]
+    _, _, told = run(capsys, tmp_path, *options)
+    assert "none of the 20.00 to 30.00 mm that were asked for is within reach of these forces" in told
+
+
+def test_another_distribution_than_even_is_judged_by_itself(capsys, tmp_path):
+    options = ["--stimulus", "rtig", "--seconds", 2, "--option", "distribution=triangular"]
+    (answer,), session, told = run(capsys, tmp_path, *options)
+    assert answer["kolmogorov_distance"] < 0.08
+    assert "distance from wanted" in told
+    test = session.test()
+    unreported = replace(test, notes={name: value for name, value in test.notes.items() if name != "stimulus_report"})
+    assert answer_of(unreported, None, None)["kolmogorov_distance"] is None
 
 
 @pytest.mark.parametrize(
@@ -146,13 +166,14 @@ def test_what_is_never_good_enough_runs_its_length(capsys, tmp_path):
         (["--option", "seed=1", "--seed", "2"], "seed is given twice"),
         (["--option", "cutoff_hz=50", "--option", "cutoff_hz=60"], "cutoff_hz of the stimulus is given twice"),
         (["--stimulus", "rtig", "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
-        (["--stimulus", "rtig", "--seconds", "29.6"], "lasts 30.1 s; the limit is 30 s"),
+        (["--stimulus", "rtig", "--seconds", "29.6"], "lasts 30.1 s in all, preload included; the limit is 30 s"),
         (["--stimulus", "rtig", "--option", "sample_rate=1000"], "1000 samples a second, the instrument 2000"),
         (["--option", "cutoff_hz=1500"], "needs more than 3000 samples a second"),
         (["--depth-range", "4"], "such as 1:4, not '4'"),
         (["--depth-range", "4:1"], "such as 1:4, not '4:1'"),
         (["--depth-range", "a:b"], "such as 1:4, not 'a:b'"),
         (["--depth-range", "nan:4"], "such as 1:4, not 'nan:4'"),
+        (["--multistep", "3", "--depth-range", "0.002:0.004"], "too narrow: it is in mm, at least 0.1 wide"),
         (["--multistep", "3"], "needs a --depth-range"),
         (["--multistep", "0", "--depth-range", "1:4"], "multistep"),
         (["--multistep", "3", "--depth-range", "1:4", "--stimulus", "rtig"], "designs its stimuli itself"),

@@ -256,6 +256,11 @@ def test_set_points_are_agreed_for_one_run():
     assert desk.follow(200_000)[0] == Result.TOO_LARGE
     desk.follow(300)
     assert desk.follow(100) == (Result.OK, 140), "the newest word counts"
+    desk.follow(10, hold_v=47.0)
+    assert desk.follow(0, hold_v=47.0) == (Result.OK, 40)
+    assert desk.arm() == Result.OK, "no set-points, no level to hold"
+    desk.ask(MessageType.FINISH)
+    desk.follow(100)
 
     def plays():
         assert desk.arm() == Result.OK

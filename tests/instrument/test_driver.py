@@ -225,7 +225,7 @@ def test_nothing_at_the_other_end():
         (hold(47.0), replace(CLINICAL, max_force_n=8.0), "reaches 11.8 N; the limit is 8 N"),
         (hold(-40.0), replace(CLINICAL, max_force_n=8.0), "reaches 10.0 N"),
         (hold(50.0), RESEARCH, "needs 50.0 V; the amplifier gives 48 V"),
-        (hold(1.0, 31.0), RESEARCH, "lasts 31.0 s; the limit is 30 s"),
+        (hold(1.0, 31.0), RESEARCH, "lasts 31.0 s in all, preload included; the limit is 30 s"),
         (np.array([1.0, np.nan]), RESEARCH, "finite"),
     ],
 )

@@ -210,7 +210,7 @@ def test_following_needs_something_to_follow(opened):
 @pytest.mark.parametrize(
     ("count", "hold_v", "limits", "words"),
     [
-        (COUNT, 10.0, Limits(max_seconds=0.5), "lasts 0.6 s; the limit is 0.5 s"),
+        (COUNT, 10.0, Limits(max_seconds=0.5), "lasts 0.6 s in all, preload included; the limit is 0.5 s"),
         (COUNT, 40.0, Limits(max_force_n=8.0), "reaches 10.0 N; the limit is 8 N"),
         (COUNT, np.nan, CLINICAL, "converter|finite"),
     ],

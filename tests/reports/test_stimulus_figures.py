@@ -23,6 +23,7 @@ from tissueid.reports.stimulus_report import feedback_report, stimulus_report
 from tissueid.sessions import Test
 from tissueid.stimuli import get_stimulus, guided
 from tissueid.stimuli.appraisal import appraise
+from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.interchange import Interchange
 
 RATE = 2000.0
@@ -207,6 +208,16 @@ def test_a_run_that_identified_nothing_says_so():
     kind: Any = get_stimulus("rtig").from_options({})
     page = checked(feedback_report(kind, [run], (("Length", "2 s"),)).html())
     assert "did not identify" in page.text
+
+
+def test_a_designed_stimulus_tells_how_well_the_tissue_will_be_known():
+    made = design("designed", preload=True, seconds=2.0)
+    kind = made.specification
+    assert isinstance(kind, Designed)
+    told = dict(made.rows())["Predicted uncertainty of mass, damping, stiffness"]
+    shares = [float(share) for share in told.split(" %")[0].split(", ")]
+    np.testing.assert_allclose(shares, 100.0 * np.array(kind.predicted_std), rtol=0.05)
+    assert all("Predicted" not in label for label, _ in design("noise").rows())
 
 
 def test_a_test_is_a_run_by_its_note():

@@ -140,6 +140,28 @@ def test_a_binary_signal_keeps_its_two_values_and_most_of_its_spectrum():
     assert built.crest_factor == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"cutoff_hz": 1e-4}, r"a cut-off of 0\.0001 Hz is too low"),
+        ({"cutoff_hz": 5e-324}, r"a cut-off of 4\.9\d*e-324 Hz is too low"),
+        ({"spectrum": "band", "cutoff_hz": 1e-4}, r"no power at any multiple of 0\.25 Hz, which is what 4 s can hold"),
+        ({"spectrum": "power", "frequencies_hz": (10.01, 10.02), "densities": (1.0, 1.0)}, "no power at any multiple"),
+        ({"distribution": "quantiles", "quantiles": (-1e308, 1e308)}, "too near or too far to be scaled"),
+        ({"distribution": "quantiles", "quantiles": (0.0, 1.7e308)}, "too near or too far to be scaled"),
+        ({"distribution": "quantiles", "quantiles": (0.0, 5e-324)}, "too near or too far to be scaled"),
+        (
+            {"force_min_n": 5.0, "force_max_n": 5.0 + 1e-9},
+            r"the range from 5 to 5 N is narrower than 1e-06 N: widen it",
+        ),
+    ],
+)
+def test_what_leaves_nothing_to_play_is_refused_in_one_line(options: dict[str, object], told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
+        Noise.from_options(options)
+    assert "\n" not in str(refused.value)
+
+
 def test_tables_survive_json():
     options = {"distribution": "quantiles", "spectrum": "autocorrelation", "seconds": 1.0}
     first = Noise.from_options(options | TABLES["quantiles"] | TABLES["autocorrelation"]).build()

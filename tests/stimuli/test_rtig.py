@@ -318,6 +318,8 @@ def test_it_is_a_feedback_kind_that_is_not_built_before_the_test():
         ({"force_min_n": 10.0}, r"the least force \(10 N\) must be below the greatest \(10 N\)"),
         ({"depth_min_m": 4e-3}, r"the greatest depth \(4 mm\) must be 0.1 mm or more beyond the least \(4 mm\)"),
         ({"cutoff_hz": 1000.0}, "a cut-off of 1000 Hz needs more than 2000 samples a second"),
+        ({"cutoff_hz": 1.0, "sample_rate": 1e6, "seconds": 1.0}, "a cut-off of 1 Hz is too low at 1e\\+06 samples"),
+        ({"distribution": "table", "table": (1e308, 1e308)}, "has no sum: give smaller numbers"),
         ({"seconds": 0.01}, "less than one block of 50"),
         ({"seconds": 600.0, "sample_rate": 1e6}, r"would have 6e\+08 samples, and 5e\+06 is the most"),
         ({"distribution": "table"}, "needs two entries or more"),

@@ -101,6 +101,17 @@ def test_rounding_to_three_digits_does_not_make_an_autocorrelation_impossible():
     ("spectrum", "told"),
     [
         (Butterworth(1000.0), r"a cut-off of 1000 Hz needs more than 2000 samples a second, not 2000"),
+        (Butterworth(1e-4), r"a cut-off of 0\.0001 Hz is too low at 2000 samples a second: .* 0\.0958 Hz is about the"),
+        (Butterworth(1e-3), r"the filter would take more than 5e\+06 samples to settle"),
+        (Butterworth(0.05), r"its power would have to be summed over more than 1\.68e\+07 samples"),
+        (Butterworth(1e-300), r"a cut-off of 1e-300 Hz is too low"),
+        (Butterworth(0.0159, order=1), r"0\.0161 Hz is about the least"),
+        (SecondOrder(1e-300, 0.3), r"an oscillation of 1e-300 Hz with a damping of 0\.3 takes longer to die away"),
+        (SecondOrder(40.0, 1e-9), r"takes longer to die away than any stimulus lasts"),
+        (ExponentialDecay(1e-320), r"a time constant of 9\.99\d*e-321 s is"),
+        (ExponentialDecay(1e6), r"a time constant of 1e\+06 s is 2e\+09 samples: it must be 0\.001 to 5e\+06"),
+        (AutocorrelationTable((0.0, 1e306), (1.0, 0.0)), "reaches inf samples, and 5e\\+06 is the most"),
+        (PowerTable((0.0, 1e308), (1.0, 0.0)), r"a power spectrum up to 1e\+308 Hz needs at least inf samples"),
         (Band(1500.0), r"a cut-off of 1500 Hz needs more than 3000 samples a second"),
         (SecondOrder(1000.0, 0.3), r"a natural frequency of 1000 Hz needs more than 2000 samples a second"),
         (PowerTable((0.0, 1200.0), (1.0, 1.0)), r"a power spectrum up to 1200 Hz needs at least 2400 samples a second"),
@@ -119,6 +130,22 @@ def test_what_no_sampled_signal_has_is_refused_in_one_line(spectrum: Spectrum, t
     assert "\n" not in str(refused.value)
 
 
+def test_the_least_cut_off_that_is_told_will_do():
+    for order in (1, 8, 12):
+        with pytest.raises(UnusableInputError, match="is about the least") as refused:
+            Butterworth(1e-6, order).check(RATE)
+        least = float(str(refused.value).split(";")[1].split()[0])
+        Butterworth(least, order).check(RATE)
+
+
+def test_a_gain_worked_out_in_pieces_is_the_gain():
+    spectrum, n = Butterworth(5.0, order=4), 1 << 18
+    low_pass = signal.butter(4, 5.0, fs=RATE, output="sos")
+    _, response = signal.sosfreqz(low_pass, np.fft.rfftfreq(n, 1.0 / RATE), fs=RATE)
+    power = spectrum.power(n, RATE)
+    np.testing.assert_allclose(power / power[0], np.abs(response) ** 2 / np.abs(response[0]) ** 2, rtol=1e-12)
+
+
 def test_power_that_ends_at_half_the_sample_rate_is_not_above_it():
     PowerTable((0.0, 1000.0), (1.0, 1.0)).check(RATE)
     PowerTable((0.0, 1000.0, 5000.0, 6000.0), (1.0, 0.0, 0.0, 0.0)).check(RATE)
@@ -133,6 +160,10 @@ def test_power_that_ends_at_half_the_sample_rate_is_not_above_it():
         (lambda: PowerTable((-1.0, 1.0), (1.0, 1.0)), "from 0 or above"),
         (lambda: PowerTable((1.0, 2.0, 3.0), (1.0, -0.5, 1.0)), r"at 2 Hz is -0\.5: it cannot be negative"),
         (lambda: PowerTable((1.0, 2.0), (0.0, 0.0)), "no power at any frequency"),
+        (lambda: PowerTable((0.0, 5e-324), (0.0, 5e-324)), "the power spectrum adds up to 0"),
+        (lambda: PowerTable((0.0, 100.0), (1e-311, 1e-311)), "adds up to 1e-309"),
+        (lambda: PowerTable((0.0, 100.0), (1e308, 1e308)), "adds up to inf"),
+        (lambda: PowerTable((0.0, 1e-310, 100.0), (1.0, 2.0, 1.0)), "steeper than a number can say"),
         (lambda: AutocorrelationTable((0.0,), (1.0,)), "1 lags, 1 values"),
         (lambda: AutocorrelationTable((0.0, 0.1), (1.0,)), "2 lags, 1 values"),
         (lambda: AutocorrelationTable((0.1, 0.2), (1.0, 0.5)), "begin at 0"),

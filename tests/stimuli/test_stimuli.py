@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from typing import ClassVar
+import math
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ import pytest
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.stimuli import OpenLoopKind, Stimulus, base, get_stimulus, guided, rebuild, stimulus_names, to_voltage
+from tissueid.stimuli.kinds.multisine import played_multisine
 from tissueid.stimuli.kinds.noise import Noise
+
+NESTED: dict[str, Any] = {"type": "noise"}
+for _ in range(5000):
+    NESTED = {"type": "guided", "preload_s": 0.5, "stimulus": NESTED}
 
 
 class Silence(OpenLoopKind):
@@ -101,12 +107,32 @@ def test_a_description_survives_json_and_builds_the_same_again():
         ({}, "does not say its type"),
         ({"type": "nothing"}, "there is no stimulus 'nothing'"),
         ({"type": "noise", "cutoff_hz": "high"}, "option 'cutoff_hz'"),
-        ({"type": "guided"}, "does not say its type"),
+        ({"type": "noise", "seconds": 10**400}, "option 'seconds'"),
+        ({"type": "rtig"}, "generated while the test runs"),
+        ({"type": ["noise"]}, "does not say its type"),
+        ({"type": "guided"}, "does not hold together"),
+        ({"type": "guided", "preload_s": "x", "stimulus": {"type": "noise"}}, "does not hold together"),
+        ({"type": "guided", "preload_s": 0.5, "stimulus": "noise"}, "does not hold together"),
+        ({"type": "guided", "preload_s": 0.5, "stimulus": NESTED}, "does not hold together"),
+        ({"type": "guided", "preload_s": 0.01, "stimulus": {"type": "noise"}}, r"from its rise of 0\.05 s up to 60 s"),
+        ({"type": "guided", "preload_s": math.nan, "stimulus": {"type": "noise"}}, "the preload must last"),
+        (
+            {"type": "guided", "preload_s": 60.0, "stimulus": {"type": "noise", "sample_rate": 1e6, "seconds": 0.01}},
+            r"the preload would have 6e\+07 samples, and 5e\+06 is the most",
+        ),
+        ({1: 2}, "no list of options by name"),
+        ([("type", "noise")], "no list of options by name"),
+        (None, "no list of options by name"),
     ],
 )
-def test_descriptions_that_do_not_hold_are_refused(description: dict[str, object], told: str):
-    with pytest.raises(UnusableInputError, match=told):
+def test_descriptions_that_do_not_hold_are_refused(description: object, told: str):
+    with pytest.raises(UnusableInputError, match=told) as refused:
         rebuild(description)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_description_nested_beyond_reason_is_no_multisine():
+    assert played_multisine(NESTED) is None
 
 
 def test_volts_for_newtons_and_the_limit_of_the_amplifier():

@@ -255,11 +255,7 @@ def _logarithms(look: Precision) -> np.ndarray:
 
 
 def _course(record: Record) -> list[Precision]:
-    looks: list[Precision] = []
-    for at in LOOKS_S:
-        start = looks[-1].second_order if looks else None
-        looks.append(precision(record[: round(at * RATE)], start=start))
-    return looks
+    return [precision(record[: round(at * RATE)]) for at in LOOKS_S]
 
 
 def _until(rule: StopRule, course: list[Precision]) -> Precision:

@@ -14,6 +14,7 @@ from scipy import signal
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Run, force
+from tissueid.sessions.file import MAX_TEXT
 from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 
@@ -21,9 +22,6 @@ _REHEARSAL_S = 2.0
 _REHEARSED_STIFFNESS = 1000.0
 _REHEARSED_DAMPING = 10.0
 _ROUNDING_N = 1e-9
-
-LONGEST_REPORT = 30_000
-"""Characters of a report that a session has room for: HDF5 allows 64 KiB for all that is noted of a test."""
 
 
 def preload(kind: FeedbackKind, preload_s: float) -> Stimulus:
@@ -152,12 +150,19 @@ class SetPoints:
             "generating_longest_s": self._longest,
         }
         if whole:
+            notes |= self._report()
+        return notes
+
+    def _report(self) -> dict[str, str | float]:
+        """What the source says came of the test, as JSON; in its place, why there is nothing that can be kept."""
+        try:
             self._hand_over(self._received)
             report = json.dumps(self._source.report())
-            notes["stimulus_report"] = (
-                report if len(report) <= LONGEST_REPORT else json.dumps({"characters": len(report)})
-            )
-        return notes
+        except Exception as error:  # noqa: BLE001 - a source may be anybody's, and the test was played whole
+            return {"stimulus_report_failed": f"{type(error).__name__}: {error}"}
+        if len(report) > MAX_TEXT:
+            return {"stimulus_report_failed": f"{len(report)} characters, and {MAX_TEXT} is the most"}
+        return {"stimulus_report": report}
 
     def _hand_over(self, end: int) -> None:
         """Hand over the samples before number ``end``, in pieces that end at multiples of a block."""

@@ -16,7 +16,7 @@ from tissueid.acquisition.feedback import SetPoints, preload, rehearse, set_poin
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, LimitError, TissueIDError, UnusableInputError
+from tissueid.errors import CancelledError, LimitError, LinkLostError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run, check_stimulus
 from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
 from tissueid.stimuli.feedback import FeedbackKind
@@ -25,6 +25,9 @@ POLL_S = 0.05
 CONTACT_FORCES_N = (0.10, 0.05)
 """Net forces while the surface is sought: the weight of the coil is carried by the coil itself, but for these."""
 PLACE_S = 1.2
+_RELEASE_S = 0.08
+"""The ramp of 50 ms at the end of a run, and the frames that tell of it."""
+_RELEASE_POLLS = 40
 _SETTLED_S = 0.2
 _STILL_M = 50e-6
 _STROKE_MARGIN_M = 1.0e-3
@@ -138,12 +141,39 @@ def play(
                 raise CancelledError("cancelled; the coil is released and what was recorded is kept")
             if run is planned and last < run.end_index and enough():
                 run = Run(run.first_index, min(run.samples, instrument.finish()))
+        if set_points is not None or run is not planned:
+            _see_off(instrument, run)
     except BaseException:
         instrument.release()
         raise
     finally:
         gc.unfreeze()
     return run
+
+
+def _see_off(instrument: Instrument, run: Run) -> None:
+    """Read on until the release of a run is over: only then has the instrument said all that there is to say of it.
+
+    Raises:
+        FirmwareFaultError: it did not end as it was told to; what it says came after the last sample.
+    """
+    over = run.end_index + round(_RELEASE_S * instrument.device.sample_rate_hz)
+    try:
+        for _ in range(_RELEASE_POLLS):
+            samples = instrument.poll(POLL_S)
+            if samples.size and samples["index"][-1] >= over:
+                break
+    except LinkLostError:
+        pass  # all of the run was received; whoever uses the instrument next is told
+
+
+def _cause(error: BaseException) -> str:
+    """Why a test broke off, in words."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, TissueIDError):
+        return str(error)
+    return f"a defect of the software: {type(error).__name__}: {error}"
 
 
 def find_surface(
@@ -298,6 +328,8 @@ class _Recording:
         if self.set_points is not None:
             notes["late_blocks"] = float(self._instrument.late_blocks)
             notes["held_samples"] = float(self._instrument.held_samples)
+            if (margin := self._instrument.setpoint_margin_s) is not None:
+                notes["setpoint_margin_s"] = margin
             notes |= self.set_points.notes(run, whole=status == "completed")
         self._recorder.end_test(status, run.samples, **notes)
 
@@ -342,8 +374,8 @@ def run_guided_test(
             set_points=recording.set_points,
             enough=lambda: recording.taken > recording.preload_samples and enough(),
         )
-    except (TissueIDError, KeyboardInterrupt) as error:
-        recording.abort(str(error) or "interrupted")
+    except BaseException as error:
+        recording.abort(_cause(error))
         raise
     recording.end(run, why)
     return recorder.tests_begun

@@ -101,11 +101,6 @@ class LiveIdentification:
         return self._looks.news.problem
 
     @property
-    def looks_left_out(self) -> int:
-        """Looks that were due while the looking was behind, and were not made."""
-        return self._looks.news.looks_left_out
-
-    @property
     def busy_s(self) -> float:
         """Processor time of the looks so far, s."""
         return self._looks.news.busy_s

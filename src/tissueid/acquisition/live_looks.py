@@ -43,20 +43,34 @@ class LiveSettings(BaseModel):
         every_s = self.look_every_s if self.stop is None else self.stop.look_every_s
         return max(1, round(every_s * self.sample_rate_hz))
 
+    def start(self) -> LiveIdentifier:
+        """An identifier that knows nothing yet.
+
+        Raises:
+            UnusableInputError: the method cannot be started with these settings.
+        """
+        return start_identifier(self.method, self.sample_rate_hz, self.memory, self.window_s)
+
 
 @dataclass(frozen=True, eq=False)
 class News:
     """What came of the looks so far.
 
-    ``enough`` says in words why it is, and is empty while it is not. ``looks_left_out`` counts those that a backlog
-    swallowed; ``busy_s`` is the processor time of all. ``problem`` is one line on what went wrong; nothing comes after.
+    ``enough`` says in words why it is, and is empty while it is not. ``busy_s`` is the processor time of all looks.
+    ``problem`` is one line on what went wrong; nothing comes after.
     """
 
     view: LiveView | None = None
     enough: str = ""
-    looks_left_out: int = 0
     busy_s: float = 0.0
     problem: str = ""
+
+
+def in_words(error: Exception) -> str:
+    """What ended the looking, in one line."""
+    if isinstance(error, TissueIDError):
+        return str(error)
+    return f"live identification ended by a defect: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 class LiveLooks:
@@ -68,9 +82,9 @@ class LiveLooks:
 
     def __init__(self, settings: LiveSettings) -> None:
         self._settings = settings
-        self._identifier = self._start()
+        self._identifier = settings.start()
         self._store = np.empty((2, round(_FIRST_ROOM_S * settings.sample_rate_hz)))  # force and position
-        self._taken = self._looked = self._left_out = 0
+        self._taken = self._looked = 0
         self._looks: list[Precision] = []
         self._busy_s = 0.0
         self._ended = False
@@ -97,47 +111,36 @@ class LiveLooks:
         if self.news.problem or self._ended or goal < (1 if last else self._looked + 1):
             return False
         self._ended = last
-        self._left_out += max(0, (due - self._looked) // every - 1)
         begin = time.thread_time()
         seen, enough, problem = self.news.view, self.news.enough, ""
         try:
-            seen = self._look(goal, last=last)
+            seen = self._look(goal)
             rule = self._settings.stop
             if rule is not None and not enough and not last and rule.enough(self._looks):
                 enough = rule.in_words(self._looks[-1])
-        except TissueIDError as error:
-            problem = str(error)
         except Exception as error:  # noqa: BLE001 - a defect here must not end the test; it is told beside it
-            problem = f"live identification ended by a defect: {type(error).__name__}: {error}"
+            problem = in_words(error)
         self._looked = goal
         self._busy_s += time.thread_time() - begin
-        self.news = News(seen, enough, self._left_out, self._busy_s, problem)
+        self.news = News(seen, enough, self._busy_s, problem)
         return True
 
     def rehearse(self) -> None:
         """Do everything once on noise, so that nothing is compiled or loaded at the first look."""
         rate = self._settings.sample_rate_hz
         noise = np.random.Generator(np.random.PCG64(0)).standard_normal((2, round(_REHEARSAL_S * rate)))
-        identifier = self._start()
+        identifier = self._settings.start()
         identifier.batch(noise[0], noise[1])
         with contextlib.suppress(UnusableInputError):  # a memory too long for so short a record
             view(identifier, [precision(Record(noise[0], np.cumsum(noise[0]), rate), self._settings.memory)])
 
-    def _start(self) -> LiveIdentifier:
-        settings = self._settings
-        return start_identifier(settings.method, settings.sample_rate_hz, settings.memory, settings.window_s)
-
-    def _look(self, goal: int, *, last: bool) -> LiveView:
-        """Bring identifier and parameters up to so many samples.
-
-        The last look starts afresh, as an engine does that is given the whole record.
-        """
+    def _look(self, goal: int) -> LiveView:
+        """Bring identifier and parameters up to so many samples."""
         force, position = self._store[:, self._looked : goal]
         self._identifier.batch(force, position)
         record = Record(self._store[0, :goal], self._store[1, :goal], self._settings.sample_rate_hz)
-        start = self._looks[-1].second_order if self._looks and not last else None
         with contextlib.suppress(UnusableInputError):  # too little yet, which the view says of itself
-            look = precision(record, self._settings.memory, start=start)
+            look = precision(record, self._settings.memory)
             if self._looks and self._looks[-1].seconds == look.seconds:
                 self._looks.pop()
             self._looks.append(look)

@@ -16,11 +16,12 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from typing import IO
 
 import numpy as np
 
-from tissueid.acquisition.live_looks import Array, LiveLooks, LiveSettings, News
+from tissueid.acquisition.live_looks import Array, LiveLooks, LiveSettings, News, in_words
 
 MOST_SHARE = 0.2
 """Share of a core that the looking may take: where it would take more, it looks less often."""
@@ -35,9 +36,14 @@ _COMMAND = "from tissueid.acquisition.live_process import serve; serve()"
 
 
 class LiveProcess:
-    """The process, as the loop that polls sees it: samples in, news out, and no call that waits but ``close``."""
+    """The process, as the loop that polls sees it: samples in, news out, and no call that waits but ``close``.
+
+    Raises:
+        UnusableInputError: the method cannot be started with these settings.
+    """
 
     def __init__(self, settings: LiveSettings) -> None:
+        settings.start()  # what does not hold is refused here, and not by a process that ends
         self.news = News()
         self._waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._waiting.put(settings.model_dump_json().encode() + b"\n")
@@ -107,14 +113,20 @@ class LiveProcess:
 
     def _end(self, problem: str) -> None:
         if not self.news.problem:
-            news = self.news
-            self.news = News(news.view, news.enough, news.looks_left_out, news.busy_s, problem)
+            self.news = replace(self.news, problem=problem)
 
 
 def serve() -> None:
-    """The process itself: look until the input ends."""
+    """The process itself: look until the input ends. What ends it sooner is told as its last news."""
     incoming, outgoing = sys.stdin.buffer, sys.stdout.buffer
     sys.stdout = sys.stderr  # whatever else is printed must not mix with the news
+    try:
+        _look(incoming, outgoing)
+    except Exception as error:  # noqa: BLE001 - nobody reads what this process prints; the test goes on beside it
+        _publish(outgoing, News(problem=in_words(error)))
+
+
+def _look(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
     looks = LiveLooks(LiveSettings.model_validate_json(incoming.readline()))
     looks.rehearse()
     if hasattr(os, "nice"):
@@ -142,15 +154,17 @@ def serve() -> None:
 
 def _receive(incoming: IO[bytes], blocks: queue.SimpleQueue[tuple[Array, Array] | None]) -> None:
     """Read block after block; None when the other side closes or is gone."""
-    while True:
-        head = incoming.read(_COUNT.size)
-        count = _COUNT.unpack(head)[0] if len(head) == _COUNT.size else _CLOSING
-        body = b"" if count < 0 else incoming.read(16 * count)
-        if count < 0 or len(body) < 16 * count:
-            blocks.put(None)
-            return
-        force, position = np.frombuffer(body).reshape(2, count)
-        blocks.put((force, position))
+    try:
+        while True:
+            head = incoming.read(_COUNT.size)
+            count = _COUNT.unpack(head)[0] if len(head) == _COUNT.size else _CLOSING
+            body = b"" if count < 0 else incoming.read(16 * count)
+            if count < 0 or len(body) < 16 * count:
+                return
+            force, position = np.frombuffer(body).reshape(2, count)
+            blocks.put((force, position))
+    finally:  # whatever ends the reading, the looking must not wait for more
+        blocks.put(None)
 
 
 def _publish(outgoing: IO[bytes], news: News) -> None:

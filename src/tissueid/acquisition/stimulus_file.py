@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,12 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, guided
-from tissueid.stimuli.base import GUIDED
+from tissueid.stimuli import FeedbackKind, Stimulus, build_specified, specified
+from tissueid.whole_file import whole_file
 
 FORMAT = "tissueid-stimulus"
 FORMAT_VERSION = "1.0"
 _MOST_BYTES = 4 * 1024 * 1024
-_LONGEST_PRELOAD_S = 60.0
 
 
 def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
@@ -34,14 +32,11 @@ def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
     """
     check_new(path)
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        with whole_file(path) as partial:
+            partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def check_new(path: Path) -> None:
@@ -69,15 +64,12 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
     description = content.get("description")
     if not isinstance(description, dict):
         raise UnusableInputError(f"{path} holds no description of a stimulus")
-    specification, preload_s = _specification(description)
+    specification, preload_s = specified(description)
     if isinstance(specification, FeedbackKind):
+        if preload_s is not None:
+            raise UnusableInputError(f"{path}: {specification.name!r} takes its preload from the test, not from a file")
         return specification
-    if not isinstance(specification, OpenLoopKind):
-        raise UnusableInputError(f"{path}: the stimulus {specification.name!r} can neither be built nor generated")
-    specification.check_size()
-    built = specification.build()
-    if preload_s is not None:
-        built = guided(built, preload_s=preload_s)
+    built = build_specified(specification, preload_s)
     _verify(path, content, built)
     return built
 
@@ -133,26 +125,6 @@ def _read(path: Path) -> dict[str, Any]:
             f"{path} has format version {str(version)[:20]!r}; this software reads {FORMAT_VERSION}: upgrade it"
         )
     return content
-
-
-def _specification(description: Mapping[str, Any]) -> tuple[StimulusKind, float | None]:
-    """The specification that a description holds, and the preload before it, s, None where there is none.
-
-    Raises:
-        UnusableInputError: no known kind, options that do not hold, or a preload that is no length of time.
-    """
-    fields = dict(description)
-    kind = fields.pop("type", None)
-    if kind == GUIDED:
-        preload_s, inner = fields.get("preload_s"), fields.get("stimulus")
-        if not isinstance(preload_s, int | float) or not isinstance(inner, dict) or inner.get("type") == GUIDED:
-            raise UnusableInputError("the description of the stimulus with its preload does not hold together")
-        if not 0.0 < preload_s <= _LONGEST_PRELOAD_S:
-            raise UnusableInputError(f"the preload in the file must last up to {_LONGEST_PRELOAD_S:g} s")
-        return _specification(inner)[0], float(preload_s)
-    if not isinstance(kind, str):
-        raise UnusableInputError("the description of the stimulus does not say its type")
-    return get_stimulus(kind[:100]).from_options(fields), None
 
 
 def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:

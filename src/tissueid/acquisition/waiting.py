@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, wait
 from typing import TypeVar
 
 from tissueid.errors import CancelledError
@@ -24,19 +25,27 @@ def meanwhile(
     its own and waits.
 
     Raises:
-        CancelledError: ``cancelled`` said so; raised when the work is done.
+        CancelledError: ``cancelled`` said so; the work is left to itself.
         InstrumentError: as ``poll`` says, and whatever the work raises.
     """
     if isinstance(instrument, SimulatedInstrument):
         return work()
-    with ThreadPoolExecutor(1, "work beside the instrument") as pool:
-        done = pool.submit(work)
+    done: Future[_Result] = Future()
+
+    def run() -> None:
         try:
-            while wait((done,), _REST_S).not_done:
-                if cancelled():
-                    raise CancelledError("cancelled between two tests; the coil is free and what was recorded is kept")
-                instrument.poll(0.0)
-        except BaseException:
-            instrument.release()  # the soft end of the run before may not be over
-            raise
+            done.set_result(work())
+        except BaseException as error:  # noqa: BLE001 - raised where the result is asked for
+            done.set_exception(error)
+
+    # Not waited for when it is not wanted any more, and no reason for the program to stay.
+    threading.Thread(target=run, name="work beside the instrument", daemon=True).start()
+    try:
+        while wait((done,), _REST_S).not_done:
+            if cancelled():
+                raise CancelledError("cancelled between two tests; the coil is free and what was recorded is kept")
+            instrument.poll(0.0)
+    except BaseException:
+        instrument.release()  # the soft end of the run before may not be over
+        raise
     return done.result()

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.stimuli import Stimulus, StimulusKind, get_stimulus
+from tissueid.stimuli import Stimulus, StimulusKind, specified
 from tissueid.stimuli.appraisal import Appraisal
-from tissueid.stimuli.base import GUIDED
 from tissueid.stimuli.distributions import kolmogorov_distance
 from tissueid.stimuli.interchange import Interchanged, autocorrelation
+from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.multisine import Multisine
 from tissueid.stimuli.shaped import Shaped
 from tissueid.wording import fixed, number, with_unit
@@ -46,10 +46,7 @@ class Design:
     @cached_property
     def specification(self) -> StimulusKind:
         """What it was built from, without its preload."""
-        fields = dict(self.stimulus.description)
-        while fields.get("type") == GUIDED:
-            fields = dict(fields["stimulus"])
-        return get_stimulus(str(fields.pop("type"))).from_options(fields)
+        return specified(self.stimulus.description)[0]
 
     @cached_property
     def played(self) -> Array:
@@ -149,6 +146,9 @@ class Design:
             yield f"Autocorrelation, squared error over {self.autocorrelation.size - 1} lags", number(error, 2)
         if self.search is not None:
             yield "Swaps accepted, of those tried", f"{self.search.accepted} of {self.search.tried}"
+        if isinstance(kind, Designed):
+            shares = ", ".join(number(100.0 * std, 2) for std in kind.predicted_std)
+            yield "Predicted uncertainty of mass, damping, stiffness", f"{shares} % (standard deviations)"
         if isinstance(kind, Multisine):
             driven, detection = kind.driven_lines(), kind.detection_lines()
             yield "Lines driven", f"{driven.size}, {number(kind.resolution_hz)} Hz apart or multiples of it"

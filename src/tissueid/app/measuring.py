@@ -64,6 +64,11 @@ class PacedInstrument:
         """Samples whose set-point was missing."""
         return self._paced.held_samples
 
+    @property
+    def setpoint_margin_s(self) -> float | None:
+        """Least time by which a block was there before it was played."""
+        return self._paced.setpoint_margin_s
+
     def follow(self, samples: int, hold_v: float) -> None:
         """Pass on that set-points will follow."""
         self._paced.follow(samples, hold_v)

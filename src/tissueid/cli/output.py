@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from tissueid.errors import UnusableInputError
+from tissueid.whole_file import whole_file
 
 console = Console(stderr=True, highlight=False)
 
@@ -72,14 +72,11 @@ def write_text(target: Path, text: str) -> None:
     Raises:
         UnusableInputError: the file cannot be written.
     """
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
+        with whole_file(target) as partial:
+            partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {target}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _finite(value: Any) -> Any:

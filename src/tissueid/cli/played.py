@@ -51,14 +51,14 @@ def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:
     columns = {
         "samples": [grouped(a["samples"]) for a in answers],
         "depth mm": [_millimetres(a) for a in answers],
-        "distance from even": [fixed(a["kolmogorov_distance"], 3) for a in answers],
+        "distance from wanted": [fixed(a["kolmogorov_distance"], 3) for a in answers],
         "computing %": [fixed(_percent(a["generating_share"]), 1) for a in answers],
         "late blocks": [grouped(a["late_blocks"]) for a in answers],
         "held samples": [grouped(a["held_samples"]) for a in answers],
     }
     needs = {
         "depth mm": "depth_min_m",
-        "distance from even": "kolmogorov_distance",
+        "distance from wanted": "kolmogorov_distance",
         "computing %": "generating_share",
         "late blocks": "late_blocks",
         "held samples": "held_samples",
@@ -92,6 +92,8 @@ def depth_range_of(test: Test, asked: DepthRange | None) -> DepthRange | None:
 def out_of_reach(test: Test) -> str:
     """What of the depths that were asked for a test was not designed for, in words; empty where that is nothing."""
     notes = test.notes
+    if reachable := _reported(test).get("reachable_m"):
+        return _short_of(depth_range_of(test, None), reachable)
     if "depth_asked_min_m" not in notes or "depth_min_m" not in notes:
         return ""
     asked, designed = ((notes[f"{name}_min_m"], notes[f"{name}_max_m"]) for name in ("depth_asked", "depth"))
@@ -101,13 +103,39 @@ def out_of_reach(test: Test) -> str:
     return f"designed for {spans[0]} of the {spans[1]} that were asked for: these forces do not spread it further"
 
 
-def kolmogorov_distance(test: Test, depths: DepthRange | None) -> float | None:
-    """Distance of the depth from the distribution that was wanted: what its stimulus says, or from uniform."""
+def _short_of(asked: DepthRange | None, reachable: Sequence[float]) -> str:
+    """What forces reach of the depths that were asked for, in words; empty where that is all of them."""
+    if asked is None:
+        return ""
+    least, most = max(asked[0], reachable[0]), min(asked[1], reachable[1])
+    if most - least >= 0.99 * (asked[1] - asked[0]):
+        return ""
+    wanted = f"{fixed(1e3 * asked[0], 2)} to {fixed(1e3 * asked[1], 2)} mm"
+    if most <= least:
+        return f"none of the {wanted} that were asked for is within reach of these forces: ask for other depths"
+    return (
+        f"of the {wanted} that were asked for, these forces reach {fixed(1e3 * least, 2)} to {fixed(1e3 * most, 2)} mm"
+    )
+
+
+def _reported(test: Test) -> dict[str, Any]:
+    """What the source of a feedback stimulus said of the test."""
     report = test.notes.get("stimulus_report")
-    said = json.loads(report).get("kolmogorov_distance") if isinstance(report, str) else None
+    said = json.loads(report) if isinstance(report, str) else {}
+    return said if isinstance(said, dict) else {}
+
+
+def kolmogorov_distance(test: Test, depths: DepthRange | None) -> float | None:
+    """Distance of the depth from the distribution that was wanted: what its stimulus says, or from uniform.
+
+    None where another distribution than uniform was wanted and the stimulus says nothing.
+    """
+    said = _reported(test).get("kolmogorov_distance")
     if isinstance(said, float):
         return said
-    if depths is None:
+    described = stimulus_of(test)
+    even = "depth_min_m" not in described or described.get("distribution", "uniform") == "uniform"
+    if depths is None or not even:
         return None
     try:
         return uniform_distance(test.record().output - test.surface_position_m, *depths)

@@ -22,4 +22,5 @@ def run_report(path: Path, out: Path, test: int | None, engines: str | None = No
         write_report(out, session, {chosen.number: analyses})
     except OSError as error:
         raise UnusableInputError(f"cannot write {out}: {error.strerror}") from error
-    people_read(None).print(f"report: {out}", markup=False)
+    which = f", test {chosen.number} of {len(session.tests)}" if len(session.tests) > 1 else ""
+    people_read(None).print(f"report: {out}{which}", markup=False)

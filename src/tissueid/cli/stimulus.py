@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from tissueid.acquisition.choice import PRELOAD_S
 from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
 from tissueid.analysis.design import Design
 from tissueid.cli.output import people_read, progress_bars, write_json, write_text
@@ -156,7 +157,7 @@ def show_open_loop(
         stimulus,
         device,
         max_force_n=limits.max_force_n,
-        max_seconds=limits.max_seconds,
+        max_seconds=limits.max_seconds - (0.0 if stimulus.preload_s else PRELOAD_S),
         max_temperature_c=limits.max_temperature_c,
     )
     for concern in found.concerns:

@@ -14,6 +14,7 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.stimulus_file import save_stimulus
 from tissueid.cli.output import progress_bars, write_json
+from tissueid.cli.played import out_of_reach
 from tissueid.cli.stimulus_targets import Targets, draw, rows_table
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Limits, open_instrument
@@ -81,6 +82,8 @@ def _rows(test: Test, run: FeedbackRun) -> Iterator[tuple[str, str]]:
     yield "Range of force", f"{fixed(float(force.min()), 2)} to {fixed(float(force.max()), 2)} N"
     yield "Range of depth", f"{fixed(1e3 * float(depth.min()), 2)} to {fixed(1e3 * float(depth.max()), 2)} mm"
     yield "Depth asked for", f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm"
+    if short := out_of_reach(test):
+        yield "Within reach", short
     yield "Distance of depth from the desired distribution", fixed(run.distance, 3)
     yield "Computing time over that of the test", f"{fixed(100.0 * _note(test, 'generating_share'), 1)} %"
     yield "Late blocks", grouped(_note(test, "late_blocks"))

@@ -56,6 +56,9 @@ def specified(
     """
     declared = get_stimulus(kind)
     chosen = parse_options(options)
+    force, volts = ({"force_min_n", "force_max_n"}, {"voltage_min_v", "voltage_max_v"})
+    if force & common.given().keys() and volts & common.given().keys():
+        raise UnusableInputError("a stimulus is designed as force or as voltage: give the range in one of them")
     for field, (name, value) in common.given().items():
         if field not in declared.model_fields:
             raise UnusableInputError(

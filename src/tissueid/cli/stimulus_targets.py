@@ -18,13 +18,6 @@ if TYPE_CHECKING:
     from tissueid.reports.stimulus_report import StimulusReport
 
 CSV_HEAD = "time_s,"
-_PLOTS: dict[str, tuple[str | bytes, ...]] = {
-    ".html": ("<!DOCTYPE html",),
-    ".svg": ("<?xml", "<svg"),
-    ".png": (b"\x89PNG",),
-    ".pdf": ("%PDF",),
-}
-"""By the end of a plot's name the first characters of a file that it may be written over."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +45,10 @@ class Targets:
         if self.out is not None:
             check_new(self.out)
         if self.plot is not None:
-            form = self.plot.suffix.lower()
-            if form not in _PLOTS:
-                raise UnusableInputError(f"a plot ends in {', '.join(_PLOTS)}, and {self.plot.name} does not")
-            check_output(self.plot, _PLOTS[form])
+            # Imported where it is needed: it brings Matplotlib with it.
+            from tissueid.reports.stimulus_report import FORMS, form_of
+
+            check_output(self.plot, FORMS[form_of(self.plot)])
 
     def tell(self, people: Console) -> None:
         """Say what was written."""

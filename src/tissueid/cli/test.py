@@ -21,13 +21,13 @@ from tissueid.acquisition import (
 from tissueid.acquisition.guided import check_test, find_surface
 from tissueid.acquisition.stimulus_file import load_stimulus
 from tissueid.acquisition.waiting import meanwhile
-from tissueid.cli.output import check_json, console, progress_bars, write_json
+from tissueid.cli.output import check_json, people_read, progress_bars, write_json
 from tissueid.cli.played import answer_of, out_of_reach, tests_table
 from tissueid.cli.stimulus import designed
 from tissueid.cli.stimulus_options import CommonOptions, specified
 from tissueid.cli.watching import Watch
 from tissueid.device import DeviceDescription
-from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.errors import UnusableInputError
 from tissueid.identification.online.stopping import StopRule
 from tissueid.instrument import PROFILES, Instrument, Limits, open_instrument
 from tissueid.sessions import Session, Subject
@@ -36,6 +36,7 @@ from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.redesign import DepthDesign
 
 MAX_TEXT = 200
+LEAST_DEPTH_RANGE_M = 1e-4
 _DEFAULTS = NoiseChoice()
 """What the ordinary noise is without options; other kinds have defaults of their own."""
 
@@ -124,6 +125,10 @@ def millimetres(text: str) -> tuple[float, float]:
         depths = 0.0, 0.0
     if not colon or not depths[0] < depths[1]:
         raise UnusableInputError(f"a depth range is least:greatest in mm from the surface, such as 1:4, not {text!r}")
+    if depths[1] - depths[0] < LEAST_DEPTH_RANGE_M:
+        raise UnusableInputError(
+            f"a depth range of {text} mm is too narrow: it is in mm, at least {1e3 * LEAST_DEPTH_RANGE_M:g} wide"
+        )
     return depths
 
 
@@ -135,8 +140,6 @@ def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[P
 def run_tests(plan: TestPlan) -> None:
     """Place once, then run what is asked for, all into one session."""
     plan.check()
-    if not console.is_terminal:
-        console.width = 120
     rule = StopRule.from_words(plan.stop_when) if plan.stop_when else None
     limits = PROFILES[plan.limits]
     steps: tuple[Step, ...] = ()
@@ -150,7 +153,7 @@ def run_tests(plan: TestPlan) -> None:
         recorder = SessionRecorder(plan.out, instrument.device, Subject(plan.subject))
         try:
             steps = run(recorder)
-        except (TissueIDError, KeyboardInterrupt):
+        except BaseException:
             _keep(recorder, plan)
             raise
         session = recorder.finish()
@@ -274,12 +277,15 @@ def _keep(recorder: SessionRecorder, plan: TestPlan) -> None:
 
 
 def _tell(plan: TestPlan, session: Session) -> None:
-    console.print(f"session: {plan.out}", markup=False)
-    console.print(tests_table(session.tests, plan.depth_range_m))
+    people = people_read(plan.json_file)
+    if not people.is_terminal:
+        people.width = 120
+    people.print(f"session: {plan.out}", markup=False)
+    people.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
         if short := out_of_reach(test):
-            console.print(f"test {test.number}: {short}", markup=False)
+            people.print(f"test {test.number}: {short}", markup=False)
         if lost := test.notes.get("samples_lost"):
-            console.print(f"test {test.number}: {lost:.0f} samples were lost and are marked as such", markup=False)
+            people.print(f"test {test.number}: {lost:.0f} samples were lost and are marked as such", markup=False)
         if reason := test.notes.get("reason"):
-            console.print(f"test {test.number}: {reason}", markup=False)
+            people.print(f"test {test.number}: {reason}", markup=False)

@@ -8,6 +8,7 @@ from typing import Self
 
 from tissueid.acquisition import Phase, Progress
 from tissueid.acquisition.live import LiveIdentification
+from tissueid.acquisition.waiting import meanwhile
 from tissueid.cli.output import console
 from tissueid.identification.online.live_view import LiveView
 from tissueid.identification.online.stopping import StopRule
@@ -24,8 +25,10 @@ class Watch:
     """
 
     def __init__(self, instrument: Instrument, preload_s: float, rule: StopRule | None, told: bool) -> None:
+        self._instrument = instrument
         self._waits = isinstance(instrument, SimulatedInstrument)
         self._told = told
+        self._rule = rule
         self._shown = 0.0
         self._identification: LiveIdentification | None = None
         if rule is not None or told:
@@ -41,8 +44,13 @@ class Watch:
     ) -> None:
         if self._identification is None:
             return
-        self._identification.close()
+        if error is None:
+            meanwhile(self._instrument, self._identification.close)  # the last look may take a while
+        else:
+            self._identification.close()
         self._tell(self._identification)
+        if error is None and self._rule is not None and not self._identification.enough():
+            console.print(_not_enough(self._rule, self._identification.latest()), markup=False)
         if self._identification.problem:
             console.print(f"live identification: {self._identification.problem}", markup=False)
 
@@ -75,6 +83,17 @@ class Watch:
         if latest is not None and latest.seconds > self._shown and (latest.parameters or latest.missing):
             self._shown = latest.seconds
             console.print(view_line(latest), markup=False)
+
+
+def _not_enough(rule: StopRule, view: LiveView | None) -> str:
+    """How well the parameters are known that a rule asked for, at the end of a test that it did not end."""
+    words = []
+    for name, target in rule.targets.items():
+        found = None if view is None else view.parameters.get(name)
+        spread = None if found is None or not found.std else found.std / abs(found.value)
+        known = "is not known" if spread is None else f"is known to {fixed(100.0 * spread, 1)} %"
+        words.append(f"{name} {known} ({fixed(100.0 * target, 1)} % was asked)")
+    return f"the test was not long enough for what was asked: {', '.join(words)}"
 
 
 def view_line(view: LiveView) -> str:

@@ -41,6 +41,8 @@ _FELT = 1e-7
 
 _ITERATIONS = 40
 _SETTLED_STEP, _SMALLEST_STEP = 1e-7, 1e-9
+_SETTLED_GAIN = 1e-9
+"""Share of the squared error from which a step's gain is next to nothing: under a hundredth of a standard deviation."""
 _BRIDGE = 64
 
 
@@ -165,20 +167,23 @@ def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) ->
     """Gauss-Newton with halved steps, from ``theta`` (p,); steps are held to a factor e, for theta is logarithmic.
 
     ``evaluate`` gives the error (m,) and minus its derivatives (m, p). Returns the minimum, both there, and whether
-    the steps died out.
+    the steps, or what they gain, died out: the slopes leave out how the free responses change, so that the last steps
+    may stay small and not become nil.
     """
     error, slopes = evaluate(theta)
     for _ in range(_ITERATIONS):
+        gain = 1.0
         step = np.linalg.lstsq(slopes, error, rcond=1e-10)[0]
         step /= max(1.0, float(np.max(np.abs(step))))
         bound = float(error @ error) * (1.0 + 1e-12)
         while np.max(np.abs(step)) >= _SMALLEST_STEP:
             tried_error, tried_slopes = evaluate(theta + step)
-            if float(tried_error @ tried_error) <= bound:
+            if (tried := float(tried_error @ tried_error)) <= bound:
+                gain = 1.0 - tried / bound
                 theta, error, slopes = theta + step, tried_error, tried_slopes
                 break
             step = 0.5 * step
-        if np.max(np.abs(step)) < _SETTLED_STEP:
+        if np.max(np.abs(step)) < _SETTLED_STEP or 0.0 <= gain < _SETTLED_GAIN:
             return theta, error, slopes, True
     return theta, error, slopes, False
 

@@ -57,6 +57,10 @@ class Instrument(Protocol):
     def held_samples(self) -> int:
         """Samples of the newest run whose command was not the stimulus' own, because its set-point was missing."""
 
+    @property
+    def setpoint_margin_s(self) -> float | None:
+        """Least time by which a block of the newest run was there before it was played; None where no cable is."""
+
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Send a stimulus, shape (n,), V at the device's sample rate."""
 

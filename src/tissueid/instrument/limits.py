@@ -54,7 +54,9 @@ def check_stimulus(
     """
     seconds = (command_v.size + following) / device.sample_rate_hz
     if seconds > limits.max_seconds:
-        raise LimitError(f"the stimulus lasts {seconds:.1f} s; the limit is {limits.max_seconds:g} s")
+        raise LimitError(
+            f"the stimulus lasts {seconds:.1f} s in all, preload included; the limit is {limits.max_seconds:g} s"
+        )
     check_command(command_v, device, limits)
 
 

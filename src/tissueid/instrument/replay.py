@@ -30,6 +30,7 @@ class ReplayInstrument:
         self.device = device
         self.gaps: list[Gap] = []
         self.late_blocks = self.held_samples = 0
+        self.setpoint_margin_s: float | None = None
         usable = {name: signals[name] for name in SIGNALS if name in signals}
         if not usable:
             raise UnusableInputError("the record has no signal that an instrument delivers")

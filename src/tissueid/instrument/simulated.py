@@ -84,6 +84,11 @@ class SimulatedInstrument:
         """Samples of the newest run whose set-point was missing."""
         return self._playback.held_samples
 
+    @property
+    def setpoint_margin_s(self) -> float | None:
+        """None: there is no cable that a block could be late on."""
+        return None
+
     def follow(self, samples: int, hold_v: float) -> None:
         """While the next run goes on, ``samples`` set-points will be sent after what was loaded.
 

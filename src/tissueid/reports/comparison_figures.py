@@ -6,17 +6,16 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Scored, SweepRow
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.validation.distortion import Distortion, LineLevels
+from tissueid.identification.validation.distortion import Distortion
 from tissueid.records import Record
 from tissueid.reports.diagnostics import CONFIDENCE, Array, held_out_prediction
-from tissueid.reports.panels import diagonal, running_mean
+from tissueid.reports.panels import diagonal, markers, running_mean
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -206,7 +205,8 @@ def distortion_figure(levels: Distortion, record: Record) -> Figure:
         (levels.detection, "odd, not driven: odd distortion", ORANGE, "^"),
         (levels.even, "even: even distortion", GREEN, "s"),
     ):
-        _levels(axes, lines, scale, label, colour, marker)
+        if lines.line.size:
+            markers(axes, lines.frequency_hz, scale * lines.level, label=label, colour=colour, marker=marker)
     noise = levels.driven.noise * scale
     if np.isfinite(noise).any():
         axes.plot(levels.driven.frequency_hz, noise, color=MUTED, linestyle=DASHES[1], linewidth=1.0, label="noise")
@@ -216,17 +216,3 @@ def distortion_figure(levels: Distortion, record: Record) -> Figure:
 
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
     return figure
-
-
-def _levels(axes: Axes, lines: LineLevels, scale: float, label: str, colour: str, marker: str) -> None:
-    if lines.line.size:
-        axes.plot(
-            lines.frequency_hz,
-            scale * lines.level,
-            color=colour,
-            linestyle="none",
-            marker=marker,
-            markersize=3.5,
-            markeredgewidth=0.0,
-            label=label,
-        )

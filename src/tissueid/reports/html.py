@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -16,6 +15,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
 from tissueid.sessions import Session
+from tissueid.whole_file import whole_file
 from tissueid.wording import clean
 
 RESEARCH_LINE = "Research use only. Not a medical device; not for diagnosis or treatment."
@@ -79,12 +79,8 @@ def write_whole(path: Path, text: str) -> None:
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 @cache

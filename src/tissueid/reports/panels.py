@@ -10,6 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
+from numpy.typing import ArrayLike
 
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.style import DASHES, DEPTHS, DIVERGING, INK, MUTED, POINTS, RELIEF, SEQUENTIAL
@@ -137,6 +138,11 @@ def cloud(axes: Axes, x: Array, y: Array, colour: str = POINTS[0]) -> None:
         alpha=0.5,
         rasterized=True,
     )
+
+
+def markers(axes: Axes, x: ArrayLike, y: ArrayLike, *, label: str, colour: str, marker: str) -> None:
+    """Points that are few enough to be told apart, such as the lines of a multisine."""
+    axes.plot(x, y, color=colour, linestyle="none", marker=marker, markersize=3.5, markeredgewidth=0.0, label=label)
 
 
 def residual_cloud(axes: Axes, modelled: Array, measured: Array, colour: str) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.reports.diagnostics import Array, power_spectrum, thin
+from tissueid.reports.panels import markers
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -240,16 +241,8 @@ def draw_lines(figure: FigureBase, multisine: Multisine, stimulus: Stimulus) -> 
         (rest, "not driven", MUTED, "."),
     ):
         if lines.size:
-            axes.plot(
-                lines * multisine.resolution_hz,
-                np.maximum(amplitude[lines], floor),
-                color=colour,
-                linestyle="none",
-                marker=marker,
-                markersize=3.5,
-                markeredgewidth=0.0,
-                label=label,
-            )
+            heights = np.maximum(amplitude[lines], floor)
+            markers(axes, lines * multisine.resolution_hz, heights, label=label, colour=colour, marker=marker)
     for low, high in multisine.notches:
         axes.axvspan(low, high, color=SHADE, zorder=0)
     axes.set_xlim(0.0, (shown + 1) * multisine.resolution_hz)

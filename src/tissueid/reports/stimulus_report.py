@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,13 +20,19 @@ from tissueid.reports.style import plain_image
 from tissueid.reports.tables import Table
 from tissueid.stimuli import FeedbackKind
 from tissueid.stimuli.appraisal import Appraisal
+from tissueid.whole_file import whole_file
 from tissueid.wording import fixed, grouped, named_value
 
 FAR = 0.08
 """Distance from the desired distribution of depth from which on a page asks to look closer."""
 
-FORMS = (".html", ".pdf", ".png", ".svg")
-"""Ends of the names of the files that a report can be written to."""
+FORMS: dict[str, tuple[str | bytes, ...]] = {
+    ".html": ("<!DOCTYPE html",),
+    ".pdf": ("%PDF",),
+    ".png": (b"\x89PNG",),
+    ".svg": ("<?xml", "<svg"),
+}
+"""Ends of the names of the files that a report can be written to, and what such files begin with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,28 +71,25 @@ class StimulusReport:
             UnusableInputError: the name ends in none of them, or there is nothing to draw.
             OSError: the folder is missing, or the disk is full or not writable.
         """
-        check_form(path)
-        form = path.suffix.lower()
+        form = form_of(path)
         if form == ".html":
             write_whole(path, self.html())
             return
         figure = sheet(self.title, self.panels)
-        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-        try:
+        with whole_file(path) as partial:
             plain_image(figure, partial, "pdf" if form == ".pdf" else "svg" if form == ".svg" else "png")
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
-def check_form(path: Path) -> None:
-    """Refuse a name that tells no form to write.
+def form_of(path: Path) -> str:
+    """The form in which a file is written, one of ``FORMS``, by the end of its name.
 
     Raises:
         UnusableInputError: it ends in none of ``FORMS``.
     """
-    if path.suffix.lower() not in FORMS:
+    form = path.suffix.lower()
+    if form not in FORMS:
         raise UnusableInputError(f"a plot ends in {', '.join(FORMS)}, and {path.name} does not")
+    return form
 
 
 def judged(found: Appraisal) -> tuple[str, Literal["good", "check", "poor"]]:

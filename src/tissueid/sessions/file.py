@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -18,6 +17,7 @@ import numpy as np
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
 from tissueid.sessions.model import SIGNAL_NAMES, SIGNAL_UNITS, STATUSES, Session, Subject, Test
+from tissueid.whole_file import whole_file
 
 FORMAT = "tissueid-session"
 FORMAT_VERSION = "1.0"
@@ -35,7 +35,7 @@ _REQUIRED_TEST = ("kind", "sample_rate_hz")
 def write_session(path: Path, session: Session, *, overwrite: bool = False) -> None:
     """Write a session so that ``path`` is either not there or whole.
 
-    The file is written beside ``path`` under a temporary name, synced, read back and compared, then renamed.
+    The file is written beside ``path`` under a temporary name, read back and compared, synced, then renamed.
 
     Raises:
         SessionFormatError: ``path`` is there already, or what was read back differs from what was written.
@@ -45,8 +45,7 @@ def write_session(path: Path, session: Session, *, overwrite: bool = False) -> N
         raise SessionFormatError(f"{path} is there already; sessions are never overwritten")
     if not path.parent.is_dir():
         raise SessionFormatError(f"there is no folder {path.parent}")
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path, synced=True) as partial:
         try:
             with h5py.File(partial, "w", libver="v110") as file:
                 _write(file, session)
@@ -54,13 +53,7 @@ def write_session(path: Path, session: Session, *, overwrite: bool = False) -> N
             number = re.search(r"errno = (\d+)", str(error))
             reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
             raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
-        with partial.open("rb+") as raw:
-            os.fsync(raw.fileno())
         _verify(partial, session)
-        partial.replace(path)
-        _sync_folder(path.parent)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _write(file: h5py.File, session: Session) -> None:
@@ -120,16 +113,6 @@ def _verify(path: Path, session: Session) -> None:
                 raise SessionFormatError(f"{path}: test {written.number}, {name} reads back differently")
     if stored.session_id != session.session_id:
         raise SessionFormatError(f"{path}: the session reads back differently")
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable, where the system lets a folder be synced."""
-    with contextlib.suppress(OSError, AttributeError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 # -- reading --------------------------------------------------------------------------------------------------

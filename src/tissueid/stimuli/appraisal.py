@@ -209,7 +209,7 @@ def _limits(
             f"It needs {needed:.1f} V; the amplifier gives {device.amplifier_limit_v:g} V: lower the range.",
         )
     if played.seconds > max_seconds:
-        yield Concern("refused", f"It lasts {played.seconds:.1f} s; the limit is {max_seconds:g} s: shorten it.")
+        yield Concern("refused", f"It lasts {played.seconds:.1f} s; there is room for {max_seconds:g} s: shorten it.")
 
 
 def _warmth(warmth: Heating, start_c: float, max_temperature_c: float) -> Iterator[Concern]:

@@ -25,6 +25,9 @@ from tissueid.plugins import Registry
 GUIDED = "guided"
 RISE_S = 0.05
 """Time, s, over which a guided stimulus rises to the mean load."""
+LONGEST_PRELOAD_S = 60.0
+LEAST_SPAN = 1e-6
+"""Narrowest range of a stimulus, N or V: narrower ones are lost in rounding."""
 MOST_SAMPLES = 5_000_000
 """Samples of a stimulus: more than any instrument plays, and what a machine has room for."""
 
@@ -127,6 +130,10 @@ class Ranged(OpenLoopKind):
         if low >= high:
             what = "force" if unit == "N" else "voltage"
             raise UnusableInputError(f"the least {what} ({low:g} {unit}) must be below the greatest ({high:g} {unit})")
+        if high - low < LEAST_SPAN:
+            raise UnusableInputError(
+                f"the range from {low:g} to {high:g} {unit} is narrower than {LEAST_SPAN:g} {unit}: widen it"
+            )
         return self
 
     @property
@@ -171,29 +178,59 @@ def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:
     Raises:
         UnusableInputError: no such kind, an option does not hold, or the kind is generated while a test runs.
     """
-    specification = get_stimulus(name).from_options(options)
+    return build_specified(get_stimulus(name).from_options(options))
+
+
+def build_specified(specification: StimulusKind, preload_s: float | None = None) -> Stimulus:
+    """Build the stimulus of a specification, behind a preload of so many seconds where one is given.
+
+    Raises:
+        UnusableInputError: the kind is generated while a test runs, it would be too long, or the preload too short.
+    """
     if not isinstance(specification, OpenLoopKind):
         raise UnusableInputError(
-            f"the stimulus {name!r} is generated while the test runs: what was played is the recorded command"
+            f"the stimulus {specification.name!r} is generated while the test runs: "
+            "what was played is the recorded command"
         )
     specification.check_size()
-    return specification.build()
+    built = specification.build()
+    return built if preload_s is None else guided(built, preload_s)
+
+
+def specified(description: object) -> tuple[StimulusKind, float | None]:
+    """The specification that a description holds, and the preload before it, s, None where there is none.
+
+    Nothing is taken for granted of the description: it may come from a file.
+
+    Raises:
+        UnusableInputError: no known kind, options that do not hold, or a preload that is no length of time.
+    """
+    if not isinstance(description, Mapping) or not all(isinstance(name, str) for name in description):
+        raise UnusableInputError("the description of the stimulus is no list of options by name")
+    fields = dict(description)
+    kind = fields.pop("type", None)
+    if kind == GUIDED:
+        preload_s, inner = fields.get("preload_s"), fields.get("stimulus")
+        if not isinstance(preload_s, int | float) or not isinstance(inner, Mapping) or inner.get("type") == GUIDED:
+            raise UnusableInputError("the description of the stimulus with its preload does not hold together")
+        if not RISE_S <= preload_s <= LONGEST_PRELOAD_S:
+            raise UnusableInputError(
+                f"the preload must last from its rise of {RISE_S:g} s up to {LONGEST_PRELOAD_S:g} s"
+            )
+        return specified(inner)[0], float(preload_s)
+    if not isinstance(kind, str):
+        raise UnusableInputError("the description of the stimulus does not say its type")
+    return get_stimulus(kind[:100]).from_options(fields), None
 
 
 def rebuild(description: Mapping[str, Any]) -> Stimulus:
     """Build a stimulus again from its description, as a session holds it.
 
     Raises:
-        UnusableInputError: the description is of no known kind, its options do not hold, or it was generated while
-            the test ran.
+        UnusableInputError: the description is of no known kind, its options or its preload do not hold, or it was
+            generated while the test ran.
     """
-    fields = dict(description)
-    kind = fields.pop("type", None)
-    if kind == GUIDED:
-        return guided(rebuild(fields.get("stimulus", {})), preload_s=float(fields.get("preload_s", 0.5)))
-    if not isinstance(kind, str):
-        raise UnusableInputError("the description of the stimulus does not say its type")
-    return build_stimulus(kind, fields)
+    return build_specified(*specified(description))
 
 
 def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
@@ -225,10 +262,15 @@ def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Arra
     """A raised-cosine rise to a load within ``RISE_S``, then a hold: shape (preload_s * sample_rate_hz,), its unit.
 
     Raises:
-        UnusableInputError: the preload is shorter than its rise.
+        UnusableInputError: the preload is shorter than its rise, or has more samples than any stimulus.
     """
     if not preload_s >= RISE_S:
         raise UnusableInputError(f"the preload must last at least its rise of {RISE_S:g} s, not {preload_s:g} s")
+    if preload_s * sample_rate_hz > MOST_SAMPLES:
+        raise UnusableInputError(
+            f"the preload would have {preload_s * sample_rate_hz:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
+            "shorten it"
+        )
     rise = np.minimum(np.arange(round(preload_s * sample_rate_hz)) / (RISE_S * sample_rate_hz), 1.0)
     return load * 0.5 * (1.0 - np.cos(np.pi * rise))
 

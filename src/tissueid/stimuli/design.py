@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, optimize
 
+from tissueid.errors import UnusableInputError
 from tissueid.stimuli.base import Array
 
 Complex = NDArray[np.complex128]
@@ -22,6 +23,9 @@ Complex = NDArray[np.complex128]
 _BINS = 2048
 _REACH = 4.0
 """Frequencies up to so many cut-offs: the square of the motion reaches to two, and must not fold back."""
+
+_LEAST, _MOST = 1e-100, 1e100
+"""Variances beyond which they are no numbers to reckon with."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class LocalTissue:
 
 
 @dataclass(frozen=True, eq=False)
-class Precision:
+class DesignPrecision:
     """What a second of test makes of mass, damping and stiffness, in this order.
 
     ``noise`` (3,) and ``distortion`` (3,) are relative variances after 1 s under 1 N rms: the first falls as the
@@ -58,7 +62,7 @@ class Precision:
     @property
     def best_rms_n(self) -> float:
         """The rms, N, at which the worst known of the three is known best; infinite for a tissue that does not bend."""
-        if not np.all(self.distortion > 0.0):
+        if not np.all(self.distortion > _LEAST):
             return float("inf")
         each = 0.5 * np.log(self.noise / self.distortion)  # log of the best power of each parameter
         if np.ptp(each) < 1e-9:
@@ -71,7 +75,7 @@ class Precision:
         return float(np.exp(0.5 * found.x))
 
 
-def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per_root_hz: float) -> Precision:
+def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per_root_hz: float) -> DesignPrecision:
     """How well a fit by output error will know the tissue, for noise that is flat up to a cut-off.
 
     The covariance of an unweighted least-squares fit under a residual that is not white, by its spectrum:
@@ -82,7 +86,22 @@ def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per
         tissue: about the load.
         cutoff_hz: where the flat spectrum of the force ends.
         force_noise_n_per_root_hz: one-sided density of the noise of the measured force.
+
+    Raises:
+        UnusableInputError: the numbers are so far apart that nothing can be predicted.
     """
+    with np.errstate(all="ignore"):
+        predicted = _predicted(tissue, cutoff_hz, force_noise_n_per_root_hz)
+    if not (np.all((predicted.noise > _LEAST) & (predicted.noise < _MOST)) and np.all(predicted.distortion < _MOST)):
+        raise UnusableInputError(
+            f"no test can be designed for a tissue of {tissue.mass_kg:g} kg, {tissue.damping_n_s_per_m:g} N s/m and "
+            f"{tissue.stiffness_n_per_m:g} N/m with {force_noise_n_per_root_hz:g} N of noise per root Hz and a cut-off "
+            f"of {cutoff_hz:g} Hz: it would answer to none, or to one of the three alone"
+        )
+    return predicted
+
+
+def _predicted(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per_root_hz: float) -> DesignPrecision:
     step = _REACH * cutoff_hz / _BINS
     frequency = step * np.arange(_BINS + 1)
     s: Complex = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
@@ -94,13 +113,16 @@ def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per
     bend = _density(_square_correlation(tissue, response, s, force, step), step)
 
     energy = step * np.einsum("if,jf,f->ij", slopes, slopes.conj(), force).real
-    inverse = np.linalg.inv(energy)
+    try:
+        inverse = np.linalg.inv(energy)
+    except np.linalg.LinAlgError:
+        inverse = np.full((3, 3), np.nan)
 
     def variances(residual: Array) -> Array:
         spread = np.einsum("if,jf,f->ij", slopes, slopes.conj(), force * np.abs(response) ** 2 * residual).real
         return np.asarray(np.diag(inverse @ (0.5 * step * spread) @ inverse), dtype=np.float64)
 
-    return Precision(noise=variances(noise), distortion=variances(bend))
+    return DesignPrecision(noise=variances(noise), distortion=variances(bend))
 
 
 def _square_correlation(tissue: LocalTissue, response: Complex, s: Complex, force: Array, step: float) -> Array:

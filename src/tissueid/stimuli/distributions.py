@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 
 DistributionName = Literal["gaussian", "uniform", "rayleigh", "exponential", "binary", "quantiles"]
 
+_NEAREST, _FARTHEST = 1e-300, 1e300
+"""Spans of quantiles that can be scaled to a range without leaving the numbers there are."""
+
 
 class Distribution(ABC):
     """A distribution of amplitudes over a range with ends."""
@@ -131,6 +134,11 @@ class Quantiles(Distribution):
             raise UnusableInputError("the values of quantiles must not fall: sort them")
         if not self.values[-1] > self.values[0]:
             raise UnusableInputError(f"all values of the quantiles are {self.values[0]:g}: give at least two")
+        if not _NEAREST <= self.values[-1] - self.values[0] <= _FARTHEST:
+            raise UnusableInputError(
+                f"the quantiles from {self.values[0]:g} to {self.values[-1]:g} are too near or too far to be scaled: "
+                "give values nearer 1"
+            )
         if not self.probabilities:
             return
         if len(self.probabilities) != len(self.values):

@@ -48,7 +48,8 @@ def detection_lines(odd: Lines, group: int, rng: np.random.Generator) -> Lines:
 
 def butterworth(frequency_hz: Array, cutoff_hz: float, order: int) -> Array:
     """Gain (n,) of a Butterworth low-pass."""
-    return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / cutoff_hz) ** (2 * order)), dtype=np.float64)
+    with np.errstate(over="ignore"):  # a gain too small for a number is 0
+        return np.asarray(1.0 / np.sqrt(1.0 + (frequency_hz / cutoff_hz) ** (2 * order)), dtype=np.float64)
 
 
 def best_of_random(lines: Lines, amplitudes: Array, period: int, draws: int, rng: np.random.Generator) -> Array:

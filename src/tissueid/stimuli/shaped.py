@@ -65,7 +65,20 @@ class Shaped(Ranged):
         self.check_size()
         self.wanted_distribution()
         self.wanted_spectrum().check(self.sample_rate)
+        self._check_power()
         return self
+
+    def _check_power(self) -> None:
+        """Refuse a spectrum that leaves a record of this length without any variation, or is no number."""
+        if self.spectrum == "butterworth":
+            return
+        with np.errstate(all="ignore"):
+            total = float(np.sum(self.wanted_spectrum().power(self.samples, self.sample_rate)[1:]))
+        if not np.finfo(np.float64).tiny <= total < np.inf:
+            raise UnusableInputError(
+                f"the spectrum has no power at any multiple of {self.sample_rate / self.samples:.3g} Hz, which is what "
+                f"{self.seconds:g} s can hold: ask for a wider one, or for a longer stimulus"
+            )
 
     @property
     def samples(self) -> int:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
+from tissueid.stimuli.base import MOST_SAMPLES
 
 Array = NDArray[np.float64]
 
@@ -25,11 +26,19 @@ SpectrumName = Literal["butterworth", "white", "band", "exponential", "second_or
 UNREACHABLE = 1e-5
 """Least error, a sum of squares over all lags, that still passes for the rounding of a table to three digits."""
 
-MOST_LAGS = 5_000_000
-"""How far a table of an autocorrelation may reach, samples: as far as the longest stimulus."""
+_GRID, _MOST_GRID = 1 << 16, 1 << 24
+"""Samples whose frequencies a filter's power is summed on, least and most: its response must have died away by then."""
 
-_GRID = 1 << 16
-"""Frequencies on which a filter's power is summed, at least: its response must have died away over as many samples."""
+_GRID_CYCLES = 100
+"""Periods of the cut-off frequency, for each order of the filter, after which its response counts as gone."""
+
+_PIECE = 1 << 16
+"""Frequencies at which a filter's gain is worked out at a time: what lies between takes many times its room."""
+
+_SETTLING_CYCLES = 40
+"""Periods of the cut-off frequency after which the start of a low-pass has died away."""
+
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 class Spectrum(ABC):
@@ -57,6 +66,36 @@ def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> Non
         raise UnusableInputError(
             f"{what} of {frequency_hz:g} Hz needs more than {2 * frequency_hz:g} samples a second, "
             f"not {sample_rate_hz:g}"
+        )
+
+
+def settling(cutoff_hz: float, sample_rate_hz: float) -> int:
+    """Samples after which the start of a low-pass has died away."""
+    return int(np.ceil(_SETTLING_CYCLES * sample_rate_hz / cutoff_hz))
+
+
+def check_settling(cutoff_hz: float, sample_rate_hz: float, grid_cycles: float = 0.0) -> None:
+    """Refuse a low-pass that takes longer to settle than any stimulus lasts.
+
+    Args:
+        cutoff_hz: of the low-pass.
+        sample_rate_hz: of the stimulus.
+        grid_cycles: periods of the cut-off frequency that its power is summed over, 0 where it is not.
+
+    Raises:
+        UnusableInputError: it does, or its sum would have too many terms; the line says the least cut-off.
+    """
+    settled, summed = (sample_rate_hz * share for share in (_SETTLING_CYCLES / MOST_SAMPLES, grid_cycles / _MOST_GRID))
+    least = max(settled, summed)
+    if cutoff_hz < least:
+        reason = (
+            f"the filter would take more than {MOST_SAMPLES:.3g} samples to settle"
+            if cutoff_hz < settled
+            else f"its power would have to be summed over more than {_MOST_GRID:.3g} samples"
+        )
+        raise UnusableInputError(
+            f"a cut-off of {cutoff_hz:g} Hz is too low at {sample_rate_hz:g} samples a second: {reason}; "
+            f"{1.005 * least:.3g} Hz is about the least"
         )
 
 
@@ -88,8 +127,9 @@ class Butterworth(Spectrum):
     order: int = 8
 
     def check(self, sample_rate_hz: float) -> None:
-        """The cut-off lies below half the sample rate."""
+        """The cut-off lies below half the sample rate, and the filter settles within a stimulus."""
         _below_nyquist("a cut-off", self.cutoff_hz, sample_rate_hz)
+        check_settling(self.cutoff_hz, sample_rate_hz, _GRID_CYCLES * self.order)
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
         """Sum of the filter's power over so many frequencies that its response has died away between repeats."""
@@ -102,14 +142,17 @@ class Butterworth(Spectrum):
 
     def _fine(self, lags: int, sample_rate_hz: float) -> tuple[Array, int]:
         """Gain of power on a grid that resolves it, and the number of samples that the grid belongs to."""
-        periods = 100.0 * self.order * sample_rate_hz / self.cutoff_hz
-        n = max(_GRID, 1 << int(np.ceil(np.log2(max(periods, 4.0 * lags + 4.0)))))
+        samples = _GRID_CYCLES * self.order * sample_rate_hz / self.cutoff_hz
+        n = max(_GRID, 1 << int(np.ceil(np.log2(max(samples, 4.0 * lags + 4.0)))))
         return self._gain(n, sample_rate_hz), n
 
     def _gain(self, n: int, sample_rate_hz: float) -> Array:
         low_pass = signal.butter(self.order, self.cutoff_hz, fs=sample_rate_hz, output="sos")
-        _, response = signal.sosfreqz(low_pass, _frequencies(n, sample_rate_hz), fs=sample_rate_hz)
-        return np.asarray(np.abs(response) ** 2, dtype=np.float64)
+        gain = _frequencies(n, sample_rate_hz)
+        for first in range(0, gain.size, _PIECE):
+            piece = gain[first : first + _PIECE]
+            piece[:] = np.abs(signal.sosfreqz(low_pass, piece, fs=sample_rate_hz)[1]) ** 2
+        return gain
 
 
 @dataclass(frozen=True)
@@ -139,7 +182,13 @@ class ExponentialDecay(Spectrum):
     time_constant_s: float
 
     def check(self, sample_rate_hz: float) -> None:
-        """Every time constant will do."""
+        """The correlation is lost within a stimulus, and reaches over some small part of a sample at least."""
+        samples = self.time_constant_s * sample_rate_hz
+        if not 1e-3 <= samples <= MOST_SAMPLES:
+            raise UnusableInputError(
+                f"a time constant of {self.time_constant_s:g} s is {samples:.3g} samples: it must be 0.001 to "
+                f"{MOST_SAMPLES:.3g}; at its short end the spectrum is white"
+            )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
         """One more factor for every lag."""
@@ -158,8 +207,14 @@ class SecondOrder(Spectrum):
     damping: float
 
     def check(self, sample_rate_hz: float) -> None:
-        """The natural frequency lies below half the sample rate."""
+        """The natural frequency lies below half the sample rate, and the oscillation dies away within a stimulus."""
         _below_nyquist("a natural frequency", self.natural_hz, sample_rate_hz)
+        least = sample_rate_hz / (2.0 * np.pi * self.damping * MOST_SAMPLES)
+        if self.natural_hz < least:
+            raise UnusableInputError(
+                f"an oscillation of {self.natural_hz:g} Hz with a damping of {self.damping:g} takes longer to die away "
+                f"than any stimulus lasts; at that damping {1.005 * least:.3g} Hz is about the least"
+            )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
         """Real part of a complex factor for every lag."""
@@ -202,11 +257,19 @@ class PowerTable(Spectrum):
             )
         if max(self.densities) == 0.0:
             raise UnusableInputError("the power spectrum has no power at any frequency")
+        f, s = np.array(self.frequencies_hz), np.array(self.densities)
+        with np.errstate(all="ignore"):
+            total, slopes = float(np.trapezoid(s, f)), np.diff(s) / np.diff(f)
+        if not (_TINY <= total < np.inf and np.all(np.isfinite(slopes))):
+            raise UnusableInputError(
+                f"the power spectrum adds up to {total:g}, or is steeper than a number can say: "
+                "give densities nearer 1, and frequencies further apart"
+            )
 
     def check(self, sample_rate_hz: float) -> None:
         """No power at or above half the sample rate."""
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
-        highest = f[min(int(np.flatnonzero(s)[-1]) + 1, f.size - 1)]
+        highest = float(f[min(int(np.flatnonzero(s)[-1]) + 1, f.size - 1)])
         if highest > 0.5 * sample_rate_hz:
             raise UnusableInputError(
                 f"a power spectrum up to {highest:g} Hz needs at least {2 * highest:g} samples a second, "
@@ -261,12 +324,13 @@ class AutocorrelationTable(Spectrum):
 
     def check(self, sample_rate_hz: float) -> None:
         """Its spectrum is negative nowhere: an autocorrelation is positive semidefinite."""
-        reach = self._reach(sample_rate_hz)
-        if reach > MOST_LAGS:
+        samples = self.lags_s[-1] * sample_rate_hz
+        if samples > MOST_SAMPLES:
             raise UnusableInputError(
-                f"the table of the autocorrelation reaches {reach:.3g} samples, and {MOST_LAGS:.3g} is the most: "
+                f"the table of the autocorrelation reaches {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
                 "give its lags in seconds"
             )
+        reach = self._reach(sample_rate_hz)
         n = max(8192, 1 << int(np.ceil(np.log2(4.0 * reach + 4.0))))
         density = self._density(n, sample_rate_hz)
         # A signal's power is nowhere negative, so by Parseval half the mean square of what lies below 0 is the least

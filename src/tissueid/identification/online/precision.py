@@ -47,30 +47,23 @@ class Precision:
         }
 
 
-def precision(
-    record: Record,
-    memory: float = 0.125,
-    hold: Hold = "band-limited",
-    start: SecondOrderFit | None = None,
-) -> Precision:
+def precision(record: Record, memory: float = 0.125, hold: Hold = "band-limited") -> Precision:
     """Fit the second-order system to all of a record, as ``lms`` does, and say how well it is known.
 
     The standard deviations carry the dependence of neighbouring residuals and hold when the residual is what a
-    nonlinear tissue does beyond the line (:func:`fit_second_order`). ``start`` is where an earlier look at a shorter
-    part of the same record ended. It halves the time; the answer may differ from that without it by about a hundredth
-    of a standard deviation, which is how sharply the search for the minimum ends.
+    nonlinear tissue does beyond the line (:func:`fit_second_order`). Every look searches afresh: begun where an earlier
+    look ended, the search can stay in a minimum that the record has long contradicted, and be sure of it.
 
     Args:
         record: force and position so far, without the preload.
         memory: seconds; as many at the start and after each gap are not fitted.
         hold: what the input does between samples.
-        start: the fit of an earlier look.
 
     Raises:
         UnusableInputError: nothing varies yet, or the record is shorter than its memory.
     """
     prepared = prepare(record, None, memory, len(PARAMETERS))
-    fitted = fit_second_order(record, prepared.used, hold, start=start)
+    fitted = fit_second_order(record, prepared.used, hold)
     return Precision(len(record) / record.sample_rate_hz, fitted, _relative(fitted))
 
 

@@ -11,8 +11,9 @@ from pydantic import Field, model_validator
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 from tissueid.stimuli.base import OpenLoopKind, Stimulus, stimulus
-from tissueid.stimuli.design import LocalTissue, Precision, predicted_precision
+from tissueid.stimuli.design import DesignPrecision, LocalTissue, predicted_precision
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.spectra import Butterworth
 
 _GROWTH_PER_M = 1000.0
 """Growth of log K with depth where no test has told it: e-fold in a millimetre, skin under some newtons."""
@@ -68,6 +69,7 @@ class Designed(OpenLoopKind):
                 f"the load of {self.load_n:g} N must lie between the least and the greatest force, "
                 f"{self.force_min_n:g} and {self.force_max_n:g} N"
             )
+        Butterworth(self.cutoff_hz).check(self.sample_rate)
         self._noise()
         return self
 
@@ -109,7 +111,7 @@ class Designed(OpenLoopKind):
         )
 
     @property
-    def precision(self) -> Precision:
+    def precision(self) -> DesignPrecision:
         """What a fit will know of such a tissue."""
         return predicted_precision(self.tissue, self.cutoff_hz, self.force_noise_n_per_root_hz)
 

@@ -64,13 +64,17 @@ class Multisine(Ranged):
         None, ge=2, le=100, description=f"odd_random: of so many odd lines one is a detection line; {_USUAL_GROUP}"
     )
     lines_seed: int = Field(0, ge=0, le=2**63 - 1, description="odd_random: the same seed gives the same lines")
-    notches: tuple[tuple[float, float], ...] = Field((), description="Bands (low, high) that are left out, Hz")
+    notches: tuple[tuple[float, float], ...] = Field(
+        (), max_length=1000, description="Bands (low, high) that are left out, Hz"
+    )
     spectrum: Literal["flat", "butterworth", "power_law", "table"] = Field("flat", description="Amplitude of the lines")
     cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description="butterworth: cut-off frequency, Hz")
     order: int = Field(2, ge=1, le=12, description="butterworth: order")
     exponent: float = Field(1.0, ge=-4.0, le=4.0, description="power_law: the amplitude goes as 1 / frequency to this")
     table: tuple[tuple[float, float], ...] = Field(
-        (), description="table: (frequency in Hz, relative amplitude), straight between, level beyond the ends"
+        (),
+        max_length=10_000,
+        description="table: (frequency in Hz, relative amplitude), straight between, level beyond the ends",
     )
     phases: Literal["low_crest", "schroeder", "random"] = Field("low_crest", description="Phases of the lines")
     draws: int = Field(2, ge=1, le=100, description="Random sets of phases that are tried; the best is kept")
@@ -234,6 +238,13 @@ class Multisine(Ranged):
                 f"a multisine needs two lines or more, and {band} leaves {candidates.size or 'no'} {which}{left}: "
                 "widen the band, or take a longer period"
             )
+        with np.errstate(over="ignore", under="ignore"):
+            power = float(np.sum(self._relative(self._frequency(candidates)) ** 2))
+        if not np.finfo(np.float64).tiny <= power < np.inf:
+            raise UnusableInputError(
+                f"the power of the lines adds up to {power:g}, which is no amount to scale: "
+                "give amplitudes nearer 1, or a higher cut-off"
+            )
         group = self.group or _USUAL_GROUP
         if self.lines == "odd_random" and candidates.size < max(group, 3):
             raise UnusableInputError(
@@ -248,8 +259,7 @@ def played_multisine(description: Mapping[str, Any]) -> Multisine | None:
     Raises:
         UnusableInputError: it says that it is one, and its options do not hold.
     """
-    fields = dict(description)
+    inner = description.get("stimulus") if description.get("type") == GUIDED else description
+    fields = dict(inner) if isinstance(inner, Mapping) else {}
     kind = fields.pop("type", None)
-    if kind == GUIDED and isinstance(inner := fields.get("stimulus"), Mapping):
-        return played_multisine(inner)
     return Multisine.from_options(fields) if kind == Multisine.name and "period_samples" in fields else None

@@ -10,10 +10,8 @@ from scipy import fft, signal
 
 from tissueid.stimuli.base import Array, Stimulus, stimulus
 from tissueid.stimuli.shaped import Shaped
+from tissueid.stimuli.spectra import settling
 from tissueid.stimuli.surrogate import mean_crossing, spectral_surrogate
-
-_SETTLE_CYCLES = 40
-"""Periods of the cut-off frequency after which the start of the filter has died away."""
 
 
 @stimulus
@@ -50,7 +48,7 @@ class Noise(Shaped):
     def _filtered(self) -> Array:
         """Gaussian noise (n,) through the low-pass, which has settled; begins where it crosses zero."""
         n = self.samples
-        settle = int(np.ceil(_SETTLE_CYCLES * self.sample_rate / self.cutoff_hz))
+        settle = settling(self.cutoff_hz, self.sample_rate)
         white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(n + 2 * settle)
         low_pass = signal.butter(self.order, self.cutoff_hz, fs=self.sample_rate, output="sos")
         filtered = signal.sosfilt(low_pass, white)[settle:]  # (n + settle,)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -19,6 +20,7 @@ from tissueid.stimuli.rtig.source import RtigSource, Setup
 from tissueid.stimuli.rtig.static_map import StaticMap
 from tissueid.stimuli.rtig.stochastic import StochasticStream
 from tissueid.stimuli.rtig.sweep import Sweep
+from tissueid.stimuli.spectra import check_settling
 
 _PRELOAD = 0.1
 """Of the range of force, from its least pushing force on: a gentle load, which a soft tissue bears too."""
@@ -95,6 +97,7 @@ class Rtig(FeedbackKind):
                 f"a cut-off of {self.cutoff_hz:g} Hz needs more than {2 * self.cutoff_hz:g} samples a second, "
                 f"not {self.sample_rate:g}"
             )
+        check_settling(self.cutoff_hz, self.sample_rate)
         samples = round(self.seconds * self.sample_rate)
         if samples > MOST_SAMPLES:
             raise UnusableInputError(
@@ -104,6 +107,8 @@ class Rtig(FeedbackKind):
             raise UnusableInputError(f"{self.seconds:g} s at {self.sample_rate:g} Hz is less than one block of {BLOCK}")
         if self.distribution == "table" and not (len(self.table) > 1 and min(self.table) >= 0.0 < max(self.table)):
             raise UnusableInputError("a table of the desired distribution needs two entries or more, none negative")
+        if self.table and not math.isfinite(sum(self.table)):
+            raise UnusableInputError("the table of the desired distribution has no sum: give smaller numbers")
         if self.table and self.distribution != "table":
             raise UnusableInputError("a table of the desired distribution goes with distribution 'table'")
         return self

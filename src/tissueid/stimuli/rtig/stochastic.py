@@ -8,6 +8,7 @@ import numpy as np
 from scipy import signal, special
 
 from tissueid.stimuli.base import Array
+from tissueid.stimuli.spectra import settling
 
 Shape = Literal["uniform", "gaussian"]
 
@@ -26,7 +27,7 @@ class StochasticStream:
         self._shape = shape
         self._random = np.random.Generator(np.random.PCG64(seed))
         self._low_pass = signal.butter(order, cutoff_hz, fs=sample_rate, output="sos")
-        settle = int(np.ceil(40.0 * sample_rate / cutoff_hz))
+        settle = settling(cutoff_hz, sample_rate)
         impulse = np.zeros(settle)
         impulse[0] = 1.0
         self._spread = float(np.linalg.norm(signal.sosfilt(self._low_pass, impulse)))
