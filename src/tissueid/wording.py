@@ -32,7 +32,9 @@ _UNITS = {
 """SI unit: what people read, and how much of it one SI unit is. A unit that is not here is shown as it is."""
 
 _SUFFIXES = {
+    "n_s2_per_m2": "N s²/m²",
     "n_s_per_m2": "N s/m²",
+    "n_per_root_hz": "N/√Hz",
     "n_per_m2": "N/m²",
     "kg_per_m": "kg/m",
     "n_s_per_m": "N s/m",

@@ -66,6 +66,10 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
 
 
+_TOLD_ELSEWHERE = ("events", "samples_lost", "stimulus_report")
+"""Notes of a test that have a row of their own, or are data for programs."""
+
+
 def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
     """Every parameter of every engine with its standard deviation; None when no engine has any."""
     names = list(dict.fromkeys(name for a in analyses.values() for name in a.model.report.parameters))
@@ -235,7 +239,7 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
     if force.size:
         rows.append(("Force reached", f"{fixed(float(force.min()), 1)} to {fixed(float(force.max()), 1)} N"))
     rows.append(("Samples not received", f"{lost} ({100 * lost / test.samples:.2f} %)" if lost else "none"))
-    rows += [named_value(name, value) for name, value in test.notes.items() if name not in ("events", "samples_lost")]
+    rows += [named_value(name, value) for name, value in test.notes.items() if name not in _TOLD_ELSEWHERE]
     rows.append(("Events", "; ".join(_events(test.notes.get("events", ""))) or "none"))
     return tuple(rows)
 
