@@ -84,6 +84,24 @@ def test_people_get_a_table_and_a_recommendation(session_file: Path, capsys: pyt
     assert re.search(r"wiener +(9\d|100)\.\d +(9\d|100)\.\d", printed)
 
 
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ("odd_random", r"relative to it: noise −\d+\.\d dB, even −\d+\.\d dB, odd"),
+        ("full", "not known: the multisine drove"),
+    ],
+)
+def test_a_multisine_tells_noise_and_distortion(
+    lines: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    path = tmp_path / "multisine.h5"
+    options = ["--stimulus", "multisine", "--option", f"lines={lines}", "--option", "phases=schroeder"]
+    assert main(["test", "--device", "simulated://forearm", "--site", "forearm", "--out", str(path), *options]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(path), "--engines", "lms"]) == 0
+    assert re.search(told, " ".join(capsys.readouterr().out.split()))
+
+
 def test_an_engine_that_refuses_costs_no_other(session_file: Path, capsys: pytest.CaptureFixture[str]):
     arguments = ("compare", session_file, "--engines", "lms,spectral", "--option", "spectral.window=0.05")
     found = answer(capsys, *arguments)

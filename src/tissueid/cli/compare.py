@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
+from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
 from tissueid.cli.identify import identify_answer, parse_options
 from tissueid.cli.output import check_json, check_output, people_read, progress_bars, table, write_json
 from tissueid.errors import UnusableInputError
@@ -57,12 +58,27 @@ def run_compare(
         found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
         _draw(session, found, out, figures, show)
     _tell(found, no_ceiling, people_read(json_file))
+    if told := _distortion(session, found):
+        people_read(json_file).print(told, markup=False)
     if json_file is not None:
         write_json(json_file, compare_answer(found))
     if out is not None:
         people_read(json_file).print(f"report: {out}", markup=False)
     if figures is not None:
         people_read(json_file).print(f"figures: {figures}", markup=False)
+
+
+def _distortion(session: Session, found: EngineComparison) -> str:
+    """Noise and distortion of a multisine in a line; empty for any other stimulus."""
+    test = session.test(found.split.tests[0])
+    if not is_multisine(test.stimulus):
+        return ""
+    record = found.split.record
+    try:
+        said = levels_in_words(distortion_of(test.record(record.input_name, record.output_name), test.stimulus))
+    except UnusableInputError as error:
+        return f"Noise and distortion of the multisine are not known: {error}."
+    return f"Noise, even and odd nonlinearity of the multisine's output, relative to it: {said}." if said else ""
 
 
 def _check_writable(folder: Path | None) -> None:

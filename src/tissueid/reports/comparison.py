@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
-from tissueid.errors import UnusableInputError
+from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
 from tissueid.identification.base import Model
-from tissueid.identification.validation.distortion import Distortion, distortion
-from tissueid.records import Record
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.comparison_figures import (
     depth_profiles,
@@ -31,7 +28,6 @@ from tissueid.reports.record_pictures import distributions_picture, power_pictur
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
-from tissueid.stimuli.kinds.multisine import played_multisine
 from tissueid.wording import engine_label, fixed
 
 Progress = Callable[[str, float], None]
@@ -167,19 +163,15 @@ def _recorded(material: Material, found: EngineComparison) -> Section:
 def _distortion(material: Material) -> Picture:
     """Noise, even and odd distortion, where the stimulus was a multisine."""
     test, analysis = material.test, material.any
-    if analysis is None or "multisine" not in str(test.stimulus).lower():
+    if analysis is None or not is_multisine(test.stimulus):
         return absent("distortion", _DISTORTION, "the stimulus was not an odd random-phase multisine")
     names = analysis.record.input_name, analysis.record.output_name
 
     def make() -> tuple[Figure, str]:
         record = test.record(*names)
-        levels = _separated(record, test.stimulus)
-        said = [
-            f"{what} {fixed(decibel, 1)} dB"
-            for what, level in (("noise", levels.noise_rms), ("even", levels.even_rms), ("odd", levels.odd_rms))
-            if (decibel := levels.relative_db(level)) is not None
-        ]
-        told = f" Relative to the output: {', '.join(said)}." if said else ""
+        levels = distortion_of(record, test.stimulus)
+        said = levels_in_words(levels)
+        told = f" Relative to the output: {said}." if said else ""
         found = "".join(f" {text[:1].upper()}{text[1:]}." for text in levels.findings)
         return distortion_figure(levels, record), (
             "Lines that were not driven should hold noise alone in a linear system. What stands on even lines is even "
@@ -189,16 +181,6 @@ def _distortion(material: Material) -> Picture:
 
     alt = "Levels of the output against frequency: at driven lines, at odd and even lines between, and the noise."
     return picture("distortion", _DISTORTION, alt, make)
-
-
-def _separated(record: Record, described: Mapping[str, Any]) -> Distortion:
-    """Noise and distortion by the lines that the stimulus says it drove; they are found where it does not say."""
-    known = played_multisine(described)
-    if known is None:
-        return distortion(record)
-    if known.lines == "full":
-        raise UnusableInputError("the multisine drove every line, and distortion shows on lines that are not driven")
-    return distortion(record, known.period, known.driven_lines().tolist(), known.settling_s)
 
 
 def _of_engine(subject: Subject[Model]) -> Section:
