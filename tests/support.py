@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
-from tissueid.acquisition import Progress
+from tissueid.acquisition import Progress, SessionRecorder, journal_path
 from tissueid.errors import FirmwareFaultError, LinkLostError
 from tissueid.instrument import SerialInstrument
 
@@ -89,5 +91,17 @@ def halfway(instrument: SerialInstrument, mishap: Callable[[LoopbackLink], None]
     def progress(item: Progress) -> None:
         if item.fraction > 0.5 and pending:
             pending.pop()(instrument._link)
+
+    return progress
+
+
+def left_by_a_power_cut(recorder: SessionRecorder, session: Path) -> Callable[[Progress], None]:
+    """A test's ``progress`` that keeps what is on the disk when most of it is over, as the journal of ``session``."""
+    left = journal_path(session)
+
+    def progress(item: Progress) -> None:
+        if item.fraction > 0.6 and not left.exists():
+            recorder._journal.sync()
+            shutil.copyfile(journal_path(recorder.path), left)
 
     return progress

@@ -1,15 +1,14 @@
 """Feedback stimuli on every kind of instrument: what the source sees, what is played, and what mishaps leave."""
 
 import json
-import shutil
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from feedback_kinds import PushBack, PushBackSource, Runaway
-from support import MISHAPS, connect, halfway
+from support import MISHAPS, connect, halfway, left_by_a_power_cut
 
-from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, journal_path, recover, run_guided_test
+from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
 from tissueid.errors import (
     CancelledError,
     FirmwareFaultError,
@@ -275,14 +274,8 @@ def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
 
-    left = journal_path(tmp_path / "left.h5")
-
-    def progress(item):
-        if item.fraction > 0.6 and not left.exists():
-            recorder._journal.sync()
-            shutil.copyfile(journal_path(tmp_path / "s.h5"), left)  # what a power cut would leave here
-
-    run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
+    power_cut = left_by_a_power_cut(recorder, tmp_path / "left.h5")
+    run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=power_cut)
     recorder.abandon()
     _, session = recover(tmp_path / "left.h5")
     assert session.test().status == "recovered"

@@ -1,13 +1,12 @@
 """The guided test on every kind of instrument, and what is kept when it ends early."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
-from support import MISHAPS, connect, halfway
+from support import MISHAPS, connect, halfway, left_by_a_power_cut
 
-from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, journal_path, recover, run_guided_test
+from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.errors import (
     CancelledError,
@@ -132,15 +131,8 @@ def test_gaps_are_told_in_the_session(tmp_path):
 def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-
-    left = journal_path(tmp_path / "left.h5")
-
-    def progress(item):
-        if item.fraction > 0.6 and not left.exists():
-            recorder._journal.sync()
-            shutil.copyfile(journal_path(tmp_path / "s.h5"), left)  # what a power cut would leave here
-
-    run_guided_test(instrument, guided(2.0), recorder, surface_m=0.01, progress=progress)
+    power_cut = left_by_a_power_cut(recorder, tmp_path / "left.h5")
+    run_guided_test(instrument, guided(2.0), recorder, surface_m=0.01, progress=power_cut)
     recorder.abandon()
     _, session = recover(tmp_path / "left.h5")
     assert session.test().status == "recovered"

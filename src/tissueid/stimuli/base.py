@@ -86,6 +86,18 @@ class StimulusKind(BaseModel, ABC):
         return {"type": self.name} | self.model_dump(mode="json")
 
 
+def check_rising(what: str, least: float, greatest: float, unit: str) -> None:
+    """Refuse a range of ``what`` that is upside down or empty.
+
+    Raises:
+        UnusableInputError: the least is not below the greatest.
+    """
+    if least >= greatest:
+        raise UnusableInputError(
+            f"the least {what} ({least:g} {unit}) must be below the greatest ({greatest:g} {unit})"
+        )
+
+
 class OpenLoopKind(StimulusKind):
     """A stimulus that is known before the test."""
 
@@ -127,9 +139,7 @@ class Ranged(OpenLoopKind):
         if (self.voltage_min_v is None) != (self.voltage_max_v is None):
             raise UnusableInputError("a range of voltage needs both its ends, voltage_min_v and voltage_max_v")
         low, high, unit = self.span
-        if low >= high:
-            what = "force" if unit == "N" else "voltage"
-            raise UnusableInputError(f"the least {what} ({low:g} {unit}) must be below the greatest ({high:g} {unit})")
+        check_rising("force" if unit == "N" else "voltage", low, high, unit)
         if high - low < LEAST_SPAN:
             raise UnusableInputError(
                 f"the range from {low:g} to {high:g} {unit} is narrower than {LEAST_SPAN:g} {unit}: widen it"

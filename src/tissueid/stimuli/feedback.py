@@ -7,11 +7,11 @@ of a running test is the one thing here that changes; its specification is froze
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from tissueid.stimuli.base import Array, StimulusKind
+from tissueid.stimuli.base import Array, StimulusKind, check_rising
 
 BLOCK = 50
 """Samples in a block of set-points: 25 ms at 2 kHz, the thesis' feedback cycle (6.3.1)."""
@@ -45,6 +45,11 @@ class FeedbackKind(StimulusKind):
     lead: int = Field(3, ge=1, le=20, description="Blocks by which the set-points are ahead of what was measured")
     force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description="Least force that is ever asked for, N")
     force_max_n: float = Field(10.0, ge=-100.0, le=100.0, description="Greatest force that is ever asked for, N")
+
+    @model_validator(mode="after")
+    def _range_holds(self) -> Self:
+        check_rising("force", self.force_min_n, self.force_max_n, "N")
+        return self
 
     @property
     @abstractmethod

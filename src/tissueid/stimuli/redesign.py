@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tissueid.errors import UnusableInputError
 from tissueid.options import refused
-from tissueid.stimuli.base import Array, guided
+from tissueid.stimuli.base import Array, check_rising, guided
 from tissueid.stimuli.distributions import kolmogorov_distance
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -56,15 +56,8 @@ class DepthDesign(BaseModel):
 
     @model_validator(mode="after")
     def _ranges_hold(self) -> Self:
-        if self.depth_min_m >= self.depth_max_m:
-            raise UnusableInputError(
-                f"the least depth ({1e3 * self.depth_min_m:g} mm) must be below the greatest "
-                f"({1e3 * self.depth_max_m:g} mm)"
-            )
-        if self.force_min_n >= self.force_max_n:
-            raise UnusableInputError(
-                f"the least force ({self.force_min_n:g} N) must be below the greatest ({self.force_max_n:g} N)"
-            )
+        check_rising("depth", 1e3 * self.depth_min_m, 1e3 * self.depth_max_m, "mm")
+        check_rising("force", self.force_min_n, self.force_max_n, "N")
         return self
 
     @classmethod

@@ -83,10 +83,6 @@ class Rtig(FeedbackKind):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.force_min_n >= self.force_max_n:
-            raise UnusableInputError(
-                f"the least force ({self.force_min_n:g} N) must be below the greatest ({self.force_max_n:g} N)"
-            )
         if self.depth_max_m - self.depth_min_m < _LEAST_RANGE_M:
             raise UnusableInputError(
                 f"the greatest depth ({1e3 * self.depth_max_m:g} mm) must be {1e3 * _LEAST_RANGE_M:g} mm or more "
