@@ -40,6 +40,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--preset", help="tissue under the probe; see --list")
     parser.add_argument("--seed", type=int, help="seed of the sensor noise")
     parser.add_argument("--speed", type=float, help="device seconds per second, 1 is real time")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="samples a second, 500 to 10000; 2000 by default")
     parser.add_argument("--serial-number", dest="serial_number")
     parser.add_argument("--list", action="store_true", help="list the presets and leave")
     parser.add_argument(
@@ -64,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             seed=options.seed,
             speed=options.speed,
             serial_number=options.serial_number,
+            sample_rate_hz=options.rate,
         )
         if options.local_values is not None:
             from firmware_sim.local_values import local_values
@@ -78,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _serve(scenario: Scenario, tcp_port: int | None) -> int:
     print("preparing the plant (compiled on first use) ...", file=sys.stderr, flush=True)
-    bench = Bench(scenario.preset, seed=scenario.seed)
+    bench = Bench(scenario.preset, seed=scenario.seed, sample_rate_hz=scenario.sample_rate_hz)
     bench.warm_up()
     # A full collection looks at all that numba left behind, for 60 ms: a device has no such pauses.
     gc.collect()

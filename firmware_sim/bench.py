@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.converters import CHANNELS, Channel, Converters
-from firmware_sim.plant import STANDARD_GRAVITY, Plant, PlantParameters
+from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import DEFAULT, load_preset
 from firmware_sim.tissue import Tissue
 
 FRAME_MASS_KG = 5.0
 """Mass that takes the coil's reaction: the desktop frame, an estimate."""
+
+LEAST_SUBSTEPS = 3
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,13 @@ class Bench:
         parameters: PlantParameters | None = None,
         tilt_deg: float = 0.0,
         surface_m: float | None = None,
+        sample_rate_hz: float = SAMPLE_RATE_HZ,
     ) -> None:
         chosen = load_preset(tissue) if isinstance(tissue, str) else tissue
         self.tissue = chosen if surface_m is None else replace(chosen, surface_m=surface_m)
         self.seed = seed
+        self.sample_rate_hz = sample_rate_hz
+        self._substeps = max(LEAST_SUBSTEPS, round(SUBSTEPS * SAMPLE_RATE_HZ / sample_rate_hz))
         self.button = False
         base = parameters or PlantParameters()
         self._along, self._across = cos(radians(tilt_deg)), sin(radians(tilt_deg))
@@ -67,7 +72,7 @@ class Bench:
 
     def reset(self) -> None:
         """Back to rest with the coil released, button up, and the noise from its beginning."""
-        self.plant = Plant(self.parameters, self.tissue)
+        self.plant = Plant(self.parameters, self.tissue, sample_rate_hz=self.sample_rate_hz, substeps=self._substeps)
         self._converters = Converters(self.seed)
         self.button = False
 
@@ -86,7 +91,7 @@ class Bench:
         self.reset()
 
     def block(self, commands_volts: NDArray[np.float64], energised: bool) -> Block:
-        """Play commands, shape (n,), volts at 2 kHz, and convert what the sensors saw.
+        """Play commands, shape (n,), volts, one a sample, and convert what the sensors saw.
 
         While ``energised`` is false the coil is released: the commands are recorded and not played.
 

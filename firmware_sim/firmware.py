@@ -15,19 +15,19 @@ from firmware_sim.bench import Bench
 from firmware_sim.identity import Identity
 from firmware_sim.limits import MAX_RUN_S, ArmedLimits
 from firmware_sim.outbox import Outbox
-from firmware_sim.plant import SAMPLE_RATE_HZ
 from firmware_sim.setpoints import Setpoints
 from tissueid import wire
 from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
 
-SAMPLES_PER_FRAME = 20
+FRAME_S = 0.01
+"""How much of the stream a DATA frame carries."""
+
 WATCHDOG_S = 0.5
 HOST_SILENCE_S = 2.0
 """A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
 
 RELEASE_RAMP_S = 0.05
-_RAMP_SAMPLES = round(RELEASE_RAMP_S * SAMPLE_RATE_HZ)
-STIMULUS_CAPACITY = 240_000
+STIMULUS_CAPACITY_S = 120.0
 _SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
 
 
@@ -49,6 +49,10 @@ class Firmware:
         self.identity = identity or Identity()
         self.bench = bench
         self.watchdog_s = watchdog_s
+        self.sample_rate_hz = bench.sample_rate_hz
+        self.samples_per_frame = round(FRAME_S * self.sample_rate_hz)
+        self.stimulus_capacity = round(STIMULUS_CAPACITY_S * self.sample_rate_hz)
+        self._ramp_samples = round(RELEASE_RAMP_S * self.sample_rate_hz)
         self._random = np.random.default_rng([seed, 0xB007])
         self._channels = dict(zip(_SIGNALS, bench.channels, strict=True))
         self._power_up()
@@ -60,7 +64,7 @@ class Firmware:
         self.boot_id = int(self._random.integers(1, 2**32))
         self.sample_index = 0
         self._decoder = wire.FrameDecoder()
-        self._outbox = Outbox()
+        self._outbox = Outbox(self.sample_rate_hz)
         self._answers: OrderedDict[tuple[int, int], bytes] = OrderedDict()
         self._greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
@@ -68,7 +72,7 @@ class Firmware:
         self._stimulus = np.zeros(0, "<i2")
         self._stimulus_id = 0
         self._stimulus_crc = 0
-        self._setpoints = Setpoints()
+        self._setpoints = Setpoints(self.sample_rate_hz)
         self._held_samples = 0
         self._token: int | None = None
         self._armed: ArmedLimits | None = None
@@ -85,13 +89,13 @@ class Firmware:
     @property
     def samples_to_frame(self) -> int:
         """Samples still to be taken before the next DATA frame is whole."""
-        return SAMPLES_PER_FRAME - self._samples.size
+        return self.samples_per_frame - self._samples.size
 
     @property
     def samples_known(self) -> int:
         """Samples that can be played before a set-point is missing; a great many where none is asked for."""
         if self.state is not State.RUNNING or self._cursor >= self._length or not self._setpoints.samples:
-            return STIMULUS_CAPACITY
+            return self.stimulus_capacity
         return self._setpoints.next_missing(self._cursor) - self._cursor
 
     @property
@@ -156,8 +160,9 @@ class Firmware:
             self.bench.parameters,
             self._channels,
             boot_id=self.boot_id,
-            samples_per_frame=SAMPLES_PER_FRAME,
-            stimulus_capacity=STIMULUS_CAPACITY,
+            samples_per_frame=self.samples_per_frame,
+            sample_rate_hz=self.sample_rate_hz,
+            stimulus_capacity=self.stimulus_capacity,
             watchdog_s=self.watchdog_s,
         )
         self._send(MessageType.HELLO_ACK, answer)
@@ -202,8 +207,8 @@ class Firmware:
         request, _ = wire.unpack(wire.STIMULUS_BEGIN, payload)
         if self.state not in (State.IDLE, State.LOADED):
             return Result.BAD_STATE, 0
-        if not 0 < request["samples"] <= STIMULUS_CAPACITY:
-            return Result.TOO_LARGE, STIMULUS_CAPACITY
+        if not 0 < request["samples"] <= self.stimulus_capacity:
+            return Result.TOO_LARGE, self.stimulus_capacity
         self._stimulus = np.zeros(request["samples"], "<i2")
         self._stimulus_id, self._stimulus_crc = request["stimulus_id"], request["crc32"]
         self._setpoints.agree(0, 0.0)
@@ -236,7 +241,7 @@ class Firmware:
         request, _ = wire.unpack(wire.FOLLOW, payload)
         if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
             return Result.BAD_STATE, 0
-        room = round(MAX_RUN_S * SAMPLE_RATE_HZ) - self._stimulus.size
+        room = round(MAX_RUN_S * self.sample_rate_hz) - self._stimulus.size
         if request["samples"] > room:
             return Result.TOO_LARGE, max(0, room)
         hold_v = float(self._volts(np.array([request["hold_code"]], "<i2"))[0])
@@ -251,7 +256,9 @@ class Firmware:
         coil, length = self.bench.parameters, self._stimulus.size + self._setpoints.samples
         commands = np.append(self._volts(self._stimulus), self._setpoints.hold_v)
         if (
-            not limits.within(self.identity.max_force_n, self.identity.max_temperature_c, coil.stroke_m)
+            not limits.within(
+                self.identity.max_force_n, self.identity.max_temperature_c, coil.stroke_m, self.sample_rate_hz
+            )
             or length > limits.max_samples
             or not limits.permits(commands, coil)
         ):
@@ -320,10 +327,10 @@ class Firmware:
         """The device clock moves on by ``samples`` sample periods; the watchdog's clock reads ``now_s``."""
         self._check_watchdog(now_s)
         while samples > 0:
-            count = min(samples, SAMPLES_PER_FRAME - self._samples.size)
+            count = min(samples, self.samples_per_frame - self._samples.size)
             count = self._sample(count)
             samples -= count
-            if self._samples.size == SAMPLES_PER_FRAME:
+            if self._samples.size == self.samples_per_frame:
                 self._emit(now_s)
         if self.streaming and now_s - self._last_frame_s > HOST_SILENCE_S:
             self.streaming = False
@@ -340,7 +347,7 @@ class Firmware:
         fault = Fault.NONE
         if self._armed is not None and self.energised:
             # The release at the end is not counted against the samples that were agreed.
-            counted = self._cursor - _RAMP_SAMPLES
+            counted = self._cursor - self._ramp_samples
             first, fault = self._armed.first_violation(block, self._channels, self.bench.parameters, counted)
             if fault and first + 1 < command.size:
                 # The trip acts on the very next sample, so what came after it never happened.
@@ -372,7 +379,7 @@ class Firmware:
             self._trip(fault)
         elif self._setpoints.starved:
             self._trip(Fault.STARVED)
-        elif self._cursor >= self._length + _RAMP_SAMPLES:
+        elif self._cursor >= self._length + self._ramp_samples:
             self._disarm()
             self._enter(State.LOADED)
 
@@ -382,8 +389,8 @@ class Firmware:
             return np.zeros(count), np.zeros(count, np.uint16)
         if self._cursor >= self._length:
             done = self._cursor - self._length
-            count = min(count, _RAMP_SAMPLES - done)
-            weight = 1.0 - (done + 1.0 + np.arange(count)) / _RAMP_SAMPLES
+            count = min(count, self._ramp_samples - done)
+            weight = 1.0 - (done + 1.0 + np.arange(count)) / self._ramp_samples
             return self._present_v * weight, np.zeros(count, np.uint16)
         count = min(count, self._length - self._cursor)
         if self._cursor < self._stimulus.size:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from firmware_sim.converters import Channel
-from firmware_sim.plant import SAMPLE_RATE_HZ, PlantParameters
+from firmware_sim.plant import PlantParameters
 from tissueid import wire
 
 
@@ -31,6 +31,7 @@ class Identity:
         channels: dict[str, Channel],
         *,
         boot_id: int,
+        sample_rate_hz: float,
         samples_per_frame: int,
         stimulus_capacity: int,
         watchdog_s: float,
@@ -47,7 +48,7 @@ class Identity:
             firmware_version=self.firmware_version.encode(),
             model=self.model.encode(),
             serial_number=self.serial_number.encode(),
-            sample_rate_hz=SAMPLE_RATE_HZ,
+            sample_rate_hz=sample_rate_hz,
             watchdog_s=watchdog_s,
             max_force_n=self.max_force_n,
             max_temperature_c=self.max_temperature_c,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from firmware_sim.bench import Block
 from firmware_sim.converters import Channel
-from firmware_sim.plant import SAMPLE_RATE_HZ, PlantParameters
+from firmware_sim.plant import PlantParameters
 from tissueid.wire import Fault
 
 MAX_RUN_S = 90.0
@@ -35,7 +35,7 @@ class ArmedLimits:
     max_temperature_c: float
     max_samples: int
 
-    def within(self, max_force_n: float, max_temperature_c: float, stroke_m: float) -> bool:
+    def within(self, max_force_n: float, max_temperature_c: float, stroke_m: float, sample_rate_hz: float) -> bool:
         """Whether all of them are sound and none goes beyond the device's own."""
         figures = (self.max_force_n, self.min_position_m, self.max_position_m, self.max_temperature_c)
         return bool(
@@ -43,7 +43,7 @@ class ArmedLimits:
             and 0 < self.max_force_n <= max_force_n
             and 0 <= self.min_position_m < self.max_position_m <= stroke_m
             and self.max_temperature_c <= max_temperature_c
-            and 0 < self.max_samples <= MAX_RUN_S * SAMPLE_RATE_HZ
+            and 0 < self.max_samples <= MAX_RUN_S * sample_rate_hz
         )
 
     def permits(self, volts: NDArray[np.float64], coil: PlantParameters) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-from firmware_sim.plant import SAMPLE_RATE_HZ
 from tissueid import wire
 from tissueid.wire import Frame, MessageType
 
@@ -14,7 +13,8 @@ TRANSMIT_QUEUE_BYTES = 64 * 1024
 class Outbox:
     """Holds what fits. A host that does not read loses whole frames: ``dropped_frames`` counts them."""
 
-    def __init__(self) -> None:
+    def __init__(self, sample_rate_hz: float) -> None:
+        self._rate = sample_rate_hz
         self.dropped_frames = 0
         self._frames: deque[bytes] = deque()
         self._bytes = 0
@@ -22,7 +22,7 @@ class Outbox:
 
     def put(self, kind: MessageType, payload: bytes, index: int) -> None:
         """Queue a frame whose sample index is ``index``; a dropped one leaves a gap in the sequence numbers."""
-        frame = Frame(kind, self._sequence, round(index / SAMPLE_RATE_HZ * 1e6), index, payload)
+        frame = Frame(kind, self._sequence, round(index / self._rate * 1e6), index, payload)
         self._sequence = (self._sequence + 1) & 0xFFFF
         encoded = wire.encode_frame(frame)
         if self._bytes + len(encoded) > TRANSMIT_QUEUE_BYTES:

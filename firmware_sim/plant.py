@@ -88,7 +88,13 @@ class Plant:
     """
 
     def __init__(
-        self, parameters: PlantParameters, tissue: Tissue, *, substeps: int = SUBSTEPS, energised: bool = True
+        self,
+        parameters: PlantParameters,
+        tissue: Tissue,
+        *,
+        sample_rate_hz: float = SAMPLE_RATE_HZ,
+        substeps: int = SUBSTEPS,
+        energised: bool = True,
     ) -> None:
         if substeps < 1:
             raise ValueError(f"substeps must be 1 or more, not {substeps}")
@@ -96,13 +102,14 @@ class Plant:
         self.tissue = tissue
         self.energised = energised
         self.substeps = substeps
+        self._interval_s = 1.0 / sample_rate_hz
         self._plant = parameters.to_array()
         self._tissue = tissue.to_array()
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
         self.rest()
 
     def advance(self, voltage: NDArray[np.float64]) -> NDArray[np.void]:
-        """Play commands, shape (n,), volts at 2 kHz, and return a TRACE array, shape (n,).
+        """Play commands, shape (n,), volts, one a sample, and return a TRACE array, shape (n,).
 
         While ``energised`` is false the commands are ignored and the amplifier holds its terminals at 0 V: the
         current dies with L/R and the moving coil brakes itself.
@@ -116,7 +123,7 @@ class Plant:
         if not self.energised:
             commands = np.zeros_like(commands)
         out = np.empty((commands.size, kernel.OUT_COLUMNS))
-        kernel.advance(commands, self.state, self._plant, self._tissue, 1.0 / SAMPLE_RATE_HZ, self.substeps, out)
+        kernel.advance(commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps, out)
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:

@@ -4,24 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from firmware_sim.faults import PlannedFault
+from firmware_sim.plant import SAMPLE_RATE_HZ
 from firmware_sim.presets import DEFAULT, preset_names
-
-Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
-
-
-class PlannedFault(BaseModel):
-    """One thing that goes wrong, timed from the first START, in seconds of the device's clock."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    kind: Literal["reset", "stall", "unplug", "button"]
-    after_start_s: Seconds
-    seconds: Seconds = 2.0
-    """How long a stall lasts; the other kinds are for good."""
 
 
 class Scenario(BaseModel):
@@ -34,6 +23,7 @@ class Scenario(BaseModel):
     speed: Annotated[float, Field(gt=0, le=1000)] = 1.0
     """Device seconds per second; the watchdog's clock is never accelerated."""
     serial_number: Annotated[str, Field(pattern=r"^[\x20-\x7e]{1,16}$")] = "SIM-0001"
+    sample_rate_hz: Annotated[float, Field(ge=500, le=10_000)] = SAMPLE_RATE_HZ
     protocol: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 1)
     faults: tuple[PlannedFault, ...] = ()
 

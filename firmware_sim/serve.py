@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from firmware_sim.faults import PlannedFault
 from firmware_sim.firmware import Firmware
-from firmware_sim.plant import SAMPLE_RATE_HZ
-from firmware_sim.scenario import PlannedFault, Scenario
+from firmware_sim.scenario import Scenario
 from tissueid.wire import State
 
 TICK_S = 0.01
@@ -142,7 +142,7 @@ class Server:
     def __init__(self, firmware: Firmware, port: Port, scenario: Scenario) -> None:
         self._firmware = firmware
         self._port = port
-        self._rate = SAMPLE_RATE_HZ * scenario.speed
+        self._rate = firmware.sample_rate_hz * scenario.speed
         self._accelerated = scenario.speed > 1.0
         self._faults = sorted(scenario.faults, key=lambda fault: fault.after_start_s)
         self._samples = 0
@@ -204,7 +204,7 @@ class Server:
             self._first_start = self._samples
         if self._first_start is None:
             return
-        elapsed = (self._samples - self._first_start) / SAMPLE_RATE_HZ
+        elapsed = (self._samples - self._first_start) / self._firmware.sample_rate_hz
         while self._faults and self._faults[0].after_start_s <= elapsed:
             self._happen(self._faults.pop(0), now)
 

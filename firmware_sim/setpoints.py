@@ -8,18 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.plant import SAMPLE_RATE_HZ
 from tissueid.wire import Result
 
 BUFFER_SAMPLES = 8192
-"""How far ahead of the sample being played set-points are kept: 4 s."""
+"""How far ahead of the sample being played set-points are kept: 4 s at 2 kHz."""
 
 HOLD_RAMP_S = 0.05
 FADE_S = 0.005
 STARVED_S = 0.5
-_HOLD_RAMP = round(HOLD_RAMP_S * SAMPLE_RATE_HZ)
-_FADE = round(FADE_S * SAMPLE_RATE_HZ)
-_STARVED = round(STARVED_S * SAMPLE_RATE_HZ)
 
 
 class Setpoints:
@@ -29,7 +25,10 @@ class Setpoints:
     sample by sample. ``late_blocks`` counts until the next run begins.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sample_rate_hz: float) -> None:
+        self._hold_ramp = round(HOLD_RAMP_S * sample_rate_hz)
+        self._fade = round(FADE_S * sample_rate_hz)
+        self._starved = round(STARVED_S * sample_rate_hz)
         # A ring: sample k lives at k modulo its length, and there is no room for one that far ahead.
         self._volts = np.zeros(BUFFER_SAMPLES)
         self._known = np.zeros(BUFFER_SAMPLES, dtype=bool)
@@ -54,7 +53,7 @@ class Setpoints:
     @property
     def starved(self) -> bool:
         """True when the host has been missing for so long that it will not come back."""
-        return self._missing >= _STARVED
+        return self._missing >= self._starved
 
     def next_missing(self, cursor: int) -> int:
         """The first sample from ``cursor`` on that is still wanted; ``end`` when none is."""
@@ -108,17 +107,17 @@ class Setpoints:
         """One sample without a set-point: on the way to the hold level, or there."""
         if self._holding == 0:
             self._from = present_v
-        self._holding = min(self._holding + 1, _HOLD_RAMP)
+        self._holding = min(self._holding + 1, self._hold_ramp)
         self._fading = 0
-        return self._from + (self.hold_v - self._from) * self._holding / _HOLD_RAMP
+        return self._from + (self.hold_v - self._from) * self._holding / self._hold_ramp
 
     def _resume(self, wanted_v: float) -> tuple[float, bool]:
         """One sample with a set-point; after a hold the way back to it is faded, so that nothing jumps."""
         if self._holding:
-            self._from += (self.hold_v - self._from) * self._holding / _HOLD_RAMP
-            self._holding, self._fading = 0, _FADE
+            self._from += (self.hold_v - self._from) * self._holding / self._hold_ramp
+            self._holding, self._fading = 0, self._fade
         if self._fading == 0:
             return wanted_v, False
-        share = 1.0 - self._fading / (_FADE + 1)
+        share = 1.0 - self._fading / (self._fade + 1)
         self._fading -= 1
         return self._from + (wanted_v - self._from) * share, True

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tissueid import __version__
+from tissueid.cli.calibrate import calibrate
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -15,6 +16,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
+app.add_typer(calibrate, name="calibrate")
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[

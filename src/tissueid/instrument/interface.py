@@ -89,6 +89,13 @@ class Instrument(Protocol):
     def poll(self, timeout_s: float) -> NDArray[np.void]:
         """Samples that arrived, shape (k,) of SAMPLE, k may be 0; waits up to ``timeout_s`` for the first."""
 
+    def move_stage(self, position_m: float | None) -> bool:
+        """Bring the fixture on a motorised stage to rest at a position on the actuator; None takes it out of reach.
+
+        Only while the coil is free. Returns False, and does nothing, where the instrument has no such stage: then a
+        person has to move it.
+        """
+
     def release(self) -> None:
         """Free the coil now. Never raises: what cannot be said to the firmware its watchdog does."""
 

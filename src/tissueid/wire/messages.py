@@ -28,6 +28,7 @@ class MessageType(IntEnum):
     RELEASE = 0x23
     CLEAR_FAULTS = 0x24
     FINISH = 0x25
+    STAGE = 0x26
     HEARTBEAT = 0x30
     STATUS_REQUEST = 0x31
     HELLO_ACK = 0x81
@@ -71,6 +72,12 @@ class Fault(IntFlag):
     OVER_TIME = 16
     BUTTON = 32
     STARVED = 64
+    BROWN_OUT = 128
+    """The supply sagged."""
+    SENSOR = 256
+    """The position does not move although the force does, or its converter is at its end."""
+    OPEN_COIL = 512
+    """The current does not follow the voltage."""
 
 
 class Flag(IntFlag):
@@ -85,6 +92,8 @@ class Flag(IntFlag):
     """At least one converter is at its end."""
     HELD = 16
     """The host's set-point was missing: the command is the firmware's own."""
+    SOFT_START = 32
+    """The command is the host's, faded in from zero."""
 
 
 HELLO = np.dtype([("protocol_min", "u1"), ("protocol_max", "u1"), ("host", "S30")])
@@ -140,6 +149,8 @@ ARM = np.dtype(
     ]
 )
 START = np.dtype([("token", "<u4")])
+STAGE = np.dtype([("position_m", "<f8")])
+"""Where a motorised stage brings the fixture under the probe, m on the actuator; NaN: out of reach."""
 
 ACK = np.dtype([("request_type", "u1"), ("result", "u1"), ("request_sequence", "<u2"), ("detail", "<u8")])
 
