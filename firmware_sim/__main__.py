@@ -13,9 +13,8 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
-from firmware_sim.bench import Bench
+from firmware_sim.coil import coil_profile, profile_values
 from firmware_sim.firmware import Firmware
-from firmware_sim.identity import Identity
 from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
@@ -42,12 +41,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--speed", type=float, help="device seconds per second, 1 is real time")
     parser.add_argument("--rate", type=float, metavar="HZ", help="samples a second, 500 to 10000; 2000 by default")
     parser.add_argument("--serial-number", dest="serial_number")
+    parser.add_argument("--model", help="which device: desktop (default) or handheld")
+    parser.add_argument("--tilt", type=float, metavar="DEG", help="turn the stroke away from straight down")
+    parser.add_argument("--coil", help="force constant along the stroke: ideal (default) or finite")
     parser.add_argument("--list", action="store_true", help="list the presets and leave")
     parser.add_argument(
         "--local-values",
         type=float,
         metavar="POSITION",
         help="print the plant's own mass, damping and stiffness at a position in metres, as JSON, and leave",
+    )
+    parser.add_argument(
+        "--coil-profile",
+        action="store_true",
+        help="print the coil's own force constant along the stroke and its linear region, as JSON, and leave",
     )
     return parser
 
@@ -66,11 +73,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             speed=options.speed,
             serial_number=options.serial_number,
             sample_rate_hz=options.rate,
+            model=options.model,
+            tilt_deg=options.tilt,
+            coil=options.coil,
         )
         if options.local_values is not None:
             from firmware_sim.local_values import local_values
 
-            print(json.dumps(local_values(scenario.preset, options.local_values)))
+            print(json.dumps(local_values(scenario.preset, options.local_values, scenario.real)))
+            return 0
+        if options.coil_profile:
+            print(json.dumps(_profile(scenario)))
             return 0
         return _serve(scenario, options.tcp)
     except (ValueError, OSError) as error:
@@ -78,19 +91,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
 
 
+def _profile(scenario: Scenario) -> dict[str, object]:
+    real = scenario.real
+    profile = coil_profile(scenario.coil, real.stroke_m)
+    return {"coil": scenario.coil} | profile_values(profile, real.force_constant_n_per_a, real.stroke_m)
+
+
 def _serve(scenario: Scenario, tcp_port: int | None) -> int:
     print("preparing the plant (compiled on first use) ...", file=sys.stderr, flush=True)
-    bench = Bench(scenario.preset, seed=scenario.seed, sample_rate_hz=scenario.sample_rate_hz)
+    bench = scenario.bench()
     bench.warm_up()
     # A full collection looks at all that numba left behind, for 60 ms: a device has no such pauses.
     gc.collect()
     gc.freeze()
-    identity = Identity(
-        serial_number=scenario.serial_number,
-        protocol_min=scenario.protocol[0],
-        protocol_max=scenario.protocol[1],
-    )
-    firmware = Firmware(bench, identity, seed=scenario.seed)
+    firmware = Firmware(bench, scenario.identity(), seed=scenario.seed)
     port: Port
     if tcp_port is None and sys.platform != "win32":
         port = PseudoTerminal()
@@ -100,8 +114,13 @@ def _serve(scenario: Scenario, tcp_port: int | None) -> int:
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda number, _frame: stopping.append(number))
     notice = _announce(port.url, scenario)
+
+    def announce(url: str) -> None:
+        _announce(url, scenario)
+        print(url, flush=True)
+
     print(port.url, flush=True)
-    server = Server(firmware, port, scenario)
+    server = Server(firmware, port, scenario, announce)
     try:
         server.run(until=lambda: bool(stopping))
     finally:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import cos, radians, sin
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.converters import CHANNELS, Channel, Converters
+from firmware_sim.coil import coil_profile
+from firmware_sim.converters import CHANNELS, Channel, ChannelError, Converters
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import DEFAULT, load_preset
-from firmware_sim.tissue import Tissue
+from firmware_sim.tissue import FREE_AIR, Tissue
 
 FRAME_MASS_KG = 5.0
 """Mass that takes the coil's reaction: the desktop frame, an estimate."""
@@ -33,6 +35,16 @@ class Block:
     button: bool
 
 
+@dataclass(frozen=True)
+class Snapshot:
+    """The state of plant, noise and frozen sensors at one moment."""
+
+    plant: NDArray[np.float64]
+    noise: dict[str, Any]
+    frozen: dict[str, int] = field(default_factory=dict)
+    newest: NDArray[np.int16] | None = None
+
+
 class Bench:
     """A simulated instrument without its firmware.
 
@@ -40,8 +52,20 @@ class Bench:
     into the tissue follows its cosine. ``surface_m`` moves the tissue along the stroke. The same seed and commands give
     the same codes, however they are cut into blocks.
 
+    ``parameters`` is what the device really is, gravity turned with the tilt; ``nominal`` is what it believes of itself
+    and announces, the same where nothing else is said. ``coil`` names the force constant's course along the stroke.
+    ``channel_errors`` are those of the converters' real scales against the announced table. ``frame_mass_kg`` takes the
+    coil's reaction.
+
+    What may go wrong, at any time:
+
+    - ``stuck``: names of sensor channels whose codes stand still from now on;
+    - ``coil_open``: the coil's wire is broken: no current, and nothing brakes it;
+    - ``supply_share``: what is left of the amplifier's supply, 1 in health; its limit goes along;
+    - ``sensor_supply_share``: the sensors' supply over what it ought to be: the potentiometer's reading goes along.
+
     Raises:
-        ValueError: no such preset; the message lists those that exist.
+        ValueError: no such preset, coil or channel; the message lists those that exist.
     """
 
     def __init__(
@@ -50,19 +74,29 @@ class Bench:
         seed: int = 0,
         *,
         parameters: PlantParameters | None = None,
+        nominal: PlantParameters | None = None,
         tilt_deg: float = 0.0,
         surface_m: float | None = None,
         sample_rate_hz: float = SAMPLE_RATE_HZ,
+        coil: str = "ideal",
+        channel_errors: Mapping[str, ChannelError] | None = None,
+        sensor_supply_share: float = 1.0,
+        frame_mass_kg: float = FRAME_MASS_KG,
     ) -> None:
         chosen = load_preset(tissue) if isinstance(tissue, str) else tissue
         self.tissue = chosen if surface_m is None else replace(chosen, surface_m=surface_m)
+        self._fixture = self.tissue
         self.seed = seed
         self.sample_rate_hz = sample_rate_hz
         self._substeps = max(LEAST_SUBSTEPS, round(SUBSTEPS * SAMPLE_RATE_HZ / sample_rate_hz))
-        self.button = False
         base = parameters or PlantParameters()
         self._along, self._across = cos(radians(tilt_deg)), sin(radians(tilt_deg))
         self.parameters = replace(base, gravity_force_n=base.gravity_force_n * self._along)
+        self.nominal = nominal or base
+        self._coil = coil_profile(coil, base.stroke_m)
+        self._errors = dict(channel_errors or {})
+        self._frame_mass_kg = frame_mass_kg
+        self._healthy_sensor_supply = sensor_supply_share
         self.reset()
 
     @property
@@ -71,19 +105,50 @@ class Bench:
         return CHANNELS
 
     def reset(self) -> None:
-        """Back to rest with the coil released, button up, and the noise from its beginning."""
-        self.plant = Plant(self.parameters, self.tissue, sample_rate_hz=self.sample_rate_hz, substeps=self._substeps)
-        self._converters = Converters(self.seed)
+        """Back to rest with the coil released, button up, nothing broken, and the noise from its beginning.
+
+        The tissue stays where it was put.
+        """
+        self.plant = Plant(
+            self.parameters,
+            self.tissue,
+            sample_rate_hz=self.sample_rate_hz,
+            substeps=self._substeps,
+            coil=self._coil,
+        )
+        self._converters = Converters(self.seed, errors=self._errors)
         self.button = False
+        self.stuck: set[str] = set()
+        self.coil_open = False
+        self.supply_share = 1.0
+        self.sensor_supply_share = self._healthy_sensor_supply
+        self._frozen: dict[str, int] = {}
+        self._newest: NDArray[np.int16] | None = None
 
-    def snapshot(self) -> tuple[NDArray[np.float64], dict[str, Any]]:
-        """The state of plant and noise, for ``restore``."""
-        return self.plant.state.copy(), self._converters.noise_state
+    def place_fixture(self, position_m: float | None) -> None:
+        """Move the tissue so that its surface lies at a position on the stroke, m, and let everything come to rest.
 
-    def restore(self, snapshot: tuple[NDArray[np.float64], dict[str, Any]]) -> None:
+        None takes it away: nothing is under the probe, and the coil falls to its stop. Meanwhile the coil is free and
+        neither cools nor warms.
+
+        Raises:
+            ValueError: the position does not lie on the stroke.
+        """
+        self.tissue = FREE_AIR if position_m is None else replace(self._fixture, surface_m=position_m)
+        self.plant.tissue = self.tissue
+        self.plant.energised = False
+        self.plant.settle()
+
+    def snapshot(self) -> Snapshot:
+        """The state of plant, noise and sensors, for ``restore``."""
+        return Snapshot(self.plant.state.copy(), self._converters.noise_state, dict(self._frozen), self._newest)
+
+    def restore(self, snapshot: Snapshot) -> None:
         """Back to a snapshot: the same commands give the same codes again."""
-        self.plant.state = snapshot[0].copy()
-        self._converters.noise_state = snapshot[1]
+        self.plant.state = snapshot.plant.copy()
+        self._converters.noise_state = snapshot.noise
+        self._frozen = dict(snapshot.frozen)
+        self._newest = snapshot.newest
 
     def warm_up(self) -> None:
         """Compile the plant now (some seconds on first use) and go back to rest."""
@@ -96,23 +161,45 @@ class Bench:
         While ``energised`` is false the coil is released: the commands are recorded and not played.
 
         Raises:
-            ValueError: the commands are not finite or have more than one dimension.
+            ValueError: the commands are not finite or have more than one dimension, or ``stuck`` names no sensor.
         """
         volts, command_codes, clipped = self._converters.drive(np.asarray(commands_volts, dtype=np.float64))
         self.plant.energised = energised
+        self.plant.coil_open = self.coil_open
+        self.plant.supply_share = self.supply_share
         trace = self.plant.advance(volts)
         codes, flags = self._converters.read(self._analogue(volts, trace))
         codes[:, 0] = command_codes
         flags |= clipped.astype(np.uint16)
+        if self.stuck or self._frozen:
+            self._freeze(codes, flags)
+        if codes.shape[0]:
+            self._newest = codes[-1].copy()
         return Block(codes, flags, self.button)
 
+    def _freeze(self, codes: NDArray[np.int16], flags: NDArray[np.uint16]) -> None:
+        # Stuck sensors go on giving the code that they gave last; a code that stands still does not saturate anew.
+        names = [channel.name for channel in CHANNELS]
+        for name in self.stuck:
+            if name not in names[1:]:
+                raise ValueError(f"no sensor {name!r} that could be stuck; there are: {', '.join(names[1:])}")
+        self._frozen = {name: code for name, code in self._frozen.items() if name in self.stuck}
+        if not codes.shape[0]:
+            return
+        newest = codes[0] if self._newest is None else self._newest
+        for name in self.stuck:
+            k = names.index(name)
+            codes[:, k] = self._frozen.setdefault(name, int(newest[k]))
+            flags &= ~np.uint16(1 << k)
+
     def _analogue(self, volts: NDArray[np.float64], trace: NDArray[np.void]) -> NDArray[np.float64]:
-        reaction = self.parameters.moving_mass_kg / FRAME_MASS_KG * trace["acceleration"]
+        reaction = self.parameters.moving_mass_kg / self._frame_mass_kg * trace["acceleration"]
         columns: dict[str, Any] = {
             "command": volts,
             "voltage": trace["filtered_voltage"],
             "current": trace["filtered_current"],
-            "position": trace["filtered_position"],
+            # A potentiometer gives a share of its supply, and the converter has a reference of its own.
+            "position": trace["filtered_position"] * self.sensor_supply_share,
             "temperature": trace["filtered_temperature"],
             # At rest an accelerometer reads the push that holds it up: here the stroke points down at no tilt.
             "accelerometer_x": STANDARD_GRAVITY * self._along - reaction,

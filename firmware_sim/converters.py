@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,14 +60,41 @@ CHANNELS = (
 """Channels in the order of the columns of a block and of the bits of its flags."""
 
 
+@dataclass(frozen=True)
+class ChannelError:
+    """How a channel's real scale differs from the announced one: reading = (1 + gain error) * truth + offset.
+
+    Of the command it is the volts that differ, by the same law: volts = (1 + gain error) * told + offset.
+    """
+
+    gain_error: float = 0.0
+    offset: float = 0.0
+
+
 class Converters:
     """Turns analogue values into codes, with a noise generator of its own.
 
-    The noise is the same for the same seed however the samples are cut into blocks.
+    The noise is the same for the same seed however the samples are cut into blocks. It is that of each conversion: its
+    level does not follow the sample rate.
+
+    Raises:
+        ValueError: an error is given for a channel that does not exist.
     """
 
-    def __init__(self, seed: int, channels: tuple[Channel, ...] = CHANNELS) -> None:
+    def __init__(
+        self,
+        seed: int,
+        channels: tuple[Channel, ...] = CHANNELS,
+        errors: Mapping[str, ChannelError] | None = None,
+    ) -> None:
         self.channels = channels
+        names = [channel.name for channel in channels]
+        for name in errors or {}:
+            if name not in names:
+                raise ValueError(f"no channel {name!r}; there are: {', '.join(names)}")
+        found = [(errors or {}).get(name, ChannelError()) for name in names]
+        self._scale = 1.0 + np.array([error.gain_error for error in found])
+        self._offset = np.array([error.offset for error in found])
         self._noise_rms = np.array([channel.noise_rms for channel in channels])
         self._random = np.random.default_rng(seed)
 
@@ -83,11 +111,11 @@ class Converters:
         """What the digital-to-analogue converter makes of commands: volts, codes, saturation; each of shape (n,)."""
         channel = self.channels[0]
         codes, saturated = channel.encode(volts)
-        return channel.decode(codes), codes, saturated
+        return self._scale[0] * channel.decode(codes) + self._offset[0], codes, saturated
 
     def read(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
         """Noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
-        noisy = physical + self._noise_rms * self._random.standard_normal(physical.shape)
+        noisy = self._scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
         codes = np.empty(physical.shape, dtype=np.int16)
         flags = np.zeros(physical.shape[0], dtype=np.uint16)
         for k, channel in enumerate(self.channels):

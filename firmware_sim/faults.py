@@ -1,20 +1,264 @@
-"""Faults: what goes wrong on purpose, in the device and on the line."""
+"""Faults: what goes wrong on purpose, in the device and on the line. Each kind is one entry of ``FAULT_KINDS``."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal, Protocol, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from firmware_sim.firmware import Firmware
+from firmware_sim.identity import Identity
+from firmware_sim.line_faults import OTHER_VERSION, Direction, LineFaults, Pieces
+from tissueid.wire import State
 
 Seconds = Annotated[float, Field(ge=0, le=3600, allow_inf_nan=False)]
 
+SAGGED_SUPPLY = 0.3
+"""What is left of the supply in a brown-out."""
+
+FURTHEST_CLOCK = 0.1
+"""A clock that is further off than this is broken."""
+
+
+def _known(kind: str) -> str:
+    if kind not in FAULT_KINDS:
+        raise ValueError(f"no such fault; there are: {', '.join(FAULT_KINDS)}")
+    return kind
+
 
 class PlannedFault(BaseModel):
-    """One thing that goes wrong, timed from the first START, in seconds of the device's clock."""
+    """One thing that goes wrong, timed in seconds of the device's clock.
+
+    Either from the first START (``after_start_s``), or from when a state is entered that a host listens to
+    (``in_state``, ``after_s``): it happens in the first such state that lasts long enough.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    kind: Literal["reset", "stall", "unplug", "button"]
-    after_start_s: Seconds
-    seconds: Seconds = 2.0
-    """How long a stall lasts; the other kinds are for good."""
+    kind: Annotated[str, AfterValidator(_known)]
+    after_start_s: Seconds | None = None
+    in_state: Literal["idle", "loaded", "armed", "running"] | None = None
+    after_s: Seconds = 0.0
+    seconds: Seconds | None = None
+    """How long it lasts; without it as long as its kind does, which for some is for good."""
+    share: Annotated[float, Field(gt=0, le=1)] | None = None
+    """The part of the frames, or bursts of bytes, that a fault of the line touches."""
+    pieces: Pieces = "frames"
+    direction: Direction = "both"
+    channel: Literal["position", "current", "temperature"] = "position"
+    """The sensor that is stuck."""
+    clock_error: Annotated[float, Field(ge=-FURTHEST_CLOCK, le=FURTHEST_CLOCK)] = 0.02
+    clock_drift_per_s: Annotated[float, Field(ge=-FURTHEST_CLOCK, le=FURTHEST_CLOCK)] = 0.0
+    """By how much the device's clock is off at once, and by how much more every second."""
+
+    @model_validator(mode="after")
+    def _timed_once(self) -> Self:
+        if (self.after_start_s is None) == (self.in_state is None):
+            raise ValueError("give either after_start_s or in_state")
+        return self
+
+
+class Cable(Protocol):
+    """What joins host and device, as far as somebody can pull it."""
+
+    def unplug(self) -> None:
+        """Pull it."""
+
+    def replug(self) -> None:
+        """Put it back."""
+
+
+@dataclass
+class Happening:
+    """A fault under way, on the device and cable that it befalls. ``undo`` says how it ends, when it does.
+
+    ``identity`` is what the device is when nothing is wrong with it.
+    """
+
+    fault: PlannedFault
+    firmware: Firmware
+    cable: Cable
+    line: LineFaults
+    identity: Identity
+    now_s: float
+    ends_s: float | None
+    """By the time for which the device has run."""
+    undo: Callable[[], None] = lambda: None
+    clock_error: float = 0.0
+    clock_drift_per_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """A kind of fault: what it is in a line, how it begins, and how long it lasts unless a plan says otherwise.
+
+    ``seconds`` is None for what lasts for good, and 0 for what is over at once.
+    """
+
+    what: str
+    begin: Callable[[Happening], None]
+    seconds: float | None = None
+    share: float = 0.0
+
+
+def _on_the_line(it: Happening) -> None:
+    share = FAULT_KINDS[it.fault.kind].share if it.fault.share is None else it.fault.share
+    it.undo = it.line.begin(it.fault.kind, share, it.fault.pieces, it.fault.direction)
+
+
+def _stall(it: Happening) -> None:
+    seconds = FAULT_KINDS["stall"].seconds if it.fault.seconds is None else it.fault.seconds
+    it.firmware.stall(it.now_s + (seconds or 0.0))
+
+
+def _brown_out(it: Happening) -> None:
+    bench = it.firmware.bench
+    bench.supply_share = SAGGED_SUPPLY
+    it.firmware.brown_out()
+    it.undo = lambda: setattr(bench, "supply_share", 1.0)
+
+
+def _stuck(it: Happening) -> None:
+    stuck, channel = it.firmware.bench.stuck, it.fault.channel
+    stuck.add(channel)
+    it.undo = lambda: stuck.discard(channel)
+
+
+def _open_coil(it: Happening) -> None:
+    bench = it.firmware.bench
+    bench.coil_open = True
+    it.undo = lambda: setattr(bench, "coil_open", False)
+
+
+def _drift(it: Happening) -> None:
+    it.clock_error, it.clock_drift_per_s = it.fault.clock_error, it.fault.clock_drift_per_s
+
+
+def _other_version(it: Happening) -> None:
+    firmware, before = it.firmware, it.identity
+
+    def restart_as(identity: Identity) -> None:
+        firmware.identity = identity
+        firmware.reboot()
+
+    restart_as(replace(before, protocol_min=OTHER_VERSION, protocol_max=OTHER_VERSION))
+    it.undo = lambda: restart_as(before)
+
+
+def _unplug(it: Happening) -> None:
+    it.line.cut()
+    it.cable.unplug()
+    it.undo = it.cable.replug
+
+
+def _button(it: Happening) -> None:
+    bench = it.firmware.bench
+    bench.button = True
+    it.undo = lambda: setattr(bench, "button", False)
+
+
+FAULT_KINDS: dict[str, FaultKind] = {
+    "bit_flips": FaultKind("one bit of a frame or burst is turned over", _on_the_line, 2.0, 0.02),
+    "drops": FaultKind("frames or bursts of bytes never arrive", _on_the_line, 2.0, 0.02),
+    "duplicates": FaultKind("frames or bursts of bytes arrive twice", _on_the_line, 2.0, 0.1),
+    "reordering": FaultKind("frames or bursts of bytes are overtaken by others", _on_the_line, 2.0, 0.05),
+    "wrong_version_frames": FaultKind("frames of another version come in between", _on_the_line, 2.0, 0.1),
+    "stall": FaultKind("the firmware hangs; its watchdog goes on", _stall, 2.0),
+    "reset": FaultKind("the device restarts", lambda it: it.firmware.reboot(), 0.0),
+    "wrong_version": FaultKind("the device restarts with a firmware of another version", _other_version),
+    "brown_out": FaultKind("the supply sags", _brown_out, 0.2),
+    "stuck_sensor": FaultKind("the codes of one channel freeze", _stuck),
+    "open_coil": FaultKind("the coil is disconnected", _open_coil),
+    "drifting_clock": FaultKind("the device's clock is off, and drifts", _drift),
+    "unplug": FaultKind("the cable is pulled", _unplug),
+    "replug": FaultKind("the cable is put back", lambda it: it.cable.replug(), 0.0),
+    "button": FaultKind("the button is pressed", _button),
+}
+"""Every kind of fault by its name."""
+
+
+class FaultInjector:
+    """Lets faults befall a firmware and its cable: those that are planned when their time comes, any other at once.
+
+    Bytes go through ``line`` both ways; ``clock_rate`` is by how much the device's clock is fast. The device's time is
+    counted in samples, so that the same plan plays the same way whatever the machine does. ``lasting`` are those under
+    way, ``happened`` counts all.
+    """
+
+    def __init__(
+        self, firmware: Firmware, cable: Cable, planned: Iterable[PlannedFault] = (), *, seed: int = 0
+    ) -> None:
+        self.line = LineFaults(seed)
+        self.lasting: list[Happening] = []
+        self.happened = 0
+        self._firmware, self._identity = firmware, firmware.identity
+        self._cable = cable
+        self._planned = sorted(planned, key=lambda fault: fault.after_start_s or fault.after_s)
+        self._samples = 0
+        self._first_start: int | None = None
+        self._state: State | None = None
+        self._entered = 0
+
+    @property
+    def clock_rate(self) -> float:
+        """Seconds of the device in a second of the world."""
+        error = sum(item.clock_error for item in self.lasting)
+        return 1.0 + min(max(error, -FURTHEST_CLOCK), FURTHEST_CLOCK)
+
+    def advance(self, samples: int, now_s: float) -> None:
+        """The device has lived on by ``samples``; ``now_s`` is the watchdog's clock."""
+        self._samples += samples
+        for item in self.lasting:
+            item.clock_error += item.clock_drift_per_s * samples / self._firmware.sample_rate_hz
+        for item in [item for item in self.lasting if item.ends_s is not None and item.ends_s <= self._seconds()]:
+            self.end(item)
+        self.look(now_s)
+
+    def look(self, now_s: float) -> None:
+        """Let happen what is due now; to be called whenever the firmware may have changed its state."""
+        state = self._firmware.state if self._firmware.streaming else None
+        if state is not self._state:
+            self._state, self._entered = state, self._samples
+        if self._first_start is None and self._firmware.state is State.RUNNING:
+            self._first_start = self._samples
+        for fault in [fault for fault in self._planned if self._due(fault)]:
+            self._planned.remove(fault)
+            self.begin(fault, now_s)
+
+    def begin(self, fault: PlannedFault, now_s: float) -> Happening:
+        """Let a fault happen now, whatever its timing says."""
+        kind = FAULT_KINDS[fault.kind]
+        seconds = kind.seconds if fault.seconds is None else fault.seconds
+        ends = None if seconds is None else self._seconds() + seconds
+        it = Happening(fault, self._firmware, self._cable, self.line, self._identity, now_s, ends)
+        kind.begin(it)
+        self.happened += 1
+        self.lasting.append(it)
+        return it
+
+    def end(self, it: Happening) -> None:
+        """What lasted is over."""
+        self.lasting.remove(it)
+        it.undo()
+
+    def clear(self) -> None:
+        """All that lasts is over; a button is let go, a cable put back."""
+        self._firmware.stall(0.0)
+        for it in self.lasting[::-1]:
+            self.end(it)
+
+    def _seconds(self) -> float:
+        return self._samples / self._firmware.sample_rate_hz
+
+    def _due(self, fault: PlannedFault) -> bool:
+        if fault.in_state is not None:
+            since, wait_s = self._entered, fault.after_s
+            if self._state is None or self._state.name.lower() != fault.in_state:
+                return False
+        elif self._first_start is not None:
+            since, wait_s = self._first_start, fault.after_start_s or 0.0
+        else:
+            return False
+        return (self._samples - since) / self._firmware.sample_rate_hz >= wait_s

@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
-import zlib
 from collections import OrderedDict
+from math import isnan
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.bench import Bench
+from firmware_sim.guard import Guard
 from firmware_sim.identity import Identity
 from firmware_sim.limits import MAX_RUN_S, ArmedLimits
+from firmware_sim.memory import Answer, StimulusMemory
 from firmware_sim.outbox import Outbox
+from firmware_sim.player import Player
 from firmware_sim.setpoints import Setpoints
 from tissueid import wire
 from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
@@ -26,7 +29,6 @@ WATCHDOG_S = 0.5
 HOST_SILENCE_S = 2.0
 """A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
 
-RELEASE_RAMP_S = 0.05
 STIMULUS_CAPACITY_S = 120.0
 _SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
 
@@ -52,7 +54,6 @@ class Firmware:
         self.sample_rate_hz = bench.sample_rate_hz
         self.samples_per_frame = round(FRAME_S * self.sample_rate_hz)
         self.stimulus_capacity = round(STIMULUS_CAPACITY_S * self.sample_rate_hz)
-        self._ramp_samples = round(RELEASE_RAMP_S * self.sample_rate_hz)
         self._random = np.random.default_rng([seed, 0xB007])
         self._channels = dict(zip(_SIGNALS, bench.channels, strict=True))
         self._power_up()
@@ -69,16 +70,13 @@ class Firmware:
         self._greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
         self._samples = np.zeros(0, wire.SAMPLE)
-        self._stimulus = np.zeros(0, "<i2")
-        self._stimulus_id = 0
-        self._stimulus_crc = 0
+        self._stimulus = StimulusMemory(self.stimulus_capacity)
         self._setpoints = Setpoints(self.sample_rate_hz)
-        self._held_samples = 0
+        self._player = Player(self._setpoints, self.sample_rate_hz, self._channels["command"].gain)
+        self._guard = Guard(self._channels, self.bench.nominal, self.sample_rate_hz)
         self._token: int | None = None
         self._armed: ArmedLimits | None = None
-        self._cursor = self._length = 0
         self._start_index = 0
-        self._present_v = 0.0
         self.stalled_until_s = 0.0
 
     @property
@@ -94,9 +92,9 @@ class Firmware:
     @property
     def samples_known(self) -> int:
         """Samples that can be played before a set-point is missing; a great many where none is asked for."""
-        if self.state is not State.RUNNING or self._cursor >= self._length or not self._setpoints.samples:
+        if self.state is not State.RUNNING or self._player.releasing or not self._setpoints.samples:
             return self.stimulus_capacity
-        return self._setpoints.next_missing(self._cursor) - self._cursor
+        return self._setpoints.next_missing(self._player.cursor) - self._player.cursor
 
     @property
     def dropped_frames(self) -> int:
@@ -107,6 +105,10 @@ class Firmware:
         """A reset: everything is forgotten and the coil is free; the tissue under the probe goes on as it was."""
         self._power_up()
         self._send_status()
+
+    def brown_out(self) -> None:
+        """The supply sagged: the amplifier goes off and stays off until somebody clears the fault."""
+        self._trip(Fault.BROWN_OUT)
 
     def stall(self, until_s: float) -> None:
         """Hang until ``until_s``: nothing is heard or sent. The watchdog has its own oscillator and goes on."""
@@ -157,7 +159,7 @@ class Firmware:
             return
         self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
         answer = self.identity.hello_ack(
-            self.bench.parameters,
+            self.bench.nominal,
             self._channels,
             boot_id=self.boot_id,
             samples_per_frame=self.samples_per_frame,
@@ -167,21 +169,19 @@ class Firmware:
         )
         self._send(MessageType.HELLO_ACK, answer)
 
-    def _obey(self, frame: Frame, now_s: float) -> tuple[Result, int]:
+    def _obey(self, frame: Frame, now_s: float) -> Answer:
         if self.state is State.FAULT and MessageType.STIMULUS_BEGIN <= frame.type <= MessageType.START:
             return Result.FAULT_LATCHED, int(self.faults)
+        if self.bench.button and frame.type in (MessageType.ARM, MessageType.START, MessageType.STAGE):
+            return Result.FAULT_LATCHED, int(Fault.BUTTON)  # nothing moves while it is held down
         match frame.type:
             case MessageType.STREAM:
                 request, _ = wire.unpack(wire.STREAM, frame.payload)
                 self.streaming = bool(request["on"])
                 self._samples = self._samples[:0]
                 return Result.OK, self.sample_index
-            case MessageType.STIMULUS_BEGIN:
-                return self._stimulus_begin(frame.payload)
-            case MessageType.STIMULUS_CHUNK:
-                return self._stimulus_chunk(frame.payload)
-            case MessageType.STIMULUS_COMMIT:
-                return self._stimulus_commit(frame.payload)
+            case MessageType.STIMULUS_BEGIN | MessageType.STIMULUS_CHUNK | MessageType.STIMULUS_COMMIT:
+                return self._load(frame)
             case MessageType.FOLLOW:
                 return self._follow(frame.payload)
             case MessageType.SETPOINTS:
@@ -194,6 +194,8 @@ class Firmware:
                 return self._release(forget=frame.type == MessageType.RELEASE)
             case MessageType.FINISH:
                 return self._finish()
+            case MessageType.STAGE if self.identity.stage:
+                return self._move_stage(frame.payload)
             case MessageType.CLEAR_FAULTS:
                 self.faults = Fault.NONE
                 if self.state is State.FAULT:
@@ -203,43 +205,25 @@ class Firmware:
 
     # -- requests -----------------------------------------------------------------------------------------
 
-    def _stimulus_begin(self, payload: bytes) -> tuple[Result, int]:
-        request, _ = wire.unpack(wire.STIMULUS_BEGIN, payload)
-        if self.state not in (State.IDLE, State.LOADED):
+    def _load(self, frame: Frame) -> Answer:
+        """A stimulus is announced, comes in pieces, and is played only when it is whole."""
+        permitted = (State.IDLE, State.LOADED) if frame.type == MessageType.STIMULUS_BEGIN else (State.IDLE,)
+        if self.state not in permitted:
             return Result.BAD_STATE, 0
-        if not 0 < request["samples"] <= self.stimulus_capacity:
-            return Result.TOO_LARGE, self.stimulus_capacity
-        self._stimulus = np.zeros(request["samples"], "<i2")
-        self._stimulus_id, self._stimulus_crc = request["stimulus_id"], request["crc32"]
-        self._setpoints.agree(0, 0.0)
-        self._enter(State.IDLE)
-        return Result.OK, 0
+        if frame.type == MessageType.STIMULUS_CHUNK:
+            return self._stimulus.chunk(frame.payload)
+        if frame.type == MessageType.STIMULUS_COMMIT:
+            result, detail = self._stimulus.commit(frame.payload)
+        else:
+            result, detail = self._stimulus.begin(frame.payload)
+        if result is Result.OK:
+            self._setpoints.agree(0, 0.0)
+            self._enter(State.LOADED if frame.type == MessageType.STIMULUS_COMMIT else State.IDLE)
+        return result, detail
 
-    def _stimulus_chunk(self, payload: bytes) -> tuple[Result, int]:
-        request, codes = wire.unpack(wire.STIMULUS_CHUNK, payload, tail=True)
-        if self.state is not State.IDLE:
-            return Result.BAD_STATE, 0
-        end = request["offset"] + len(codes) // 2
-        if request["stimulus_id"] != self._stimulus_id or len(codes) % 2 or end > self._stimulus.size:
-            return Result.BAD_ARGUMENT, 0
-        self._stimulus[request["offset"] : end] = np.frombuffer(codes, "<i2")
-        return Result.OK, end
-
-    def _stimulus_commit(self, payload: bytes) -> tuple[Result, int]:
-        request, _ = wire.unpack(wire.STIMULUS_COMMIT, payload)
-        if self.state is not State.IDLE:
-            return Result.BAD_STATE, 0
-        if request["stimulus_id"] != self._stimulus_id or self._stimulus.size == 0:
-            return Result.BAD_ARGUMENT, 0
-        crc = zlib.crc32(self._stimulus.tobytes())
-        if crc != self._stimulus_crc:
-            return Result.CHECKSUM, crc
-        self._enter(State.LOADED)
-        return Result.OK, self._stimulus.size
-
-    def _follow(self, payload: bytes) -> tuple[Result, int]:
+    def _follow(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.FOLLOW, payload)
-        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
+        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus.id:
             return Result.BAD_STATE, 0
         room = round(MAX_RUN_S * self.sample_rate_hz) - self._stimulus.size
         if request["samples"] > room:
@@ -248,29 +232,29 @@ class Firmware:
         self._setpoints.agree(request["samples"], hold_v if request["samples"] else 0.0)
         return Result.OK, self._stimulus.size + request["samples"]
 
-    def _arm(self, payload: bytes, now_s: float) -> tuple[Result, int]:
+    def _arm(self, payload: bytes, now_s: float) -> Answer:
         request, _ = wire.unpack(wire.ARM, payload)
-        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus_id:
+        if self.state is not State.LOADED or request["stimulus_id"] != self._stimulus.id:
             return Result.BAD_STATE, 0
         limits = ArmedLimits(**{name: request[name] for name in ArmedLimits.__dataclass_fields__})
-        coil, length = self.bench.parameters, self._stimulus.size + self._setpoints.samples
-        commands = np.append(self._volts(self._stimulus), self._setpoints.hold_v)
+        coil, length = self.bench.nominal, self._stimulus.size + self._setpoints.samples
+        stimulus_v = self._volts(self._stimulus.codes)
         if (
             not limits.within(
                 self.identity.max_force_n, self.identity.max_temperature_c, coil.stroke_m, self.sample_rate_hz
             )
             or length > limits.max_samples
-            or not limits.permits(commands, coil)
+            or not limits.permits(np.append(stimulus_v, self._setpoints.hold_v), coil)
         ):
             return Result.BEYOND_LIMITS, 0
         self._armed, self._token = limits, limits.token
-        self._setpoints.begin(self._stimulus.size)
-        self._cursor, self._length, self._held_samples, self._present_v = 0, length, 0, 0.0
+        self._player.begin(stimulus_v, length)
+        self._guard.begin(limits)
         self._last_heartbeat_s = now_s
         self._enter(State.ARMED)
         return Result.OK, 0
 
-    def _start(self, payload: bytes) -> tuple[Result, int]:
+    def _start(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.START, payload)
         if self.state is not State.ARMED or self._armed is None or request["token"] != self._armed.token:
             return Result.BAD_STATE, 0
@@ -278,48 +262,53 @@ class Firmware:
         self._enter(State.RUNNING)
         return Result.OK, self._start_index
 
-    def _take_setpoints(self, payload: bytes) -> tuple[Result, int]:
+    def _take_setpoints(self, payload: bytes) -> Answer:
         request, codes = wire.unpack(wire.SETPOINTS, payload, tail=True)
         if request["token"] != self._token:
             return Result.BAD_STATE, 0
-        if self._armed is None or self._cursor >= self._length:
-            return Result.LATE, self._played  # the run is over, and nobody misses them
+        if self._armed is None or self._player.releasing:
+            return Result.LATE, self._player.played  # the run is over, and nobody misses them
         volts = self._volts(np.frombuffer(codes[: len(codes) // 2 * 2], "<i2"))
         if len(codes) % 2 or not codes:
             result = Result.BAD_ARGUMENT
-        elif not self._armed.permits(volts, self.bench.parameters):
+        elif not self._armed.permits(volts, self.bench.nominal):
             result = Result.BEYOND_LIMITS
         else:
-            result = self._setpoints.take(request["offset"], volts, self._cursor)
-        return result, self._setpoints.next_missing(self._cursor)
+            result = self._setpoints.take(request["offset"], volts, self._player.cursor)
+        return result, self._setpoints.next_missing(self._player.cursor)
 
-    def _finish(self) -> tuple[Result, int]:
+    def _finish(self) -> Answer:
         if self.state is State.FAULT:
             return Result.FAULT_LATCHED, int(self.faults)
         if self.state is State.ARMED:
             return self._release(forget=False)
         if self.state is State.RUNNING:
-            self._length = self._played
-        return Result.OK, self._played
+            self._player.finish()
+        return Result.OK, self._player.played
 
-    def _release(self, *, forget: bool) -> tuple[Result, int]:
+    def _move_stage(self, payload: bytes) -> Answer:
+        request, _ = wire.unpack(wire.STAGE, payload)
+        if self.state in (State.ARMED, State.RUNNING):
+            return Result.BAD_STATE, 0
+        position_m = None if isnan(request["position_m"]) else request["position_m"]
+        if position_m is not None and not 0.0 <= position_m <= self.bench.nominal.stroke_m:
+            return Result.BAD_ARGUMENT, 0
+        self.bench.place_fixture(position_m)
+        return Result.OK, 0
+
+    def _release(self, *, forget: bool) -> Answer:
         self._disarm()
         if self.state in (State.ARMED, State.RUNNING):
             self._enter(State.LOADED)
         if forget and self.state is State.LOADED:
-            self._stimulus = self._stimulus[:0]
+            self._stimulus.forget()
             self._enter(State.IDLE)
-        return Result.OK, self._played
+        return Result.OK, self._player.played
 
     def _disarm(self) -> None:
         """A run is over, or will not be: set-points are agreed on for one run alone."""
         self._armed = None
         self._setpoints.agree(0, 0.0)
-
-    @property
-    def _played(self) -> int:
-        """Samples of the newest run that were played, those of the release not counted."""
-        return min(self._cursor, self._length)
 
     # -- the clock ----------------------------------------------------------------------------------------
 
@@ -344,16 +333,17 @@ class Firmware:
         command, flags = self._command(count)
         before = self.bench.snapshot()
         block = self.bench.block(command, self.energised)
-        fault = Fault.NONE
+        first, fault = 0, Fault.NONE
         if self._armed is not None and self.energised:
             # The release at the end is not counted against the samples that were agreed.
-            counted = self._cursor - self._ramp_samples
-            first, fault = self._armed.first_violation(block, self._channels, self.bench.parameters, counted)
-            if fault and first + 1 < command.size:
-                # The trip acts on the very next sample, so what came after it never happened.
-                self.bench.restore(before)
-                command, flags = command[: first + 1], flags[: first + 1]
-                block = self.bench.block(command, energised=True)
+            counted = self._player.cursor - self._player.ramp_samples
+            first, fault = self._guard.judge(block, self._armed, counted)
+        if fault and first + 1 < command.size:
+            # The trip acts on the very next sample, so what came after it never happened.
+            self.bench.restore(before)
+            command, flags = command[: first + 1], flags[: first + 1]
+            block = self.bench.block(command, self.energised)
+        self._guard.live_on(block)
         taken = np.zeros(command.size, wire.SAMPLE)
         for column, name in enumerate(_SIGNALS):
             taken[name] = block.codes[:, column]
@@ -366,38 +356,27 @@ class Firmware:
         self._samples = np.concatenate((self._samples, taken))
         self.sample_index += command.size
         if self.state is State.RUNNING:
-            self._account(command, flags, fault)
+            self._player.account(command, flags)
+            self._go_on(fault)
+        elif self.state is State.ARMED and block.button:
+            self._trip(Fault.BUTTON)
         return command.size
 
-    def _account(self, command: NDArray[np.float64], flags: NDArray[np.uint16], fault: Fault) -> None:
-        """What was just played moves the run on, or ends it."""
-        if self._cursor < self._length:
-            self._present_v = float(command[-1])
-        self._cursor += command.size
-        self._held_samples += int(np.count_nonzero(flags & Flag.HELD))
+    def _go_on(self, fault: Fault) -> None:
+        """The run goes on, or ends."""
         if fault:
             self._trip(fault)
         elif self._setpoints.starved:
             self._trip(Fault.STARVED)
-        elif self._cursor >= self._length + self._ramp_samples:
+        elif self._player.over:
             self._disarm()
             self._enter(State.LOADED)
 
     def _command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
         """Volts for up to ``count`` samples, and the flags that say where they come from."""
-        if self.state is not State.RUNNING:
-            return np.zeros(count), np.zeros(count, np.uint16)
-        if self._cursor >= self._length:
-            done = self._cursor - self._length
-            count = min(count, self._ramp_samples - done)
-            weight = 1.0 - (done + 1.0 + np.arange(count)) / self._ramp_samples
-            return self._present_v * weight, np.zeros(count, np.uint16)
-        count = min(count, self._length - self._cursor)
-        if self._cursor < self._stimulus.size:
-            volts = self._volts(self._stimulus[self._cursor : self._cursor + count])
-            return volts, np.full(volts.size, Flag.PLAYING, np.uint16)
-        volts, held = self._setpoints.play(self._cursor, count, self._present_v)
-        return volts, np.where(held, Flag.PLAYING | Flag.HELD, Flag.PLAYING).astype(np.uint16)
+        if self.state is State.RUNNING:
+            return self._player.command(count)
+        return np.zeros(count), np.zeros(count, np.uint16)
 
     def _volts(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
         return self._channels["command"].decode(codes)
@@ -428,8 +407,10 @@ class Firmware:
             boot_id=self.boot_id,
             dropped_frames=self.dropped_frames,
             refused_frames=self._decoder.statistics.refused,
-            played_samples=self._played,
-        ) + wire.pack(wire.STATUS_SETPOINTS, late_blocks=self._setpoints.late_blocks, held_samples=self._held_samples)
+            played_samples=self._player.played,
+        ) + wire.pack(
+            wire.STATUS_SETPOINTS, late_blocks=self._setpoints.late_blocks, held_samples=self._player.held_samples
+        )
         self._send(MessageType.STATUS, payload)
 
     def _send(self, kind: MessageType, payload: bytes, index: int | None = None) -> None:

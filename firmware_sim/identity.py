@@ -20,6 +20,8 @@ class Identity:
     protocol_max: int = wire.PROTOCOL_VERSION
     max_force_n: float = 15.0
     max_temperature_c: float = 85.0
+    stage: bool = True
+    """Whether a motorised stage brings the fixture under the probe."""
 
     def speaks(self, protocol_min: int, protocol_max: int) -> bool:
         """Whether there is a version that both sides speak."""

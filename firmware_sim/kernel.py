@@ -1,6 +1,6 @@
 """The compiled part of the plant: equations of motion, contact events and the integration loop.
 
-One call of :func:`advance` integrates a block of samples. Each 2 kHz hold interval is cut into equal sub-steps of
+One call of :func:`advance` integrates a block of samples. Each hold interval is cut into equal sub-steps of
 classical Runge-Kutta of order four. Contact made or lost inside a sub-step is located in time and the sub-step is
 finished from there, so that the order of the method survives the switch.
 
@@ -25,7 +25,8 @@ CURRENT, POSITION, VELOCITY, SURFACE, SURFACE_VELOCITY, TEMPERATURE = range(6)
 LATENT, LATENT_VELOCITY = 6, 7  # Wiener kind: the linear block that the static curve hides
 BRANCH = 8  # MAX_BRANCHES low-passed elastic forces, N
 FILTER = BRANCH + MAX_BRANCHES  # first-order anti-alias filters of voltage, current, position, temperature
-TOUCHING = FILTER + 4  # 1 while probe and tissue move together; switched, not integrated
+SENSOR = FILTER + 4  # the temperature sensor, which lags behind the winding
+TOUCHING = SENSOR + 1  # 1 while probe and tissue move together; switched, not integrated
 STATE_SIZE = TOUCHING + 1
 
 # Kinds of tissue.
@@ -48,7 +49,11 @@ PARALLEL, WIENER, HAMMERSTEIN = 0, 1, 2
     HEAT_CAPACITY,
     AMBIENT,
     FILTER_CUTOFF,
-) = range(15)
+    SENSOR_LAG,
+) = range(16)
+# Behind them: the wire's state, and the force constant along the stroke, relative, as pairs of value and slope (per
+# node spacing) at equal distances. No nodes: the same everywhere.
+COIL_OPEN, PROFILE_NODES, PROFILE_START, PROFILE_SPACING, PROFILE = 16, 17, 18, 19, 20
 
 # Tissue parameters, in the order of tissue.Tissue.to_array.
 KIND, REST_SURFACE, CONTACT = 0, 1, 2
@@ -137,10 +142,28 @@ def _contact_force(state: Array, plant: Array, tissue: Array) -> float:
 
 
 @njit
+def _force_constant(plant: Array, position: float) -> float:
+    # N/A, which is V s/m as well, at a position: cubic Hermite between the nodes, constant beyond them.
+    nodes = int(plant[PROFILE_NODES])
+    if nodes == 0:
+        return plant[FORCE_CONSTANT]
+    along = (position - plant[PROFILE_START]) / plant[PROFILE_SPACING]
+    along = min(max(along, 0.0), nodes - 1.0)
+    k = min(int(along), nodes - 2)
+    t = along - k
+    first = PROFILE + 2 * k
+    value, slope = plant[first], plant[first + 1]
+    rise = plant[first + 2] - value
+    bend = 3.0 * rise - 2.0 * slope - plant[first + 3]
+    twist = slope + plant[first + 3] - 2.0 * rise
+    return plant[FORCE_CONSTANT] * (value + t * (slope + t * (bend + t * twist)))
+
+
+@njit
 def _probe_force(state: Array, plant: Array) -> float:
     # Every force on the moving part but the tissue's, N.
     return (
-        plant[FORCE_CONSTANT] * state[CURRENT]
+        _force_constant(plant, state[POSITION]) * state[CURRENT]
         + plant[GRAVITY_FORCE]
         - plant[BEARING_DAMPING] * state[VELOCITY]
         + _end_stop(plant, state[POSITION], state[VELOCITY])
@@ -155,8 +178,11 @@ def _derivative(state: Array, rate: Array, volts: float, plant: Array, tissue: A
         state[POSITION], state[VELOCITY] = _wiener_output(tissue, state[LATENT], state[LATENT_VELOCITY])
     position, velocity = state[POSITION], state[VELOCITY]
     depth = position - tissue[REST_SURFACE]
-    back_emf = plant[FORCE_CONSTANT] * velocity
+    force_constant = _force_constant(plant, position)
+    back_emf = force_constant * velocity
     rate[CURRENT] = (volts - plant[RESISTANCE] * current - back_emf) / plant[INDUCTANCE]
+    if plant[COIL_OPEN] > 0.0:
+        rate[CURRENT] = 0.0
     heating = plant[RESISTANCE] * current * current
     cooling = (state[TEMPERATURE] - plant[AMBIENT]) / plant[THERMAL_RESISTANCE]
     rate[TEMPERATURE] = (heating - cooling) / plant[HEAT_CAPACITY]
@@ -165,16 +191,17 @@ def _derivative(state: Array, rate: Array, volts: float, plant: Array, tissue: A
     rate[FILTER] = corner * (volts - state[FILTER])
     rate[FILTER + 1] = corner * (current - state[FILTER + 1])
     rate[FILTER + 2] = corner * (position - state[FILTER + 2])
-    rate[FILTER + 3] = corner * (state[TEMPERATURE] - state[FILTER + 3])
+    rate[FILTER + 3] = corner * (state[SENSOR] - state[FILTER + 3])
+    rate[SENSOR] = (state[TEMPERATURE] - state[SENSOR]) / plant[SENSOR_LAG]
     stop = _end_stop(plant, position, velocity)
     if kind == WIENER:
-        drive = plant[FORCE_CONSTANT] * current + plant[GRAVITY_FORCE] + stop
+        drive = force_constant * current + plant[GRAVITY_FORCE] + stop
         rate[LATENT] = state[LATENT_VELOCITY]
         opposing = tissue[DAMPING] * state[LATENT_VELOCITY] + tissue[STIFFNESS] * state[LATENT]
         rate[LATENT_VELOCITY] = (drive - opposing) / tissue[MASS]
         return
     if kind == HAMMERSTEIN:
-        drive = plant[FORCE_CONSTANT] * current + plant[GRAVITY_FORCE]
+        drive = force_constant * current + plant[GRAVITY_FORCE]
         drive = tissue[CURVE_SCALE] * (1.0 - exp(-tissue[CURVE_RATE] * drive))
         opposing = tissue[DAMPING] * velocity + tissue[STIFFNESS] * depth
         rate[VELOCITY] = (drive + stop - opposing) / tissue[MASS]
@@ -280,12 +307,15 @@ def advance(
 
     ``commands`` has shape (n,), volts at the amplifier's input; ``state`` (STATE_SIZE,) is updated; ``out`` has shape
     (n, OUT_COLUMNS) and receives, at the end of each hold interval: voltage, current, position, velocity,
-    temperature, mean acceleration over the interval, touching, and the four filtered readings (voltage, current,
-    position, temperature).
+    temperature of the winding, mean acceleration over the interval, touching, and the four filtered readings (voltage,
+    current, position, temperature as its sensor has it). ``plant`` holds the figures of plant.PlantParameters and,
+    behind them, what is said at COIL_OPEN above.
     """
     step = interval / substeps
     work = np.zeros((5, STATE_SIZE))
     after = np.zeros(STATE_SIZE)
+    if plant[COIL_OPEN] > 0.0:
+        state[CURRENT] = 0.0
     for n in range(commands.shape[0]):
         volts = plant[AMPLIFIER_GAIN] * commands[n]
         volts = min(max(volts, -plant[AMPLIFIER_LIMIT]), plant[AMPLIFIER_LIMIT])

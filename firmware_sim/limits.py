@@ -19,6 +19,16 @@ FORCE_MARGIN = 1.05
 """Trips are set this far above the limit, so that converter noise on a test at the limit does not end it."""
 
 
+GENTLE_FORCE_N = 2.0
+"""Up to this force the probe may go to the ends of its stroke and lean on them: that is how they are found."""
+
+BEYOND_STROKE_M = 1.0e-3
+"""How far the limits may then lie beyond either end."""
+
+LIFT_S = 0.5
+"""A device that points upwards has its free probe at the near end: a run may take so long to lift it off."""
+
+
 def static_force_n(volts: NDArray[np.float64], coil: PlantParameters) -> NDArray[np.float64]:
     """The coil's force at standstill, N, without its sign; motion only lowers it."""
     return np.abs(volts) * (coil.amplifier_gain * coil.force_constant_n_per_a / coil.resistance_ohm)
@@ -37,11 +47,12 @@ class ArmedLimits:
 
     def within(self, max_force_n: float, max_temperature_c: float, stroke_m: float, sample_rate_hz: float) -> bool:
         """Whether all of them are sound and none goes beyond the device's own."""
+        beyond = BEYOND_STROKE_M if self.max_force_n <= GENTLE_FORCE_N else 0.0
         figures = (self.max_force_n, self.min_position_m, self.max_position_m, self.max_temperature_c)
         return bool(
             np.all(np.isfinite(figures))
             and 0 < self.max_force_n <= max_force_n
-            and 0 <= self.min_position_m < self.max_position_m <= stroke_m
+            and -beyond <= self.min_position_m < self.max_position_m <= stroke_m + beyond
             and self.max_temperature_c <= max_temperature_c
             and 0 < self.max_samples <= MAX_RUN_S * sample_rate_hz
         )
@@ -51,9 +62,17 @@ class ArmedLimits:
         return bool(static_force_n(volts, coil).max() <= self.max_force_n * FORCE_MARGIN)
 
     def first_violation(
-        self, block: Block, channels: dict[str, Channel], coil: PlantParameters, first: int
+        self,
+        block: Block,
+        channels: dict[str, Channel],
+        coil: PlantParameters,
+        first: int,
+        lifted: NDArray[np.bool_] | bool = True,
     ) -> tuple[int, Fault]:
-        """Where in a block the first limit is broken, and which; ``first`` counts its first sample from the start."""
+        """Where in a block the first limit is broken, and which; ``first`` counts its first sample from the start.
+
+        Where ``lifted`` is false, shape (n,), the probe has not come off the near end yet, and need not have.
+        """
         samples = block.codes.shape[0]
         columns = list(channels)
 
@@ -64,7 +83,7 @@ class ArmedLimits:
         position = physical("position")
         checks = (
             (Fault.OVER_FORCE, force > self.max_force_n * FORCE_MARGIN),
-            (Fault.STROKE, (position < self.min_position_m) | (position > self.max_position_m)),
+            (Fault.STROKE, (position < self.min_position_m) & lifted | (position > self.max_position_m)),
             (Fault.OVER_TEMPERATURE, physical("temperature") > self.max_temperature_c),
             (Fault.OVER_TIME, first + np.arange(samples) >= self.max_samples),
             (Fault.BUTTON, np.full(samples, block.button)),

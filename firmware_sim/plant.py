@@ -7,12 +7,14 @@ command ``k + 1`` comes into force.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim import kernel
+from firmware_sim.coil import IDEAL, CoilProfile
 from firmware_sim.tissue import Tissue
 
 STANDARD_GRAVITY = 9.80665
@@ -37,7 +39,10 @@ TRACE = np.dtype(
         )
     ]
 )
-"""What an ideal observer sees (V, A, m, m/s, degC, m/s^2, 0 or 1) and what leaves the anti-alias filters."""
+"""What an ideal observer sees (V, A, m, m/s, degC, m/s^2, 0 or 1) and what leaves the anti-alias filters.
+
+``temperature`` is the winding's; ``filtered_temperature`` comes from the sensor beside it, which lags behind.
+"""
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,8 @@ class PlantParameters:
 
     The thermal figures and the end stops are estimates, since the thesis gives none: 56 m of 28 gage copper (12 ohm)
     weigh 40 g and hold 16 J/K, a few J/K more with the bobbin; some 50 cm^2 of coil in moving air lose about
-    0.12 W/K. Resistance does not follow temperature.
+    0.12 W/K. Resistance does not follow temperature. The temperature sensor on the winding's outside follows it with
+    a time constant of 2.5 s, an estimate as well.
 
     Raises:
         ValueError: a figure that must be positive is not, or is not finite.
@@ -67,6 +73,7 @@ class PlantParameters:
     heat_capacity_j_per_k: float = 18.0
     ambient_degc: float = 23.0
     filter_cutoff_hz: float = 2000.0
+    sensor_lag_s: float = 2.5
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -76,7 +83,7 @@ class PlantParameters:
                 raise ValueError(f"plant parameter {item.name} must be finite and positive, not {value}")
 
     def to_array(self) -> NDArray[np.float64]:
-        """All figures in order, shape (15,)."""
+        """All figures in order, shape (16,)."""
         return np.array([getattr(self, item.name) for item in fields(self)], dtype=np.float64)
 
 
@@ -85,6 +92,10 @@ class Plant:
 
     ``substeps`` is the number of integration steps in one sample interval. The plant holds no randomness: the same
     commands from the same state give the same trace, however they are cut into blocks.
+
+    ``coil`` says how the force constant runs along the stroke; back-EMF follows it. Two things may go wrong at any
+    time: with ``coil_open`` the wire is broken, no current flows and nothing brakes the coil; ``supply_share`` is what
+    is left of the amplifier's supply, and so of its limit.
     """
 
     def __init__(
@@ -95,24 +106,42 @@ class Plant:
         sample_rate_hz: float = SAMPLE_RATE_HZ,
         substeps: int = SUBSTEPS,
         energised: bool = True,
+        coil: CoilProfile = IDEAL,
     ) -> None:
         if substeps < 1:
             raise ValueError(f"substeps must be 1 or more, not {substeps}")
         self.parameters = parameters
-        self.tissue = tissue
+        self.coil = coil
         self.energised = energised
+        self.coil_open = False
+        self.supply_share = 1.0
         self.substeps = substeps
         self._interval_s = 1.0 / sample_rate_hz
-        self._plant = parameters.to_array()
-        self._tissue = tissue.to_array()
+        self._plant = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
+        self.tissue = tissue
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
         self.rest()
+
+    @property
+    def tissue(self) -> Tissue:
+        """What the probe meets. Another one takes force on the state as it stands: see ``settle``."""
+        return self._met
+
+    @tissue.setter
+    def tissue(self, tissue: Tissue) -> None:
+        self._met = tissue
+        self._tissue = tissue.to_array()
+
+    @property
+    def amplifier_limit_v(self) -> float:
+        """Most that the amplifier gives in either direction with the supply it has, V."""
+        return self.parameters.amplifier_limit_v * self.supply_share
 
     def advance(self, voltage: NDArray[np.float64]) -> NDArray[np.void]:
         """Play commands, shape (n,), volts, one a sample, and return a TRACE array, shape (n,).
 
         While ``energised`` is false the commands are ignored and the amplifier holds its terminals at 0 V: the
-        current dies with L/R and the moving coil brakes itself.
+        current dies with L/R and the moving coil brakes itself, unless its wire is broken.
 
         Raises:
             ValueError: the commands have more than one dimension or are not finite.
@@ -122,17 +151,18 @@ class Plant:
             raise ValueError("commands must be finite volts in one dimension")
         if not self.energised:
             commands = np.zeros_like(commands)
+        self._plant[kernel.AMPLIFIER_LIMIT] = self.amplifier_limit_v
+        self._plant[kernel.COIL_OPEN] = float(self.coil_open)
         out = np.empty((commands.size, kernel.OUT_COLUMNS))
         kernel.advance(commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps, out)
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:
         """Put the state in static equilibrium under a steady command in volts, relaxation complete, coil cold."""
-        limit = self.parameters.amplifier_limit_v
+        limit = self.amplifier_limit_v
         volts = float(np.clip(self.parameters.amplifier_gain * voltage, -limit, limit)) if self.energised else 0.0
-        current = volts / self.parameters.resistance_ohm
-        force = self.parameters.force_constant_n_per_a * current + self.parameters.gravity_force_n
-        position = self.static_position(force)
+        current = 0.0 if self.coil_open else volts / self.parameters.resistance_ohm
+        position = self._balance(lambda at: self.force_constant_at(at) * current + self.parameters.gravity_force_n)
         tissue = self.tissue
         held = "contact" in tissue.extras and position < tissue.surface_m
         surface = tissue.surface_m if held else position
@@ -140,7 +170,7 @@ class Plant:
         state[kernel.CURRENT] = current
         state[kernel.POSITION] = position
         state[kernel.SURFACE] = surface
-        state[kernel.TEMPERATURE] = self.parameters.ambient_degc
+        state[kernel.TEMPERATURE] = state[kernel.SENSOR] = self.parameters.ambient_degc
         state[kernel.TOUCHING] = 0.0 if held else 1.0
         if tissue.kind == "wiener":
             state[kernel.LATENT] = _latent(tissue, position)
@@ -150,12 +180,27 @@ class Plant:
         state[kernel.FILTER : kernel.FILTER + 4] = volts, current, position, state[kernel.TEMPERATURE]
         self.state = state
 
+    def settle(self) -> None:
+        """Rest under no command, as ``rest``, but the coil keeps the temperature that it has."""
+        heat = [kernel.TEMPERATURE, kernel.SENSOR, kernel.FILTER + 3]
+        warm = self.state[heat]
+        self.rest()
+        self.state[heat] = warm
+
+    def force_constant_at(self, position_m: float) -> float:
+        """Newtons per ampere, and volts per metre per second, at a position in metres."""
+        return self.parameters.force_constant_n_per_a * self.coil.at(position_m)
+
     def static_position(self, force_n: float) -> float:
         """Position, metres, where a steady force, newtons with gravity in it, is balanced after full relaxation."""
+        return self._balance(lambda _: force_n)
+
+    def _balance(self, force_n: Callable[[float], float]) -> float:
+        # Where a force that may follow position, metres to newtons, is balanced.
         low, high = -1e-3, self.parameters.stroke_m + 1e-3
         for _ in range(60):
             middle = 0.5 * (low + high)
-            if self._surplus(force_n, middle) > 0:
+            if self._surplus(force_n(middle), middle) > 0:
                 low = middle
             else:
                 high = middle

@@ -1,16 +1,67 @@
-"""Scenario: which tissue, which seed, how fast, and which faults happen when. Read from a TOML file."""
+"""Scenario: which device on which tissue, what it really is, and which faults happen when. Read from a TOML file."""
 
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from firmware_sim.bench import Bench
+from firmware_sim.converters import CHANNELS, ChannelError
 from firmware_sim.faults import PlannedFault
-from firmware_sim.plant import SAMPLE_RATE_HZ
+from firmware_sim.identity import Identity
+from firmware_sim.models import MODELS
+from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, PlantParameters
 from firmware_sim.presets import DEFAULT, preset_names
+
+
+def _between(low: float, high: float) -> object:
+    return Field(ge=low, le=high, allow_inf_nan=False)
+
+
+class Truth(BaseModel):
+    """What the device really is, where that differs from what it announces; each figure of the plant by its name, SI.
+
+    The weight goes with the moving mass unless it is given as well.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    resistance_ohm: Annotated[float | None, _between(1.0, 100.0)] = None
+    inductance_h: Annotated[float | None, _between(1e-5, 1e-2)] = None
+    force_constant_n_per_a: Annotated[float | None, _between(0.1, 30.0)] = None
+    moving_mass_kg: Annotated[float | None, _between(0.005, 1.0)] = None
+    bearing_damping_n_s_per_m: Annotated[float | None, _between(0.0, 100.0)] = None
+    gravity_force_n: Annotated[float | None, _between(-10.0, 10.0)] = None
+    amplifier_gain: Annotated[float | None, _between(0.5, 2.0)] = None
+    amplifier_limit_v: Annotated[float | None, _between(1.0, 60.0)] = None
+    stroke_m: Annotated[float | None, _between(0.020, 0.0325)] = None
+    stop_stiffness_n_per_m: Annotated[float | None, _between(1e4, 1e6)] = None
+    stop_damping_s_per_m: Annotated[float | None, _between(0.1, 50.0)] = None
+    thermal_resistance_k_per_w: Annotated[float | None, _between(0.1, 100.0)] = None
+    heat_capacity_j_per_k: Annotated[float | None, _between(0.1, 1000.0)] = None
+    ambient_degc: Annotated[float | None, _between(-20.0, 60.0)] = None
+    filter_cutoff_hz: Annotated[float | None, _between(100.0, 5000.0)] = None
+    sensor_lag_s: Annotated[float | None, _between(0.05, 30.0)] = None
+
+    def over(self, nominal: PlantParameters) -> PlantParameters:
+        """The nominal figures with these laid over them."""
+        given = self.model_dump(exclude_none=True)
+        if "moving_mass_kg" in given:
+            given.setdefault("gravity_force_n", given["moving_mass_kg"] * STANDARD_GRAVITY)
+        return replace(nominal, **given)
+
+
+class ChannelTruth(BaseModel):
+    """How a channel's real scale differs from the announced one; the offset in the channel's unit."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    gain_error: Annotated[float, _between(-0.2, 0.2)] = 0.0
+    offset: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
 
 class Scenario(BaseModel):
@@ -18,6 +69,7 @@ class Scenario(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    model: Literal["desktop", "handheld"] = "desktop"
     preset: str = DEFAULT
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     speed: Annotated[float, Field(gt=0, le=1000)] = 1.0
@@ -25,7 +77,67 @@ class Scenario(BaseModel):
     serial_number: Annotated[str, Field(pattern=r"^[\x20-\x7e]{1,16}$")] = "SIM-0001"
     sample_rate_hz: Annotated[float, Field(ge=500, le=10_000)] = SAMPLE_RATE_HZ
     protocol: tuple[Annotated[int, Field(ge=0, le=255)], Annotated[int, Field(ge=0, le=255)]] = (1, 1)
+    tilt_deg: Annotated[float, _between(-180.0, 180.0)] = 0.0
+    """How far the stroke is turned away from straight down."""
+    coil: Literal["ideal", "finite"] = "ideal"
+    """Force constant the same all along the stroke, or falling off towards its ends."""
+    stage: bool | None = None
+    """A motorised stage that brings the fixture under the probe; a desktop device has one unless told otherwise."""
+    truth: Truth = Truth()
+    channels: dict[str, ChannelTruth] = Field(default_factory=dict)
+    sensor_supply_share: Annotated[float, _between(0.8, 1.2)] = 1.0
+    """The sensors' supply over what it ought to be; the potentiometer's reading goes along."""
     faults: tuple[PlannedFault, ...] = ()
+
+    @model_validator(mode="after")
+    def _channels_exist(self) -> Self:
+        known = {channel.name: channel for channel in CHANNELS}
+        for name, item in self.channels.items():
+            if name not in known:
+                raise ValueError(f"channels has no {name!r}; there are: {', '.join(known)}")
+            furthest = 0.1 * 65536 * known[name].gain
+            if abs(item.offset) > furthest:
+                raise ValueError(
+                    f"channels.{name}.offset must be within a tenth of the converter's range, "
+                    f"{furthest:.3g} {known[name].unit}"
+                )
+        return self
+
+    @property
+    def nominal(self) -> PlantParameters:
+        """What the device believes of itself."""
+        return MODELS[self.model].plant
+
+    @property
+    def real(self) -> PlantParameters:
+        """What the device is, before it is tilted."""
+        return self.truth.over(self.nominal)
+
+    def bench(self) -> Bench:
+        """The bench that this scenario describes."""
+        return Bench(
+            self.preset,
+            seed=self.seed,
+            parameters=self.real,
+            nominal=self.nominal,
+            tilt_deg=self.tilt_deg,
+            sample_rate_hz=self.sample_rate_hz,
+            coil=self.coil,
+            channel_errors={name: ChannelError(**item.model_dump()) for name, item in self.channels.items()},
+            sensor_supply_share=self.sensor_supply_share,
+            frame_mass_kg=MODELS[self.model].frame_mass_kg,
+        )
+
+    def identity(self) -> Identity:
+        """What the device says of itself."""
+        return Identity(
+            model=MODELS[self.model].title,
+            serial_number=self.serial_number,
+            protocol_min=self.protocol[0],
+            protocol_max=self.protocol[1],
+            max_force_n=MODELS[self.model].max_force_n,
+            stage=self.model == "desktop" if self.stage is None else self.stage,
+        )
 
 
 def load_scenario(path: Path | None, **overrides: object) -> Scenario:
@@ -47,7 +159,7 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"the scenario's {where} cannot be used: {first['msg']}") from error
+        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {first['msg']}") from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     return scenario

@@ -10,10 +10,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from firmware_sim.faults import PlannedFault
+from firmware_sim.faults import FaultInjector
 from firmware_sim.firmware import Firmware
 from firmware_sim.scenario import Scenario
-from tissueid.wire import State
 
 TICK_S = 0.01
 """Longest time between two looks at the port and the clock."""
@@ -43,14 +42,23 @@ class Port(Protocol):
     def unplug(self) -> None:
         """Pull the cable."""
 
+    def replug(self) -> None:
+        """Put it back; ``url`` may be another then, as a serial port's name may be."""
+
 
 class PseudoTerminal:
     """A pseudo-terminal: to the host it is a serial port."""
 
     def __init__(self) -> None:
+        self._master = -1
+        self.replug()
+
+    def replug(self) -> None:  # noqa: D102
         import pty
         import tty
 
+        if self._master >= 0:
+            return
         # The device's own hold on the slave end keeps the terminal alive between hosts.
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
@@ -84,10 +92,14 @@ class TcpPort:
     """TCP on the loopback interface, one host at a time, for pyserial's ``socket://`` URLs."""
 
     def __init__(self, port: int) -> None:
+        self._host: socket.socket | None = None
+        self._listen(port)
+        self._number = int(self._listener.getsockname()[1])
+        self.url = f"socket://127.0.0.1:{self._number}"
+
+    def _listen(self, port: int) -> None:
         self._listener = socket.create_server(("127.0.0.1", port))
         self._listener.setblocking(False)
-        self._host: socket.socket | None = None
-        self.url = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
 
     def exchange(self, outgoing: bytes, timeout_s: float) -> tuple[bytes, int]:  # noqa: D102
         waiting: list[socket.socket] = [self._listener] if self._listener.fileno() >= 0 else []
@@ -132,21 +144,28 @@ class TcpPort:
         self._hang_up()
         self._listener.close()
 
+    def replug(self) -> None:  # noqa: D102
+        if self._listener.fileno() < 0:
+            self._listen(self._number)
+
 
 class Server:
     """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen.
 
-    ``stopped_s`` is for how long the machine kept a device that is meant to run in real time from running.
+    ``announce`` is told the port's name when the cable is put back. ``stopped_s`` is for how long the machine kept a
+    device that is meant to run in real time from running.
     """
 
-    def __init__(self, firmware: Firmware, port: Port, scenario: Scenario) -> None:
+    def __init__(
+        self, firmware: Firmware, port: Port, scenario: Scenario, announce: Callable[[str], None] = lambda _: None
+    ) -> None:
         self._firmware = firmware
         self._port = port
-        self._rate = firmware.sample_rate_hz * scenario.speed
+        self._announce = announce
+        self._nominal_rate = self._rate = firmware.sample_rate_hz * scenario.speed
         self._accelerated = scenario.speed > 1.0
-        self._faults = sorted(scenario.faults, key=lambda fault: fault.after_start_s)
+        self._faults = FaultInjector(firmware, self, scenario.faults, seed=scenario.seed)
         self._samples = 0
-        self._first_start: int | None = None
         self._outgoing = b""
         self.stopped_s = 0.0
         self._begin = 0.0
@@ -160,7 +179,7 @@ class Server:
             self._keep_up(now)
             if len(self._outgoing) <= _BACKLOG_BYTES:
                 # A host that does not read leaves the rest to the firmware's own queue, which drops and counts.
-                self._outgoing += self._firmware.transmit(now)
+                self._outgoing += self._faults.line.to_host(self._firmware.transmit(now))
             # The next frame goes out when its last sample is taken: not a tick later.
             wake = self._begin + (self._samples + self._firmware.samples_to_frame) / self._rate
             timeout = min(TICK_S, max(0.0, wake - time.monotonic()))
@@ -170,7 +189,18 @@ class Server:
                 # What was played before these bytes came must not know of them.
                 now = time.monotonic()
                 self._keep_up(now)
-                self._firmware.receive(data, now)
+                self._firmware.receive(self._faults.line.to_device(data), now)
+                self._look(now)
+
+    def unplug(self) -> None:
+        """Pull the cable; what was on its way is gone."""
+        self._outgoing = b""
+        self._port.unplug()
+
+    def replug(self) -> None:
+        """Put the cable back."""
+        self._port.replug()
+        self._announce(self._port.url)
 
     def _keep_up(self, now: float) -> None:
         """Let the device live until now."""
@@ -187,7 +217,16 @@ class Server:
         if possible > 0:
             self._firmware.advance(possible, now)
             self._samples += possible
-            self._let_faults_happen(now)
+            self._faults.advance(possible, now)
+            self._look(now)
+
+    def _look(self, now: float) -> None:
+        """Let happen what is due, and take over what it changed."""
+        self._faults.look(now)
+        if (rate := self._nominal_rate * self._faults.clock_rate) != self._rate:
+            # The device's time goes on from where it is, at another pace.
+            self._begin = now - (now - self._begin) * self._rate / rate
+            self._rate = rate
 
     def _known(self, now: float) -> int:
         """Samples that a fast clock may play before it has to wait for set-points."""
@@ -198,23 +237,3 @@ class Server:
         if self._waiting_since is None:
             self._waiting_since = now
         return 0 if now - self._waiting_since < HOST_PATIENCE_S else _BURST_SAMPLES
-
-    def _let_faults_happen(self, now: float) -> None:
-        if self._first_start is None and self._firmware.state is State.RUNNING:
-            self._first_start = self._samples
-        if self._first_start is None:
-            return
-        elapsed = (self._samples - self._first_start) / self._firmware.sample_rate_hz
-        while self._faults and self._faults[0].after_start_s <= elapsed:
-            self._happen(self._faults.pop(0), now)
-
-    def _happen(self, fault: PlannedFault, now: float) -> None:
-        match fault.kind:
-            case "reset":
-                self._firmware.reboot()
-            case "stall":
-                self._firmware.stall(now + fault.seconds)
-            case "button":
-                self._firmware.bench.button = True
-            case "unplug":
-                self._port.unplug()

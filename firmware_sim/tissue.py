@@ -160,3 +160,15 @@ def _check_names(what: str, names: Iterable[str], known: tuple[str, ...]) -> Non
     for name in names:
         if name not in known:
             raise ValueError(f"unknown {what} {name!r}; known: {', '.join(known)}")
+
+
+FREE_AIR = Tissue(
+    name="free air",
+    kind="linear",
+    surface_m=0.0,
+    mass=Exponential(0.0),
+    damping=Exponential(0.0),
+    stiffness=Exponential(0.0),
+    title="Nothing under the probe",
+)
+"""Where there is nothing to touch: the coil falls to its stop."""

@@ -13,7 +13,7 @@ from firmware_sim.presets import load_preset, preset_names
 from tissueid.records import Record
 from tissueid.stimuli.kinds.noise import Noise
 
-SKIN = tuple(name for name in preset_names() if name.endswith(("forearm", "arm")))
+SKIN = tuple(name for name in preset_names() if name.endswith(("forearm", "arm")) and not name.startswith("sliding"))
 MATERIALS = ("acrylamide-10", "acrylamide-20", "acrylamide-30", "buna", "latex")
 PRELOAD = 1000  # samples, 0.5 s
 VOLTS_PER_NEWTON = 4.0

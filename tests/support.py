@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
+from firmware_sim.scenario import Scenario
 from tissueid.acquisition import Progress, SessionRecorder, journal_path
 from tissueid.errors import FirmwareFaultError, LinkLostError
 from tissueid.instrument import SerialInstrument
 
 TICK_S = 0.01
 SAMPLES_PER_TICK = 20
+
+
+def softly(volts: np.ndarray, loaded: int | None = None) -> np.ndarray:
+    """What a run of these volts plays: in sample k of the first 100 no more than sin(90 deg (k + 1)/100) of the most.
+
+    The most is that of the first 100 of the ``loaded`` samples of the stimulus; a set-point's own where it is more.
+    """
+    played = [float(value) for value in volts]
+    most = max((abs(value) for value in played[: min(100, len(played) if loaded is None else loaded)]), default=0.0)
+    for k in range(min(100, len(played))):
+        bound = max(most, abs(played[k])) * math.sin(math.radians(0.9 * (k + 1)))
+        played[k] = max(-bound, min(bound, played[k]))
+    return np.array(played)
 
 
 class LoopbackLink:
@@ -36,7 +52,7 @@ class LoopbackLink:
 
     def tick(self) -> None:
         self.now += TICK_S
-        self.firmware.advance(SAMPLES_PER_TICK, self.now)
+        self.firmware.advance(round(TICK_S * self.firmware.sample_rate_hz), self.now)
 
     def read(self, timeout_s: float) -> bytes:
         deadline = self.now + timeout_s
@@ -68,6 +84,12 @@ def connect(
 ) -> SerialInstrument:
     """A driver on a simulated firmware; its link is ``instrument._link``."""
     link = LoopbackLink(Firmware(Bench(preset, seed=seed), identity, seed=seed))
+    return SerialInstrument(link, clock=link.clock)
+
+
+def connect_scenario(scenario: Scenario) -> SerialInstrument:
+    """A driver on the simulated instrument that a scenario describes."""
+    link = LoopbackLink(Firmware(scenario.bench(), scenario.identity(), seed=scenario.seed))
     return SerialInstrument(link, clock=link.clock)
 
 

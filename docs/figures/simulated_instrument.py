@@ -16,7 +16,9 @@ import matplotlib
 import numpy as np
 
 from firmware_sim.bench import Bench
+from firmware_sim.coil import finite_coil, profile_values
 from firmware_sim.local_values import local_values
+from firmware_sim.models import MODELS
 from firmware_sim.plant import SAMPLE_RATE_HZ, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import load_preset, preset_names
 from firmware_sim.tissue import Tissue
@@ -239,13 +241,73 @@ def draw() -> None:
     figure.savefig(PICTURE, dpi=110)
 
 
+def models_table() -> str:
+    """The figures in which the two devices differ."""
+    plants = [MODELS[name].plant for name in MODELS]
+    rows = [
+        [what, *(format(scale * getattr(plant, name), ".4g") for plant in plants)]
+        for what, name, scale in (
+            ("resistance, ohm", "resistance_ohm", 1.0),
+            ("inductance, mH", "inductance_h", 1e3),
+            ("force constant, N/A", "force_constant_n_per_a", 1.0),
+            ("moving mass, g", "moving_mass_kg", 1e3),
+            ("weight, N", "gravity_force_n", 1.0),
+            ("heat capacity, J/K", "heat_capacity_j_per_k", 1.0),
+            ("thermal resistance, K/W", "thermal_resistance_k_per_w", 1.0),
+        )
+    ]
+    rows.append(["mass that takes the reaction, kg", *(f"{m.frame_mass_kg:.4g}" for m in MODELS.values())])
+    rows.append(["greatest force that it permits, N", *(f"{m.max_force_n:.4g}" for m in MODELS.values())])
+    return table(["figure", *MODELS], rows)
+
+
+def coil_table() -> str:
+    """The finite coil's force constant along the stroke, and its linear region."""
+    plant = PlantParameters()
+    values = profile_values(finite_coil(plant.stroke_m), plant.force_constant_n_per_a, plant.stroke_m)
+    where, found = np.array(values["position_m"]), np.array(values["force_constant_n_per_a"])
+    shown = [0, 2, 4, 6, 8, 12, 16, 20, 24, 26, 28, 30, 32]
+    row = ["N/A", *(f"{np.interp(1e-3 * at, where, found):.3f}" for at in shown)]
+    region = [1e3 * float(values[name]) for name in ("linear_region_min_m", "linear_region_max_m")]
+    return (
+        table(["position, mm", *map(str, shown)], [row])
+        + f"\n\nWithin 5 % of its plateau from {region[0]:.2f} to {region[1]:.2f} mm: {region[1] - region[0]:.1f} mm."
+    )
+
+
+def rates_table() -> str:
+    """Steps, their error and speed at several sample rates, under the uniform standard test."""
+    volts = 4.0 * force("uniform", 1)
+    rows = []
+    for rate in (500.0, 1000.0, 2000.0, 4000.0, 10_000.0):
+        bench = Bench(sample_rate_hz=rate)
+        times = rate / SAMPLE_RATE_HZ
+        held = np.repeat(volts, round(times)) if times >= 1 else volts[:: round(1 / times)]
+        steps = bench.plant.substeps
+        fine = Plant(PlantParameters(), bench.tissue, sample_rate_hz=rate, substeps=8 * steps).advance(held)
+        best = np.inf
+        for _ in range(3):
+            bench.reset()
+            begin = time.process_time()
+            trace = bench.plant.advance(held)
+            best = min(best, time.process_time() - begin)
+        errors = [(trace[n] - fine[n]).std() / fine[n].std() for n in ("position", "velocity", "filtered_current")]
+        length = [f"{rate:g}", str(steps), f"{1e6 / rate / steps:.0f}"]
+        rows.append([*length, *(f"{e:.0e}" for e in errors), f"{held.size / rate / best:.0f}"])
+    head = ["samples a second", "steps to a sample", "step, µs", "position", "velocity", "filtered current"]
+    return table([*head, "times real time"], rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "standard": standard_table,
     "averages": averages_table,
     "small": small_table,
     "ablation": ablation_table,
     "materials": materials_table,
+    "models": models_table,
+    "coil": coil_table,
     "steps": step_table,
+    "rates": rates_table,
     "speed": speed_table,
 }
 

@@ -9,11 +9,12 @@ import pytest
 from firmware_sim_process import firmware_process
 
 from firmware_sim.bench import Bench
+from firmware_sim.faults import PlannedFault
 from firmware_sim.firmware import Firmware
 from firmware_sim.scenario import Scenario
 from firmware_sim.serve import Server
 from tissueid import wire
-from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError
+from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError, ProtocolVersionError
 from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
 
 CABLES = ["--pty", "--tcp=0"] if sys.platform != "win32" else ["--tcp=0"]
@@ -76,6 +77,9 @@ def test_a_killed_firmware_is_a_lost_link(cable):
         ("stall", LinkLostError, "went silent"),
         ("unplug", LinkLostError, r"broke|went silent"),
         ("button", FirmwareFaultError, "button was pressed"),
+        ("brown_out", FirmwareFaultError, "supply"),
+        ("open_coil", FirmwareFaultError, "coil"),
+        ("wrong_version_frames", ProtocolVersionError, "protocol 2"),
     ],
 )
 def test_planned_faults_happen(tmp_path, kind, error, words):
@@ -87,6 +91,56 @@ def test_planned_faults_happen(tmp_path, kind, error, words):
         with pytest.raises(error, match=words):
             stream(instrument, 100_000)
         instrument.close()
+
+
+@pytest.mark.parametrize("cable", CABLES)
+def test_a_cable_that_is_put_back_can_be_opened_again(tmp_path, cable):
+    scenario = tmp_path / "scenario.toml"
+    scenario.write_text(
+        'speed = 4.0\n[[faults]]\nkind = "unplug"\nin_state = "running"\nafter_s = 0.3\nseconds = 1.0\n'
+    )
+    with firmware_process(cable, "--scenario", str(scenario)) as (url, process):
+        instrument = SerialInstrument(SerialLink(url))
+        start_run(instrument)
+        with pytest.raises(LinkLostError):
+            stream(instrument, 100_000)
+        instrument.close()
+        url = process.stdout.readline().strip()  # a serial port that comes back may have another name
+        again = SerialInstrument(SerialLink(url))
+        assert stream(again, 2000) == 0
+        again.close()
+
+
+def test_a_line_that_loses_and_damages_costs_samples_and_no_test(tmp_path):
+    scenario = tmp_path / "scenario.toml"
+    trouble = 'in_state = "running"\nshare = 0.05\nseconds = 20.0\n'
+    scenario.write_text(
+        "speed = 4.0\n" + "".join(f'[[faults]]\nkind = "{kind}"\n{trouble}' for kind in ("drops", "bit_flips"))
+    )
+    with (
+        firmware_process(CABLES[0], "--scenario", str(scenario)) as (url, _),
+        SerialInstrument(SerialLink(url)) as instrument,
+    ):
+        run = start_run(instrument)
+        samples = [instrument.poll(0.1)]
+        while not samples[-1].size or samples[-1]["index"][-1] < run.end_index:
+            samples.append(instrument.poll(0.1))
+    samples = np.concatenate(samples)
+    played = samples[(samples["index"] > run.first_index + 200) & (samples["index"] < run.end_index)]
+    assert 0 < np.isnan(played["position"]).sum() < played.size / 3
+    assert np.array_equal(np.diff(samples["index"]), np.ones(samples.size - 1))
+    assert np.nanmax(np.abs(played["command"] - 10.0)) < 0.01
+
+
+def test_a_drifting_clock_changes_the_device_s_pace_and_nothing_else(monkeypatch):
+    port = TimedPort()
+    monkeypatch.setattr("firmware_sim.serve.time.monotonic", lambda: port.now)
+    firmware = Firmware(Bench("linear-demo"))
+    plan = PlannedFault(kind="drifting_clock", in_state="idle", clock_error=0.02, seconds=2.0)
+    server = Server(firmware, port, Scenario(faults=(plan,)))
+    server.run(until=lambda: port.now > 2.0)
+    assert firmware.sample_index == pytest.approx(2.0 * 2000 * 1.02, rel=2e-3)
+    assert server.stopped_s == 0.0
 
 
 class DeafPort:
@@ -222,6 +276,7 @@ def test_presets_are_listed():
         ("speed = nan", "speed cannot be used"),
         ("colour = 3", "colour cannot be used"),
         ('[[faults]]\nkind = "meteor"\nafter_start_s = 1', "faults.0.kind cannot be used"),
+        ('[[faults]]\nkind = "reset"', "either after_start_s or in_state"),
         ("= broken", "cannot read the scenario"),
         (None, "cannot read the scenario"),
     ],

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import softly
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
@@ -127,7 +128,9 @@ def test_set_points_are_played_as_they_were_sent_and_then_released():
         desk.live(50)
     desk.live(300)
     samples = desk.run()
-    assert np.array_equal(samples["command"][:640], codes(np.append(np.full(40, 10.0), volts)))
+    whole = np.append(np.full(40, 10.0), volts)
+    np.testing.assert_allclose(samples["command"][:640], codes(softly(whole, loaded=40)), atol=1)
+    assert np.array_equal(samples["command"][100:640], codes(whole[100:]))
     assert played(samples).size == 640
     assert not held(samples).any()
     assert samples.size == 640 + 100
@@ -177,11 +180,11 @@ def test_half_a_second_without_a_block_releases_with_a_fault():
 
 def test_without_any_set_point_the_load_goes_to_the_hold_level():
     desk = Desk()
-    desk.running(samples=200, hold_v=5.0)
-    desk.live(400)
+    desk.running(preload=140, samples=200, hold_v=5.0)
+    desk.live(500)
     volts = desk.run()["command"] * VOLTS_PER_CODE
-    np.testing.assert_allclose(volts[40:140], 10.0 - 5.0 * np.arange(1, 101) / 100, atol=VOLTS_PER_CODE)
-    np.testing.assert_allclose(volts[140:240], 5.0, atol=VOLTS_PER_CODE)
+    np.testing.assert_allclose(volts[140:240], 10.0 - 5.0 * np.arange(1, 101) / 100, atol=VOLTS_PER_CODE)
+    np.testing.assert_allclose(volts[240:340], 5.0, atol=VOLTS_PER_CODE)
     assert desk.firmware.state is State.LOADED
 
 
@@ -245,7 +248,10 @@ def test_the_buffer_goes_round():
         desk.live(1000)
     samples = played(desk.run())
     assert not held(samples).any()
-    assert np.array_equal(samples["command"][40:], codes(volts))
+    assert np.array_equal(samples["command"][100:], codes(volts[60:]))
+    np.testing.assert_allclose(
+        samples["command"][:100], codes(softly(np.append(np.full(40, 10.0), volts), loaded=40)[:100]), atol=1
+    )
 
 
 def test_set_points_are_agreed_for_one_run():
@@ -392,8 +398,15 @@ def test_whatever_the_cable_does_only_what_was_sent_is_played_or_held(deliveries
     assert np.abs(volts).max() * NEWTONS_PER_VOLT <= MOST_N * 1.05
     own = played(samples)
     assert own.size == len(sent)
+    softened = (own["flags"] & Flag.SOFT_START) > 0
+    assert not softened[99:].any()
     for k in range(PRELOAD, own.size):
-        assert held(own)[k] or int(own["command"][k]) in sent[k]
+        share = np.sin(np.pi / 2 * (k + 1) / 100)
+        soft = (
+            {round(np.sign(code) * share * max(abs(code), codes([10.0])[0])) for code in sent[k]} if k < 99 else set()
+        )
+        allowed = {code + step for code in soft for step in (-1, 0, 1)} if softened[k] else sent[k]
+        assert held(own)[k] or int(own["command"][k]) in allowed
     assert all(held(own)[k] for k in range(PRELOAD, own.size) if not sent[k])
     assert desk.status["held_samples"] == held(own).sum()
     assert desk.status["late_blocks"] >= late

@@ -1,0 +1,162 @@
+"""Whether what the sensors say can be: a position that does not answer the force, a current that does not answer the
+voltage (docs/protocol.md, section 5).
+
+Samples are judged in blocks of 10 ms while a run goes on. A mean over 10 ms is blind to what is too quick to move a
+mass, and to the noise of a converter; a code that stands still for that long cannot come from a live sensor.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.converters import CODE_MAX, CODE_MIN
+from tissueid.wire import Fault
+
+BLOCK_S = 0.01
+
+FROZEN_BLOCKS = 10
+"""A position code that stands still for 100 ms while the force changes by FROZEN_SWING_N is no position."""
+FROZEN_SWING_N = 0.3
+
+STILL_SWING_N, STILL_M = 3.0, 6.0e-6
+"""A position that keeps within STILL_M for 100 ms while the force swings by STILL_SWING_N: 5e5 N/m, and no tissue,
+rubber or end stop is as stiff as that."""
+
+JUMP_M_PER_S = 10.0
+"""No force of the coil brings the probe to half of this speed within its stroke."""
+
+OPEN_BLOCKS, OPEN_VOLTS, OPEN_SHARE = 2, 2.0, 0.15
+"""Over 20 ms: so many volts asked and measured on the average, and less than this share of the current they ought to
+drive. Back-EMF takes a fifth of it, no more."""
+
+CURRENT_BLOCKS, CURRENT_SWING_V = 5, 1.0
+"""A current code that stands still for 50 ms while the voltage changes by so much is no current."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """A block of n samples as the converters saw it, all of shape (n,): V, V, A, m, and the codes of two of them."""
+
+    command: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    current: NDArray[np.float64]
+    position: NDArray[np.float64]
+    current_codes: NDArray[np.int16]
+    position_codes: NDArray[np.int16]
+
+    def table(self) -> NDArray[np.float64]:
+        """All of them, shape (n, 6)."""
+        return np.stack(
+            [self.command, self.voltage, self.current, self.position, self.current_codes, self.position_codes], axis=1
+        ).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Summary:
+    """10 ms in a few numbers."""
+
+    asked_v: float
+    measured_v: float
+    mean_v: float
+    drawn_a: float
+    force_n: float
+    position_m: float
+    current_codes: tuple[float, float]
+    position_codes: tuple[float, float]
+
+
+class Plausibility:
+    """Judges one run. ``begin`` forgets the one before.
+
+    ``seen_low_end`` says that the probe may press on the near end of its stroke, where the converter ends too.
+    """
+
+    def __init__(self, sample_rate_hz: float, resistance_ohm: float, force_constant_n_per_a: float) -> None:
+        self._block = max(1, round(BLOCK_S * sample_rate_hz))
+        self._jump_m = JUMP_M_PER_S / sample_rate_hz
+        self._resistance_ohm = resistance_ohm
+        self._force_constant = force_constant_n_per_a
+        self.begin(seen_low_end=False)
+
+    def begin(self, *, seen_low_end: bool) -> None:
+        """A run begins."""
+        self._seen_low_end = seen_low_end
+        self._pending = np.zeros((0, 6))
+        self._last_position_m: float | None = None
+        self._history: deque[_Summary] = deque(maxlen=FROZEN_BLOCKS)
+
+    def first_fault(self, readings: Readings) -> tuple[int, Fault]:
+        """Where in a block the first thing is that cannot be, and what; NONE when there is none."""
+        jump = self._jump(readings.position)
+        offset = -self._pending.shape[0]
+        self._pending = np.concatenate((self._pending, readings.table()))
+        while self._pending.shape[0] >= self._block:
+            done, self._pending = self._pending[: self._block], self._pending[self._block :]
+            offset += self._block
+            self._history.append(self._summary(done))
+            if jump is not None and jump < offset:
+                break
+            if (fault := self._judge()) is not Fault.NONE:
+                return offset - 1, fault
+        return (0, Fault.NONE) if jump is None else (jump, Fault.SENSOR)
+
+    def _jump(self, position: NDArray[np.float64]) -> int | None:
+        """The first sample that lies further from the one before than the probe can go."""
+        if position.size == 0:
+            return None
+        before = position[0] if self._last_position_m is None else self._last_position_m
+        self._last_position_m = float(position[-1])
+        broken = np.abs(np.diff(position, prepend=before)) > self._jump_m
+        return int(np.argmax(broken)) if broken.any() else None
+
+    def _summary(self, rows: NDArray[np.float64]) -> _Summary:
+        command, voltage, current, position, current_codes, position_codes = rows.T
+        return _Summary(
+            float(np.abs(command).mean()),
+            float(np.abs(voltage).mean()),
+            float(voltage.mean()),
+            float(np.abs(current).mean()),
+            float(current.mean()) * self._force_constant,
+            float(position.mean()),
+            (float(current_codes.min()), float(current_codes.max())),
+            (float(position_codes.min()), float(position_codes.max())),
+        )
+
+    def _judge(self) -> Fault:
+        """What the newest blocks say together."""
+        if self._position_is_dead():
+            return Fault.SENSOR
+        return Fault.OPEN_COIL if self._current_is_dead() else Fault.NONE
+
+    def _position_is_dead(self) -> bool:
+        newest = self._history[-1].position_codes
+        if newest[0] == CODE_MAX:
+            return True
+        if len(self._history) < FROZEN_BLOCKS:
+            return False
+        swing = np.ptp([item.force_n for item in self._history])
+        codes = [code for item in self._history for code in item.position_codes]
+        low, high = min(codes), max(codes)
+        at_the_end = self._seen_low_end and low == CODE_MIN
+        if swing >= FROZEN_SWING_N and low == high and not at_the_end:
+            return True
+        still = np.ptp([item.position_m for item in self._history]) <= STILL_M
+        return bool(swing >= STILL_SWING_N and still and not at_the_end)
+
+    def _current_is_dead(self) -> bool:
+        newest = list(self._history)[-OPEN_BLOCKS:]
+        if len(newest) == OPEN_BLOCKS:
+            asked, measured, drawn = (
+                float(np.mean([getattr(item, name) for item in newest]))
+                for name in ("asked_v", "measured_v", "drawn_a")
+            )
+            if min(asked, measured) >= OPEN_VOLTS and drawn * self._resistance_ohm < OPEN_SHARE * measured:
+                return True
+        newest = list(self._history)[-CURRENT_BLOCKS:]
+        codes = [code for item in newest for code in item.current_codes]
+        swing = np.ptp([item.mean_v for item in newest])
+        return bool(len(newest) == CURRENT_BLOCKS and min(codes) == max(codes) and swing >= CURRENT_SWING_V)

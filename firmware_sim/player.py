@@ -1,0 +1,77 @@
+"""What is played, sample by sample: the stimulus, its set-points, the soft start before and the soft release after."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.setpoints import Setpoints
+from firmware_sim.soft_start import SoftStart
+from tissueid.wire import Flag
+
+RELEASE_RAMP_S = 0.05
+
+
+class Player:
+    """One run after another. ``begin`` sets one up, ``command`` says what comes next, ``account`` that it was played.
+
+    ``cursor`` counts the samples of the run, those of the release with them; ``length`` is where the release begins.
+    """
+
+    def __init__(self, setpoints: Setpoints, sample_rate_hz: float, step_v: float) -> None:
+        self.ramp_samples = round(RELEASE_RAMP_S * sample_rate_hz)
+        self._setpoints = setpoints
+        self._soft_start = SoftStart(sample_rate_hz, step_v)
+        self.begin(np.zeros(0), 0)
+
+    def begin(self, stimulus_v: NDArray[np.float64], length: int) -> None:
+        """A run of a stimulus, shape (n,), V, that has ``length`` samples with its set-points."""
+        self._stimulus_v = stimulus_v
+        self._soft_start.begin(stimulus_v)
+        self._setpoints.begin(stimulus_v.size)
+        self.cursor, self.length = 0, length
+        self.held_samples = 0
+        self._present_v = 0.0
+
+    @property
+    def played(self) -> int:
+        """Samples of the newest run that were played, those of the release not counted."""
+        return min(self.cursor, self.length)
+
+    @property
+    def releasing(self) -> bool:
+        """Nothing of the run itself is left to be played."""
+        return self.cursor >= self.length
+
+    @property
+    def over(self) -> bool:
+        """The release has come to its end."""
+        return self.cursor >= self.length + self.ramp_samples
+
+    def finish(self) -> None:
+        """The run ends here."""
+        self.length = self.played
+
+    def command(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
+        """Volts for up to ``count`` samples, and the flags that say where they come from."""
+        if self.releasing:
+            done = self.cursor - self.length
+            count = min(count, self.ramp_samples - done)
+            weight = 1.0 - (done + 1.0 + np.arange(count)) / self.ramp_samples
+            return self._present_v * weight, np.zeros(count, np.uint16)
+        count = min(count, self.length - self.cursor)
+        if self.cursor < self._stimulus_v.size:
+            wanted = self._stimulus_v[self.cursor : self.cursor + count]
+            flags = np.full(wanted.size, Flag.PLAYING, np.uint16)
+        else:
+            wanted, held = self._setpoints.play(self.cursor, count, self._present_v)
+            flags = np.where(held, Flag.PLAYING | Flag.HELD, Flag.PLAYING).astype(np.uint16)
+        volts, softened = self._soft_start.play(wanted, self.cursor)
+        return volts, flags | np.where(softened, Flag.SOFT_START, 0).astype(np.uint16)
+
+    def account(self, command: NDArray[np.float64], flags: NDArray[np.uint16]) -> None:
+        """What was just played moves the run on."""
+        if not self.releasing:
+            self._present_v = float(command[-1])
+        self.cursor += command.size
+        self.held_samples += int(np.count_nonzero(flags & Flag.HELD))

@@ -1,0 +1,44 @@
+"""The winding's temperature by calculation: what the sensor beside it would say if it neither lagged nor broke.
+
+One heat capacity and one way out, all figures on the hot side of the coil's own (docs/safety.md says by how much). It
+runs from reset to reset, whatever the state, and nothing that a host says turns it back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+HEAT_CAPACITY_J_PER_K = 16.5
+THERMAL_RESISTANCE_K_PER_W = 9.0
+AMBIENT_C = 28.0
+COPPER_PER_K = 0.0039
+"""Copper's resistance grows by this share a kelvin from 20 degC on, and the heat with it."""
+
+RESTART_MARGIN_K = 5.0
+"""A reset forgets: the winding may then be warmer than its sensor, which lags behind."""
+
+SENSOR_RANGE_C = (20.0, 150.0)
+"""What a sensor says beyond these is not believed; whoever needs a number takes the nearer end."""
+
+
+class WindingModel:
+    """Integrates the heat of the measured current. ``temperature_c`` is NaN until the first samples after a reset."""
+
+    def __init__(self, resistance_ohm: float, sample_rate_hz: float) -> None:
+        self._resistance_ohm = resistance_ohm
+        self._interval_s = 1.0 / sample_rate_hz
+        self.temperature_c = float("nan")
+
+    def advance(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64]) -> None:
+        """The samples of one block, both of shape (n,). The sensor can make the winding warmer, never cooler."""
+        if current_a.size == 0:
+            return
+        sensor = float(np.clip(sensor_c.mean(), *SENSOR_RANGE_C))
+        if np.isnan(self.temperature_c):
+            self.temperature_c = sensor + RESTART_MARGIN_K
+        resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
+        heat_w = resistance * float(np.mean(current_a**2))
+        lost_w = (self.temperature_c - AMBIENT_C) / THERMAL_RESISTANCE_K_PER_W
+        self.temperature_c += (heat_w - lost_w) * current_a.size * self._interval_s / HEAT_CAPACITY_J_PER_K
+        self.temperature_c = max(self.temperature_c, sensor)
