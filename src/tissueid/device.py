@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+
+GRAVITY_M_S2 = 9.80665
 
 
 @dataclass(frozen=True)
@@ -29,3 +32,35 @@ class DeviceDescription:
     def voltage_for_force(self, force_n: float) -> float:
         """Volts that hold a steady coil force: V = F R / (force constant), no motion, no back-EMF."""
         return force_n * self.coil_resistance_ohm / (self.force_constant_n_per_a * self.amplifier_gain)
+
+    def weight_n(self, gravity_along_stroke_m_s2: float = GRAVITY_M_S2) -> float:
+        """Pull of gravity on the moving part along the stroke, N into the tissue; by default straight down."""
+        return self.moving_mass_kg * gravity_along_stroke_m_s2
+
+
+DESKTOP = DeviceDescription()
+"""The desktop research device (thesis 2.2.1)."""
+
+_WIRE = 9.5 / DESKTOP.coil_resistance_ohm
+"""Length of the handheld's wire over the desktop's, by their resistances; of the same gage, and its turns alike."""
+
+HANDHELD = DeviceDescription(
+    model="handheld indenter",
+    coil_resistance_ohm=9.5,
+    coil_inductance_h=DESKTOP.coil_inductance_h * _WIRE**2,
+    force_constant_n_per_a=DESKTOP.force_constant_n_per_a * 0.35 / 0.53 * _WIRE,
+    moving_mass_kg=0.0395,
+)
+"""The handheld device (thesis 2.2.2: 9.5 ohm, 0.35 T, 39.5 g of 256 g, 32 mm).
+
+Force constant and inductance are not given there. They follow from the desktop's: the force constant goes as field and
+length of wire, the inductance as the square of the turns. A calibration puts them right.
+"""
+
+
+def angle_deg(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """The angle between two vectors in one plane, degrees from 0 to 180; 0 where one of them has no length."""
+    length = math.hypot(*a) * math.hypot(*b)
+    if length == 0.0:
+        return 0.0
+    return math.degrees(math.acos(max(-1.0, min(1.0, (a[0] * b[0] + a[1] * b[1]) / length))))

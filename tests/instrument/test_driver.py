@@ -119,14 +119,11 @@ def test_a_repeated_start_does_not_start_again():
     instrument.start()
     firmware = instrument._link.firmware
     instrument.poll(0.3)
-    cursor = firmware._cursor
-    start = wire.encode_frame(
-        wire.Frame(
-            wire.MessageType.START, instrument._sequence - 1, payload=wire.pack(wire.START, token=instrument._token)
-        )
-    )
+    cursor = firmware._player.cursor
+    payload = wire.pack(wire.START, token=instrument._token)
+    start = wire.encode_frame(wire.Frame(wire.MessageType.START, instrument._talk.number() - 1, payload=payload))
     firmware.receive(start, instrument._link.now)
-    assert firmware._cursor == cursor
+    assert firmware._player.cursor == cursor
 
 
 def test_lost_samples_are_nan_and_logged():
@@ -242,7 +239,7 @@ def test_the_host_checks_before_sending(command, limits, words):
 
 def without_host_checks(monkeypatch):
     monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
-    monkeypatch.setattr("tissueid.instrument.driver.check_samples", lambda *_: None)
+    monkeypatch.setattr("tissueid.instrument.judge.Judge.take", lambda *_: None)
 
 
 def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
@@ -251,6 +248,8 @@ def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     instrument.load(hold(40.0))
     with pytest.raises(LimitError, match="go beyond"):
         instrument.arm(Limits(max_force_n=8.0))
+    # A host that does not know how far the device goes asks for more.
+    instrument._hello = replace(instrument._hello, max_force_n=1000.0)
     with pytest.raises(LimitError, match="go beyond"):
         instrument.arm(Limits(max_force_n=500.0))
     assert not instrument._link.firmware.energised

@@ -4,7 +4,7 @@ import random
 
 import numpy as np
 import pytest
-from support import connect
+from support import connect, softly
 
 from tissueid import wire
 from tissueid.device import DeviceDescription
@@ -72,7 +72,10 @@ def test_set_points_are_played_sample_by_sample(opened):
     run = begin(instrument)
     assert run.samples == PRELOAD + COUNT
     samples = play(instrument, run, wave())
-    np.testing.assert_allclose(samples["command"][:PRELOAD], 10.0, atol=STEP_V)
+    np.testing.assert_allclose(samples["command"][:PRELOAD], softly(np.full(PRELOAD, 10.0)), atol=STEP_V)
+    softened = flagged(samples, Flag.SOFT_START)
+    assert softened[:98].all()  # what is lowered by less than a step of the converter is not lowered
+    assert not softened[99:].any()
     np.testing.assert_allclose(samples["command"][PRELOAD : run.samples], wave(), atol=STEP_V)
     assert np.array_equal(flagged(samples, Flag.PLAYING), np.arange(samples.size) < run.samples)
     assert not flagged(samples, Flag.HELD).any()
@@ -171,7 +174,7 @@ def test_finish_ends_a_stimulus_that_was_loaded_whole(opened):
     samples = play(instrument, run, np.zeros(0), until=2000)
     played = int(flagged(samples, Flag.PLAYING).sum())
     assert 2000 <= played < 2100
-    np.testing.assert_allclose(samples["command"][:played], wave(4000)[:played], atol=STEP_V)
+    np.testing.assert_allclose(samples["command"][:played], softly(wave(4000))[:played], atol=STEP_V)
 
 
 @both
@@ -295,7 +298,7 @@ def test_lost_blocks_are_sent_again_in_time():
     instrument._link.to_host = lambda data: b"" if rng.random() < 0.1 else data
     samples = play(instrument, run, wave(), lead=6)
     received = np.isfinite(samples["command"][: run.samples])
-    expected = np.concatenate((np.full(PRELOAD, 10.0), wave()))
+    expected = softly(np.concatenate((np.full(PRELOAD, 10.0), wave())), loaded=PRELOAD)
     np.testing.assert_allclose(samples["command"][: run.samples][received], expected[received], atol=STEP_V)
     assert instrument.late_blocks == instrument.held_samples == 0
     assert instrument._sender.repeated_blocks > 3

@@ -1,5 +1,6 @@
 """Talking to an instrument: a real one on a port, a simulated one in this process, a saved session replayed."""
 
+from tissueid.instrument.correction import Correction
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force
@@ -9,6 +10,7 @@ from tissueid.instrument.limits import (
     RESEARCH,
     Limits,
     check_command,
+    check_limits,
     check_samples,
     check_stimulus,
 )
@@ -22,6 +24,7 @@ __all__ = [
     "RESEARCH",
     "SAMPLE",
     "SIGNALS",
+    "Correction",
     "Found",
     "Gap",
     "Instrument",
@@ -33,6 +36,7 @@ __all__ = [
     "SerialLink",
     "SimulatedInstrument",
     "check_command",
+    "check_limits",
     "check_samples",
     "check_stimulus",
     "find_instruments",

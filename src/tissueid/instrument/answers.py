@@ -10,21 +10,24 @@ from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, Tis
 from tissueid.wire import Fault, MessageType, Result, State
 
 _FAULT_WORDS = {
-    Fault.WATCHDOG: "the computer was silent for too long",
-    Fault.OVER_FORCE: "the force went beyond its limit",
-    Fault.STROKE: "the probe reached the end of its stroke",
-    Fault.OVER_TEMPERATURE: "the coil is too hot",
-    Fault.OVER_TIME: "the test lasted too long",
-    Fault.BUTTON: "the button was pressed",
-    Fault.STARVED: "the computer fell behind with the stimulus",
+    Fault.WATCHDOG: "the computer was silent for too long: close other programs, then measure again",
+    Fault.OVER_FORCE: "the force went beyond its limit: use a weaker stimulus",
+    Fault.STROKE: "the probe reached the end of its stroke: place it nearer to the middle",
+    Fault.OVER_TEMPERATURE: "the coil is too hot: let it cool for some minutes",
+    Fault.OVER_TIME: "the test lasted too long: use a shorter stimulus",
+    Fault.BUTTON: "the button was pressed: let go of it, then measure again",
+    Fault.STARVED: "the computer fell behind with the stimulus: close other programs, then measure again",
+    Fault.BROWN_OUT: "the supply voltage sagged: check the power supply and its plug",
+    Fault.SENSOR: "the position sensor does not move as the force asks for: check its plug and cable",
+    Fault.OPEN_COIL: "the coil's current does not follow the voltage: check the coil's plug and cable",
 }
 
 _RESULT_WORDS: dict[int, str] = {
-    Result.BAD_STATE: "the instrument is not in a state for that",
-    Result.BAD_ARGUMENT: "the instrument did not understand",
-    Result.TOO_LARGE: "the stimulus is longer than the instrument can hold",
-    Result.CHECKSUM: "the stimulus arrived damaged",
-    Result.BEYOND_LIMITS: "the stimulus or the limits go beyond what the instrument allows",
+    Result.BAD_STATE: "the instrument is not in a state for that: connect again",
+    Result.BAD_ARGUMENT: "the instrument did not understand: update its firmware, or this software",
+    Result.TOO_LARGE: "shorten it: the stimulus is longer than the instrument can hold",
+    Result.CHECKSUM: "the stimulus arrived damaged: check the cable, and connect again",
+    Result.BEYOND_LIMITS: "the stimulus or the limits go beyond what the instrument allows: choose gentler ones",
     Result.UNKNOWN: "the instrument's firmware is too old for that",
 }
 
@@ -36,8 +39,8 @@ _TOO_OLD_FOR = {
 
 
 def describe_faults(faults: Fault) -> str:
-    """The latched faults in words, joined."""
-    return " and ".join(words for fault, words in _FAULT_WORDS.items() if fault & faults) or "no fault"
+    """The latched faults in words, each with what to do about it, joined."""
+    return "; ".join(words for fault, words in _FAULT_WORDS.items() if fault & faults) or "no fault"
 
 
 def refusal(kind: MessageType, result: int, detail: int) -> TissueIDError:

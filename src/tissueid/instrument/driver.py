@@ -4,40 +4,37 @@ from __future__ import annotations
 
 import logging
 import time
-import zlib
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid import __version__, wire
+from tissueid.device import DeviceDescription
 from tissueid.errors import (
     FirmwareFaultError,
     InstrumentError,
-    LimitError,
     LinkLostError,
     ProtocolVersionError,
     TissueIDError,
 )
-from tissueid.instrument.answers import Status, describe_faults, read_status, refusal
+from tissueid.instrument.answers import Status, describe_faults, read_status
+from tissueid.instrument.conversation import ANSWER_S, TRIES, Conversation
+from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
 from tissueid.instrument.handshake import Introduction, read_hello
-from tissueid.instrument.interface import Run
-from tissueid.instrument.limits import Limits, check_command, check_samples, check_stimulus
+from tissueid.instrument.interface import SIGNALS, Run
+from tissueid.instrument.judge import Judge
+from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.link import Link
 from tissueid.instrument.sample_stream import SampleStream
 from tissueid.instrument.setpoints import SetpointSender
-from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
+from tissueid.instrument.upload import CHUNK_CODES, send_stage, send_stimulus
+from tissueid.wire import Fault, Flag, Frame, MessageType, State
 
 log = logging.getLogger(__name__)
 
-HEARTBEAT_S = 0.1
-ANSWER_S = 0.3
-"""How long to wait for an answer before the request is sent again."""
-TRIES = 5
 SILENCE_S = 1.0
 """A device that streams says something every 10 ms; this much silence is a lost link."""
-CHUNK_CODES = 480
 
 
 class SerialInstrument:
@@ -55,15 +52,15 @@ class SerialInstrument:
         self.gaps = self._stream.gaps
         self.late_blocks = self.held_samples = 0
         self.status: Status | None = None
-        self.repeated_requests = 0
         self._link = link
         self._clock = clock
         self._decoder = wire.FrameDecoder()
-        self._sequence = 0
-        self._ack: dict[str, Any] | None = None
+        self._talk = Conversation(link, clock, self._pump, self._tell)
         self._answer: bytes | None = None
         self._error: TissueIDError | None = None
+        self._told: TissueIDError | None = None
         self._limits: Limits | None = None
+        self._corrections: Corrections = {}
         self._run: Run | None = None
         self._stopped = False
         self._command = np.zeros(0)
@@ -72,14 +69,15 @@ class SerialInstrument:
         self._sender = SetpointSender(link.write, clock)
         self._stimulus_id = 0
         self._closed = False
-        self._last_heard = self._last_heartbeat = clock()
+        self._last_heard = clock()
         self._streaming = False
         try:
             self._hello = self._shake_hands()
-            self.device = self._hello.device
-            self._request(MessageType.CLEAR_FAULTS)
-            self._request(MessageType.RELEASE)
-            self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
+            self.device = self.nominal = self._hello.device
+            self._judge = Judge(self.nominal)
+            self._talk.request(MessageType.CLEAR_FAULTS)
+            self._talk.request(MessageType.RELEASE)
+            self._talk.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
             self._stream.begin(self._hello)
             self._streaming = True
         except BaseException:
@@ -88,6 +86,17 @@ class SerialInstrument:
 
     # -- the Instrument interface -------------------------------------------------------------------------
 
+    def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
+        """From now on go by ``device``, and correct what is read.
+
+        Raises:
+            InstrumentError: a test is armed or running, or there is no such channel.
+        """
+        if self._busy():
+            raise InstrumentError("a calibration is put in force between two tests, not while one runs")
+        self._corrections = check_corrections(corrections, SIGNALS)
+        self.device = device
+
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Send a stimulus, shape (n,), V; chunks are acknowledged one by one and repeated when lost.
 
@@ -95,18 +104,11 @@ class SerialInstrument:
             LimitError: the voltage cannot be expressed by the converter.
             InstrumentError: the firmware refuses it.
         """
-        data = self._codes(command_v)
+        codes = self._hello.codes(command_v)
         self._wait_for_release()
         self._stimulus_id += 1
         self._following = 0
-        key = {"stimulus_id": self._stimulus_id}
-        begin = wire.pack(wire.STIMULUS_BEGIN, samples=data.size, crc32=zlib.crc32(data.tobytes()), **key)
-        self._request(MessageType.STIMULUS_BEGIN, begin)
-        for offset in range(0, data.size, CHUNK_CODES):
-            chunk = wire.pack(wire.STIMULUS_CHUNK, offset=offset, **key)
-            chunk += data[offset : offset + CHUNK_CODES].tobytes()
-            self._request(MessageType.STIMULUS_CHUNK, chunk)
-        self._request(MessageType.STIMULUS_COMMIT, wire.pack(wire.STIMULUS_COMMIT, **key))
+        send_stimulus(self._talk, self._stimulus_id, codes)
         self._command = np.asarray(command_v, np.float64)
 
     def follow(self, samples: int, hold_v: float) -> None:
@@ -118,9 +120,9 @@ class SerialInstrument:
         """
         if not self._command.size:
             raise InstrumentError("load what comes before the set-points first")
-        hold = self._codes(np.array([hold_v]))
+        hold = self._hello.codes(np.array([hold_v]))
         self._wait_for_release()
-        self._request(
+        self._talk.request(
             MessageType.FOLLOW,
             wire.pack(wire.FOLLOW, stimulus_id=self._stimulus_id, samples=samples, hold_code=hold[0]),
         )
@@ -138,28 +140,37 @@ class SerialInstrument:
         first, end = self._command.size, offset + command_v.size
         if self._limits is None or not first <= offset < end <= first + self._following:
             raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
-        check_command(command_v, self.device, self._limits)
-        codes = self._codes(command_v)
+        for figures in most_cautious(self.nominal, self.device):
+            check_command(command_v, figures, self._limits)
+        self._judge.ask(command_v)
+        codes = self._hello.codes(command_v)
         for start in range(0, codes.size, CHUNK_CODES):
             part = codes[start : start + CHUNK_CODES]
             payload = wire.pack(wire.SETPOINTS, token=self._token, offset=offset + start) + part.tobytes()
-            sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFF
+            sequence = self._talk.number()
             frame = wire.encode_frame(Frame(MessageType.SETPOINTS, sequence, payload=payload))
             self._sender.put(sequence, offset + start, offset + start + part.size, frame)
 
     def arm(self, limits: Limits) -> None:
-        """Agree on the limits, here and in the firmware.
+        """Agree on the limits, here and in the firmware; where the device goes less far, its own hold.
 
         Raises:
-            LimitError: the stimulus would break them.
+            LimitError: the stimulus would break them, or the coil is too hot already.
+            InstrumentError: the coil's temperature cannot be told.
         """
-        check_stimulus(self._command, self.device, limits, self._following)
-        if self._following:
-            check_command(np.array([self._hold_v]), self.device, limits)
-        self._limits = limits
-        self._token = (self._stimulus_id << 8) ^ (self._sequence & 0xFF) ^ 0x5EED0000
-        self._beat(force=True)
-        self._request(
+        check_limits(limits, self.nominal)
+        limits = self._hello.narrowed(limits)
+        for figures in most_cautious(self.nominal, self.device):
+            check_stimulus(self._command, figures, limits, self._following)
+            if self._following:
+                check_command(np.array([self._hold_v]), figures, limits)
+        self._expect_samples()
+        newest = self._stream.newest
+        self._judge.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
+        self._judge.ask(np.append(self._command, self._hold_v if self._following else 0.0))
+        self._token = (self._stimulus_id << 8) ^ (self._talk.number() & 0xFF) ^ 0x5EED0000
+        self._talk.beat(force=True)
+        self._talk.request(
             MessageType.ARM,
             wire.pack(
                 wire.ARM,
@@ -172,6 +183,7 @@ class SerialInstrument:
                 max_samples=round(limits.max_seconds * self.device.sample_rate_hz),
             ),
         )
+        self._limits = limits
         self._sender.reset()
         self._stream.held_samples = 0
         self.late_blocks = self.held_samples = 0
@@ -179,8 +191,8 @@ class SerialInstrument:
     def start(self) -> Run:
         """Energise the coil and play."""
         self._stopped = False
-        self._beat(force=True)
-        first = self._request(MessageType.START, wire.pack(wire.START, token=self._token))
+        self._talk.beat(force=True)
+        first = self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token))
         self._run = run = Run(first, self._command.size + self._following)
         if self.status is not None and self.status.faults:
             self._fail_by_fault(self.status.faults)  # it tripped before this answer was read
@@ -202,10 +214,12 @@ class SerialInstrument:
             self.release()
             self._fail(refused)
         if self._error is not None and not self._stream:
+            self._told = self._error
             raise self._error
         samples = self._stream.drain()
         if samples.size:
-            self._judge(samples)
+            read, samples = samples, corrected(samples, self._corrections)
+            self._take_samples(read, samples)
         return samples
 
     def finish(self) -> int:
@@ -214,7 +228,7 @@ class SerialInstrument:
         Raises:
             InstrumentError: the firmware is too old for it.
         """
-        played = self._request(MessageType.FINISH)
+        played = self._talk.request(MessageType.FINISH)
         self._sender.stop()
         if self._run is None:
             self._end_run()
@@ -222,18 +236,31 @@ class SerialInstrument:
             self._run = Run(self._run.first_index, played)
         return played
 
+    def move_stage(self, position_m: float | None) -> bool:
+        """Bring the fixture on a motorised stage to a position on the actuator, m; None takes it out of reach.
+
+        Returns False where the instrument has no such stage.
+
+        Raises:
+            InstrumentError: a test is armed or running, or the stage cannot go there.
+        """
+        if self._busy():
+            raise InstrumentError("the stage moves only while the coil is free: end the test first")
+        self._wait_for_release()
+        return send_stage(self._talk, position_m)
+
     def release(self) -> None:
         """Free the coil now; what cannot be said is left to the firmware's watchdog."""
         self._end_run()
         try:
-            self._request(MessageType.STOP, tries=2)
+            self._talk.request(MessageType.STOP, tries=self._last_tries())
         except TissueIDError as error:
             log.warning("release not confirmed, the firmware's watchdog releases the coil: %s", error)
 
     def clear_faults(self) -> None:
         """Unlatch the firmware's faults and forget the failed run; the next test must be armed anew."""
         self._error = None
-        self._request(MessageType.CLEAR_FAULTS)
+        self._talk.request(MessageType.CLEAR_FAULTS)
 
     def close(self) -> None:
         """Release, end the stream, let go of the port."""
@@ -243,7 +270,7 @@ class SerialInstrument:
         if not isinstance(self._error, LinkLostError):
             self.release()
             try:
-                self._request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=2)
+                self._talk.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
             except TissueIDError as error:
                 log.info("the stream was not ended: %s", error)
         self._link.close()
@@ -260,16 +287,29 @@ class SerialInstrument:
         return self._decoder.statistics
 
     @property
+    def repeated_requests(self) -> int:
+        """Requests that were sent again because no answer came."""
+        return self._talk.repeated
+
+    @property
     def setpoint_margin_s(self) -> float | None:
         """The least time by which a block of set-points of the newest run was ahead of being played."""
         margin = self._sender.margin_samples
         return None if margin is None else margin / self.device.sample_rate_hz
 
+    def _busy(self) -> bool:
+        """Whether a test is armed or running. One whose last sample is here is over as soon as its release is."""
+        last = self._stream.next_index
+        if self._run is not None and last is not None and last >= self._run.end_index:
+            self._wait_for_release()
+            self._end_run()
+        return self._limits is not None
+
     def _wait_for_release(self) -> None:
         """Let the firmware's ramp down after a run come to its end."""
         deadline = self._clock() + ANSWER_S
         while self.status is not None and self.status.state is State.RUNNING and self._clock() < deadline:
-            self._send(MessageType.STATUS_REQUEST)
+            self._talk.send(MessageType.STATUS_REQUEST)
             self._pump(0.02)
 
     # -- requests -----------------------------------------------------------------------------------------
@@ -282,7 +322,7 @@ class SerialInstrument:
             host=f"tissueid {__version__}".encode(),
         )
         for _ in range(TRIES):
-            self._send(MessageType.HELLO, hello)
+            self._talk.send(MessageType.HELLO, hello)
             deadline = self._clock() + ANSWER_S
             while self._answer is None and self._clock() < deadline:
                 self._pump(0.05)
@@ -290,51 +330,15 @@ class SerialInstrument:
                 return read_hello(self._answer, self._link.name)
         raise LinkLostError(f"no instrument answers on {self._link.name}; check the cable and the power")
 
-    def _codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
-        """The converter's codes, shape (n,), of commands in V."""
-        codes = np.rint((np.asarray(command_v) - self._hello.offsets[0]) / self._hello.gains[0])
-        if not np.all(np.abs(codes) <= 32767):
-            raise LimitError("the stimulus goes beyond the range of the instrument's converter")
-        data: NDArray[np.int16] = codes.astype("<i2")
-        return data
-
-    def _request(self, kind: MessageType, payload: bytes = b"", *, tries: int = TRIES) -> int:
-        """Send until answered, always under the same sequence number, so that a repeat acts only once."""
-        sequence = self._sequence
-        self._sequence = (self._sequence + 1) & 0xFFFF
-        for attempt in range(tries):
-            self._send(kind, payload, sequence)
-            self.repeated_requests += attempt > 0
-            deadline = self._clock() + ANSWER_S
-            while self._clock() < deadline:
-                self._ack = None
-                self._pump(0.02)
-                ack = self._ack
-                if ack and ack["request_type"] == kind and ack["request_sequence"] == sequence:
-                    if ack["result"] != Result.OK:
-                        raise refusal(kind, ack["result"], ack["detail"])
-                    return int(ack["detail"])
-        raise LinkLostError(f"{self._link.name} does not answer {kind.name}; check the cable and the power")
-
-    def _send(self, kind: MessageType, payload: bytes = b"", sequence: int | None = None) -> None:
-        if sequence is None:
-            sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFF
-        self._link.write(wire.encode_frame(Frame(kind, sequence, payload=payload)))
-
-    def _beat(self, *, force: bool = False) -> None:
-        now = self._clock()
-        if force or now - self._last_heartbeat >= HEARTBEAT_S:
-            self._last_heartbeat = now
-            self._send(MessageType.HEARTBEAT)
-
     # -- bytes in -----------------------------------------------------------------------------------------
 
     def _pump(self, timeout_s: float) -> None:
         """Read once, and deal with every frame that came."""
-        self._beat()
+        self._talk.beat()
         data = self._link.read(timeout_s)
         for frame in self._decoder.feed(data):
-            self._last_heard = self._clock()
+            if not self._streaming or frame.type == MessageType.DATA:
+                self._last_heard = self._clock()  # answers alone are no measurement
             try:
                 self._dispatch(frame)
             except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
@@ -343,7 +347,8 @@ class SerialInstrument:
             self._sender.repeat(self._stream.next_index - self._run.first_index)
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
             raise LinkLostError(
-                f"{self._link.name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself"
+                f"{self._link.name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself. "
+                "Check the cable and the power, and connect again"
             )
 
     def _dispatch(self, frame: Frame) -> None:
@@ -366,7 +371,7 @@ class SerialInstrument:
     def _take_ack(self, frame: Frame) -> None:
         ack, _ = wire.unpack(wire.ACK, frame.payload, tail=True)
         if ack["request_type"] != MessageType.SETPOINTS:
-            self._ack = ack
+            self._talk.take(ack)
             return
         self._sender.acknowledge(ack, frame.sample_index - self._run.first_index if self._run else None)
         self.late_blocks = max(self.late_blocks, self._sender.late_blocks)
@@ -379,7 +384,7 @@ class SerialInstrument:
         self.held_samples = max(self.held_samples, status.held_samples)
         if status.boot_id != self._hello.boot_id:
             self._fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
-        elif self._run is not None and status.faults:
+        elif self._limits is not None and status.faults:
             self._fail_by_fault(status.faults)
         elif self._run is not None and self._stopped and status.state is not State.RUNNING:
             self._fail(FirmwareFaultError("the instrument stopped the test by itself; the coil is free"))
@@ -392,14 +397,17 @@ class SerialInstrument:
         # What the firmware held in samples that were lost is in its STATUS at the end of the run.
         self.held_samples = max(self.held_samples, self._stream.held_samples)
 
-    def _judge(self, samples: NDArray[np.void]) -> None:
-        if self._limits is None or self._error is not None:
-            return
+    def _take_samples(self, read: NDArray[np.void], samples: NDArray[np.void]) -> None:
+        """Judge samples as they were read and as they are corrected, and see whether they end the run."""
+        limits = self._limits if self._error is None else None
+        calibrated = None if self.device is self.nominal else (samples, self.device)
         try:
-            check_samples(samples, self.device, self._limits, self._run.first_index if self._run else None)
-        except LimitError as error:
+            self._judge.take(read, limits, self._run, calibrated)
+        except TissueIDError as error:
             self.release()
             self._error = error
+            return
+        if limits is None:
             return
         if self._run is not None and samples["index"][-1] >= self._run.end_index:
             self._end_run()
@@ -408,10 +416,32 @@ class SerialInstrument:
             if np.any(received & ~(samples["flags"] & Flag.PLAYING).astype(bool)):
                 # The message that says why may have been lost: ask again.
                 self._stopped = True
-                self._send(MessageType.STATUS_REQUEST)
+                self._talk.send(MessageType.STATUS_REQUEST)
 
     def _fail_by_fault(self, faults: Fault) -> None:
         self._fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(faults)}"))
+
+    def _tell(self) -> TissueIDError | None:
+        """What went wrong and has not been raised yet; from now on it has."""
+        untold = None if self._error is self._told else self._error
+        self._told = self._error
+        return untold
+
+    def _last_tries(self) -> int:
+        """How often to say what ends a conversation: who has just not answered will hardly do so now."""
+        return 1 if self._talk.unanswered else 2
+
+    def _expect_samples(self) -> None:
+        """Nothing is played before samples are seen to arrive.
+
+        Raises:
+            LinkLostError: none does.
+        """
+        before, deadline = self._stream.next_index, self._clock() + ANSWER_S
+        while self._stream.next_index == before and self._error is None:
+            if self._clock() >= deadline:
+                raise LinkLostError(f"no samples arrive from {self._link.name}: check the cable, and connect again")
+            self._pump(0.02)
 
     def _fail(self, error: TissueIDError) -> None:
         """Remember the first error; ``poll`` raises it once the samples before it are delivered."""

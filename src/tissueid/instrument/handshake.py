@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid import wire
 from tissueid.device import DeviceDescription
-from tissueid.errors import InstrumentError, ProtocolVersionError
+from tissueid.errors import InstrumentError, LimitError, ProtocolVersionError
 from tissueid.instrument.interface import SIGNALS
+from tissueid.instrument.limits import Limits
 
 
 @dataclass(frozen=True)
 class Introduction:
-    """What a device said of itself: its figures, the scales of the channels in the order of SIGNALS, its boot id."""
+    """What a device said of itself: its figures, the scales of the channels in the order of SIGNALS, its boot id.
+
+    ``max_force_n`` and ``max_temperature_c`` are as far as it ever goes, whatever limits it is asked for.
+    """
 
     device: DeviceDescription
     gains: NDArray[np.float64]
     offsets: NDArray[np.float64]
     boot_id: int
+    max_force_n: float
+    max_temperature_c: float
+
+    def narrowed(self, limits: Limits) -> Limits:
+        """These limits, or the device's own where it goes less far."""
+        return replace(
+            limits,
+            max_force_n=min(limits.max_force_n, self.max_force_n),
+            max_temperature_c=min(limits.max_temperature_c, self.max_temperature_c),
+        )
+
+    def codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
+        """The converter's codes, shape (n,), of commands in V.
+
+        Raises:
+            LimitError: it has no codes for them.
+        """
+        codes = np.rint((np.asarray(command_v) - self.offsets[0]) / self.gains[0])
+        if not np.all(np.abs(codes) <= 32767):
+            raise LimitError("the stimulus goes beyond the range of the instrument's converter")
+        data: NDArray[np.int16] = codes.astype("<i2")
+        return data
 
 
 def read_hello(payload: bytes, name: str) -> Introduction:
@@ -44,12 +70,15 @@ def read_hello(payload: bytes, name: str) -> Introduction:
         raise InstrumentError(f"the handshake of {name} is damaged: {error}") from error
     channels = np.frombuffer(table, wire.CHANNEL)
     names = tuple(wire.text(channel) for channel in channels["name"])
-    if names != SIGNALS or not np.all(np.isfinite(channels["gain"]) & (channels["gain"] != 0)):
+    if names != SIGNALS or not np.all(np.isfinite(channels["gain"] + channels["offset"]) & (channels["gain"] != 0)):
         raise InstrumentError(f"{name} has other channels than this software knows: {names}")
     figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
     figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
     device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
     if not 100 <= device.sample_rate_hz <= 100_000 or min(device.coil_resistance_ohm, device.stroke_m) <= 0:
         raise InstrumentError(f"{name} reports impossible figures of itself")
+    furthest = fields["max_force_n"], fields["max_temperature_c"]
+    if not (np.all(np.isfinite(furthest)) and min(furthest) > 0):
+        raise InstrumentError(f"{name} reports impossible limits of its own")
     gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
-    return Introduction(device, gains, offsets, fields["boot_id"])
+    return Introduction(device, gains, offsets, fields["boot_id"], *furthest)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
+from tissueid.instrument.correction import Correction
 from tissueid.instrument.limits import Limits
 
 SIGNALS = ("command", "voltage", "current", "position", "temperature", "acceleration_x", "acceleration_y")
@@ -46,8 +48,21 @@ class Instrument(Protocol):
     the firmware's watchdog quiet is sent there and nowhere else, so a host that hangs releases the coil.
     """
 
+    nominal: DeviceDescription
+    """What the instrument says of itself."""
     device: DeviceDescription
+    """The figures to work with: the nominal ones, or a calibration's laid over them."""
     gaps: list[Gap]
+
+    def use_calibration(self, device: DeviceDescription, corrections: Mapping[str, Correction]) -> None:
+        """From now on go by ``device``, and correct what is read channel by channel.
+
+        Limits are judged by the nominal figures and what was read as well, whichever is the more cautious. With
+        ``nominal`` and no corrections a calibration is out of force again. Only while the coil is free.
+
+        Raises:
+            InstrumentError: a test is armed or running, or there is no such channel.
+        """
 
     @property
     def late_blocks(self) -> int:

@@ -17,9 +17,25 @@ FORCE_MARGIN = 1.05
 """A running test is stopped this far above its force limit: noise on a test at the limit must not end it."""
 
 
+GENTLE_FORCE_N = 2.0
+"""Up to this force the probe may go to the ends of its stroke and lean on them: that is how they are found."""
+
+BEYOND_STROKE_M = 1.0e-3
+"""How far the position limits may then lie beyond either end."""
+
+LIFT_S = 0.5
+"""A device that points upwards has its free probe at the near end: a run may take so long to lift it off."""
+
+
 @dataclass(frozen=True)
 class Limits:
-    """What a test may do. Defaults: the research device's (thesis 2.1: forces under 15 N)."""
+    """What a test may do. Defaults: the research device's (thesis 2.1: forces under 15 N).
+
+    Where ``max_force_n`` is 2 N or less the position limits may lie up to 1 mm beyond the ends of the stroke.
+
+    Raises:
+        LimitError: a limit is none, or the lower position lies above the upper one.
+    """
 
     max_force_n: float = 15.0
     min_position_m: float = 0.0003
@@ -29,7 +45,8 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not np.isfinite(value) or value <= 0:
+            gentle = name == "min_position_m" and self.max_force_n <= GENTLE_FORCE_N
+            if not np.isfinite(value) or not (value >= -BEYOND_STROKE_M if gentle else value > 0):
                 raise LimitError(f"the limit {name} must be a positive number, not {value}")
         if self.min_position_m >= self.max_position_m:
             raise LimitError("the lower position limit lies above the upper one")
@@ -78,6 +95,20 @@ def check_command(command_v: NDArray[np.float64], device: DeviceDescription, lim
         raise LimitError(f"the stimulus reaches {newtons:.1f} N; the limit is {limits.max_force_n:g} N")
 
 
+def check_limits(limits: Limits, device: DeviceDescription) -> None:
+    """Refuse position limits that lie beyond the device's stroke, but for gentle ones.
+
+    Raises:
+        LimitError: says how far the probe can go.
+    """
+    furthest = device.stroke_m + (BEYOND_STROKE_M if limits.max_force_n <= GENTLE_FORCE_N else 0.0)
+    if limits.max_position_m > furthest:
+        raise LimitError(
+            f"the limit max_position_m, {limits.max_position_m * 1e3:.1f} mm, lies beyond the stroke of "
+            f"{device.stroke_m * 1e3:g} mm"
+        )
+
+
 def check_samples(
     samples: NDArray[np.void], device: DeviceDescription, limits: Limits, first_index: int | None
 ) -> None:
@@ -101,7 +132,9 @@ def check_samples(
         where = deep if deep > limits.max_position_m else shallow
         raise LimitError(f"the probe reached the end of its stroke, at {where * 1e3:.1f} mm")
     if (temperature := worst(samples["temperature"])) > limits.max_temperature_c:
-        raise LimitError(f"the coil is at {temperature:.0f} °C; the limit is {limits.max_temperature_c:g} °C")
+        raise LimitError(
+            f"the coil is at {temperature:.0f} °C; the limit is {limits.max_temperature_c:g} °C: let it cool"
+        )
     if first_index is not None and samples.size:
         seconds = (int(samples["index"][-1]) - first_index) / device.sample_rate_hz
         if seconds > limits.max_seconds + 1.0:

@@ -117,23 +117,35 @@ class SerialLink:
         try:
             self._pipe = _Socket(url) if url.startswith("socket://") else _Port(url)
         except _PORT_ERRORS as error:
-            raise InstrumentError(f"cannot open {url}: {_reason(error)}") from error
+            raise unopened(url, error) from error
 
     def read(self, timeout_s: float) -> bytes:  # noqa: D102
         try:
             return self._pipe.read(timeout_s)
         except (OSError, TypeError) as error:  # TypeError: pyserial's read on a port closed meanwhile
-            raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
+            raise broken(self.name, error) from error
 
     def write(self, data: bytes) -> None:  # noqa: D102
         try:
             self._pipe.write(data)
         except (OSError, TypeError) as error:
-            raise LinkLostError(f"the connection to {self.name} broke: {_reason(error)}") from error
+            raise broken(self.name, error) from error
 
     def close(self) -> None:  # noqa: D102
         with contextlib.suppress(OSError):  # an unplugged port cannot be closed
             self._pipe.close()
+
+
+def unopened(url: str, error: Exception) -> InstrumentError:
+    """What to say of a port that cannot be opened."""
+    taken = getattr(error, "errno", None) == errno.EAGAIN
+    advice = "close it, and try again" if taken else "check the cable, the power and the name of the port"
+    return InstrumentError(f"cannot open {url}: {_reason(error)}; {advice}")
+
+
+def broken(name: str, error: Exception) -> LinkLostError:
+    """What to say of the connection called ``name`` when a read or a write failed."""
+    return LinkLostError(f"the connection to {name} broke: {_reason(error)}. Check the cable, and connect again")
 
 
 def _address(url: str) -> tuple[str, int]:

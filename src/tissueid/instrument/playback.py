@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +17,13 @@ FADE_S = 0.005
 
 STARVED_S = 0.5
 
+SOFT_START_S = 0.05
+"""In this time the bound on the command grows by a quarter of a sine to the most that the stimulus asks for in it."""
+
 
 class Playback:
-    """One run of ``stimulus``, shape (n,), V, and ``following`` set-points, by the rules of docs/protocol.md, 4.5.
+    """One run of ``stimulus``, shape (n,), V, and ``following`` set-points, by the rules of docs/protocol.md, 4.5
+    and 5.
 
     ``over`` is true once the release is complete; ``starved`` when the set-points stay away for too long.
     """
@@ -33,6 +39,8 @@ class Playback:
         self._ramp, self._fade, self._patience = (
             max(1, round(seconds * sample_rate_hz)) for seconds in (RAMP_S, FADE_S, STARVED_S)
         )
+        self._soft = max(1, round(SOFT_START_S * sample_rate_hz))
+        self._peak_v = float(np.abs(stimulus[: self._soft]).max(initial=0.0))
         self._cursor = 0
         self._present_v = self._from_v = 0.0
         self._holding = self._fading = self._missing = 0
@@ -82,8 +90,9 @@ class Playback:
         inside = max(0, min(count, self._length - self._cursor))
         for k, wanted_v in enumerate(self._volts[self._cursor : self._cursor + inside]):
             held = self._hold() if np.isnan(wanted_v) else self._follow(float(wanted_v))
+            softened = self._soften(self._cursor + k)
             commands[k] = self._present_v
-            flags[k] = Flag.PLAYING | Flag.ENERGISED | (Flag.HELD if held else 0)
+            flags[k] = Flag.PLAYING | Flag.ENERGISED | (Flag.HELD if held else 0) | (Flag.SOFT_START if softened else 0)
             self.held_samples += held
         done = self._cursor + np.arange(inside, count) - self._length  # samples of the release before each
         ramp = done < self._ramp
@@ -91,6 +100,17 @@ class Playback:
         flags[inside:][ramp] = Flag.ENERGISED
         self._cursor += count
         return commands, flags
+
+    def _soften(self, number: int) -> bool:
+        """The command of sample ``number`` under the curve of the soft start; whether that lowered it."""
+        if number >= self._soft - 1:
+            return False
+        share = math.sin(0.5 * math.pi * (number + 1) / self._soft)
+        most_v = share * max(self._peak_v, abs(self._present_v))
+        if abs(self._present_v) <= most_v * (1.0 + 1e-9):
+            return False
+        self._present_v = math.copysign(most_v, self._present_v)
+        return True
 
     def _hold(self) -> bool:
         """One sample without a set-point."""

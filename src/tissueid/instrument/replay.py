@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, UnusableInputError
+from tissueid.instrument.correction import Correction
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
 from tissueid.instrument.limits import Limits
 from tissueid.wire import Flag
@@ -27,7 +28,7 @@ class ReplayInstrument:
     """
 
     def __init__(self, device: DeviceDescription, signals: Mapping[str, NDArray[np.float64]]) -> None:
-        self.device = device
+        self.device = self.nominal = device
         self.gaps: list[Gap] = []
         self.late_blocks = self.held_samples = 0
         self.setpoint_margin_s: float | None = None
@@ -43,6 +44,14 @@ class ReplayInstrument:
         self._cursor = 0
         self._loaded = 0
         self._armed = self._running = False
+
+    def use_calibration(self, device: DeviceDescription, corrections: Mapping[str, Correction]) -> None:
+        """Refuse.
+
+        Raises:
+            InstrumentError: what was recorded went by the calibration that was in force then.
+        """
+        raise InstrumentError("a replay keeps the calibration that was in force when it was recorded")
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Take note of how many samples are wanted; no more than were recorded."""
@@ -94,6 +103,11 @@ class ReplayInstrument:
         self._cursor += block.size
         self._running = self._cursor < self._loaded
         return block.copy()
+
+    def move_stage(self, position_m: float | None) -> bool:
+        """False: a replay has no stage."""
+        del position_m
+        return False
 
     def release(self) -> None:
         """End the replay."""

@@ -25,6 +25,8 @@ class SampleStream:
         self.gaps: list[Gap] = []
         self.next_index: int | None = None
         self.held_samples = 0
+        self.newest: NDArray[np.void] | None = None
+        """The samples of the newest frame; None until there was one."""
         self._hello: Introduction | None = None
         self._ready: list[NDArray[np.void]] = []
 
@@ -32,7 +34,7 @@ class SampleStream:
         """From now on. What was sent for a host before this one is not ours to miss."""
         self._hello = hello
         self.gaps.clear()
-        self.next_index = None
+        self.next_index = self.newest = None
         self._ready.clear()
 
     def __bool__(self) -> bool:
@@ -71,5 +73,6 @@ class SampleStream:
         for channel, name in enumerate(SIGNALS):
             samples[name] = codes[name] * self._hello.gains[channel] + self._hello.offsets[channel]
         self._ready.append(samples)
+        self.newest = samples
         self.held_samples += int(np.count_nonzero(codes["flags"] & Flag.HELD))
         self.next_index = frame.sample_index + codes.size

@@ -9,16 +9,22 @@ from numpy.typing import NDArray
 
 from tissueid import twin
 from tissueid.device import DeviceDescription
-from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError, UnusableInputError
+from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError, UnusableInputError
 from tissueid.instrument.answers import describe_faults
-from tissueid.instrument.interface import SAMPLE, Gap, Run
-from tissueid.instrument.limits import Limits, check_command, check_samples, check_stimulus
+from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
+from tissueid.instrument.judge import Judge
+from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
 from tissueid.wire import Fault
 
 BLOCK = 20
 _NOISE = {"voltage": 2.0e-3, "current": 3.0e-4, "position": 5.0e-7}
 """Standard deviation of the sensor noise, SI: about one converter step."""
+
+_COIL_C = 25.0
+_OUT_OF_REACH_M = 1.0
+"""Where a surface lies that the probe never meets."""
 
 _TISSUES = {
     # Averages of thesis 3.1.3 for the posterior forearm; the softer anterior site after Table 3.1.
@@ -54,6 +60,9 @@ class SimulatedInstrument:
             model="desktop indenter (in-process simulation)",
             serial_number=f"TWIN-{seed}",
         )
+        self.nominal = self.device
+        self._judge = Judge(self.nominal, winding=False)
+        self._corrections: Corrections = {}
         self.gaps: list[Gap] = []
         self._parameters = _TISSUES[tissue]
         self._random = np.random.default_rng(seed)
@@ -66,8 +75,18 @@ class SimulatedInstrument:
         self._run: Run | None = None
         self._index = 0
         self._energised = False
-        # Let the probe come to rest on the tissue, as a clinician would before looking at the screen.
-        _, self._state = twin.simulate(np.zeros(4000), self._parameters, self.device.sample_rate_hz, self._state)
+        self._settle()
+
+    def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
+        """From now on go by ``device``, and correct what is read.
+
+        Raises:
+            InstrumentError: a test is armed or running, or there is no such channel.
+        """
+        if self._limits is not None or self._run is not None:
+            raise InstrumentError("a calibration is put in force between two tests, not while one runs")
+        self._corrections = check_corrections(corrections, SIGNALS)
+        self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
         """Take a stimulus, shape (n,), V."""
@@ -109,7 +128,8 @@ class SimulatedInstrument:
         end = offset + command_v.size
         if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
             raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
-        check_command(command_v, self.device, self._limits)
+        for figures in most_cautious(self.nominal, self.device):
+            check_command(command_v, figures, self._limits)
         self._playback.take(offset, command_v)
 
     def arm(self, limits: Limits) -> None:
@@ -118,9 +138,12 @@ class SimulatedInstrument:
         Raises:
             LimitError: the stimulus would break them.
         """
-        check_stimulus(self._command, self.device, limits, self._following)
-        if self._following:
-            check_command(np.array([self._hold_v]), self.device, limits)
+        check_limits(limits, self.nominal)
+        for figures in most_cautious(self.nominal, self.device):
+            check_stimulus(self._command, figures, limits, self._following)
+            if self._following:
+                check_command(np.array([self._hold_v]), figures, limits)
+        self._judge.arm(np.array([_COIL_C]), limits)
         self._limits = limits
         self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
         self._following = 0
@@ -142,7 +165,7 @@ class SimulatedInstrument:
         """The next block, shape (20,) of SAMPLE, without waiting.
 
         Raises:
-            LimitError: a limit was broken; the coil is released.
+            LimitError, InstrumentError: a limit was broken, or the samples cannot be; the coil is released.
         """
         del timeout_s
         samples = np.zeros(BLOCK, SAMPLE)
@@ -155,13 +178,15 @@ class SimulatedInstrument:
         )
         for name, values in zip(("voltage", "current", "position"), signals, strict=True):
             samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
-        samples["temperature"] = 25.0
+        samples["temperature"] = _COIL_C
         samples["acceleration_x"] = 9.81
         self._index += BLOCK
+        read, samples = samples, corrected(samples, self._corrections)
         if self._limits is not None and self._run is not None:
             try:
-                check_samples(samples, self.device, self._limits, self._run.first_index)
-            except LimitError:
+                calibrated = None if self.device is self.nominal else (samples, self.device)
+                self._judge.take(read, self._limits, self._run, calibrated)
+            except TissueIDError:
                 self.release()
                 raise
             if self._playback.starved:
@@ -180,6 +205,25 @@ class SimulatedInstrument:
         else:
             self._run = Run(self._run.first_index, played)
         return played
+
+    def move_stage(self, position_m: float | None) -> bool:
+        """Move what lies under the probe along the stroke, m; None takes it out of reach. True: it is there.
+
+        Raises:
+            InstrumentError: a test is armed or running, or the position lies outside the stroke.
+        """
+        if self._limits is not None or self._run is not None:
+            raise InstrumentError("the stage moves only while the coil is free: end the test first")
+        stroke = self.device.stroke_m
+        if position_m is not None and not 0.0 <= position_m <= stroke:
+            raise InstrumentError(f"the stage cannot go there: positions are 0 to {stroke * 1e3:g} mm")
+        self._parameters = replace(self._parameters, surface_m=_OUT_OF_REACH_M if position_m is None else position_m)
+        self._settle()
+        return True
+
+    def _settle(self) -> None:
+        """Let the probe come to rest on the tissue, as a clinician would before looking at the screen."""
+        _, self._state = twin.simulate(np.zeros(4000), self._parameters, self.device.sample_rate_hz, self._state)
 
     def release(self) -> None:
         """Free the coil: from the next sample on the command is zero."""

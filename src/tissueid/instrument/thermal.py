@@ -1,0 +1,56 @@
+"""The coil's temperature by calculation, from the current that was measured: what the host believes of the winding.
+
+The firmware has a model of its own. Neither knows of the other, and both stop a test whatever the sensor says: a sensor
+lags behind the winding it sits on, and a broken one reads room temperature for ever.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+
+HEAT_CAPACITY_J_PER_K = 16.5
+"""The coil's is estimated at 18 J/K: 40 g of copper and the bobbin."""
+
+THERMAL_RESISTANCE_K_PER_W = 9.0
+"""The coil's is estimated at 8 K/W."""
+
+AMBIENT_C = 25.0
+COPPER_PER_K = 0.0039
+"""Growth of copper's resistance a kelvin above 20 degC."""
+
+PLAUSIBLE_C = (-20.0, 150.0)
+"""A sensor that says something else is broken or unplugged."""
+
+
+class Winding:
+    """Temperature of the winding, degC, NaN until a plausible reading was there to begin from.
+
+    It goes on for as long as an instrument is open, tests or none. A sensor that is warmer is believed; one that is
+    cooler is not, once the model has begun.
+    """
+
+    def __init__(self, device: DeviceDescription) -> None:
+        self.temperature_c = float("nan")
+        self._resistance_ohm = device.coil_resistance_ohm
+        self._interval_s = 1.0 / device.sample_rate_hz
+
+    def take(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64], worst_a: float) -> None:
+        """Samples in their order, both of shape (n,); a lost one (NaN) is taken to have carried ``worst_a``."""
+        readings = sensor_c[(sensor_c >= PLAUSIBLE_C[0]) & (sensor_c <= PLAUSIBLE_C[1])]
+        sensor = float(readings.mean()) if readings.size else float("nan")
+        if np.isnan(self.temperature_c):
+            self.temperature_c = sensor
+        if current_a.size == 0 or np.isnan(self.temperature_c):
+            return
+        squared = np.where(np.isfinite(current_a), current_a, worst_a) ** 2
+        # At the end of a gap of seconds the loss would be overestimated by one straight step: it is cut up.
+        for part in np.array_split(squared, max(1, squared.size // round(0.1 / self._interval_s))):
+            resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
+            lost_w = (self.temperature_c - AMBIENT_C) / THERMAL_RESISTANCE_K_PER_W
+            heat_w = resistance * float(part.mean())
+            self.temperature_c += (heat_w - lost_w) * part.size * self._interval_s / HEAT_CAPACITY_J_PER_K
+        if readings.size:
+            self.temperature_c = max(self.temperature_c, sensor)
