@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_FOLDERS_CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES, errno.EPERM, errno.EISDIR)
+"""What systems answer that do not let a folder be synced; anything else is the disk."""
 
 
 @contextmanager
@@ -17,7 +21,8 @@ def whole_file(path: Path, *, synced: bool = False) -> Iterator[Path]:
     name have reached the disk when this ends; without it, a computer that dies just then may lose them.
 
     Raises:
-        OSError: the folder is missing, or the disk is full or not writable.
+        OSError: the folder is missing, or the disk is full or not writable. Where only the new name could not be
+            synced, the file has it, but whatever it was made from is better kept.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -27,20 +32,48 @@ def whole_file(path: Path, *, synced: bool = False) -> Iterator[Path]:
                 os.fsync(raw.fileno())
         partial.replace(path)
         if synced:
-            _sync_folder(path.parent)
+            sync_folder(path.parent)
     except OSError as error:
         if error.filename == str(partial):
             error.filename = str(path)  # the name that people gave
         raise
     finally:
-        partial.unlink(missing_ok=True)
+        # What cannot be removed, on a disk that fails, must not hide why.
+        with contextlib.suppress(OSError):
+            partial.unlink()
 
 
-def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable, where the system lets a folder be synced."""
-    with contextlib.suppress(OSError, AttributeError):
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable, where the system lets a folder be synced.
+
+    Raises:
+        OSError: the disk failed.
+    """
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+    except OSError as error:
+        if error.errno not in _FOLDERS_CANNOT:
+            raise
+
+
+def write_all(descriptor: int, data: bytes) -> None:
+    """Write all of it, however often the system takes only a part.
+
+    Raises:
+        OSError: the disk is full or failed; a part may be written.
+    """
+    view = memoryview(data)
+    while view:
+        try:
+            written = os.write(descriptor, view)
+        except InterruptedError:
+            continue
+        if written <= 0:
+            raise OSError(errno.EIO, "nothing more is taken")
+        view = view[written:]

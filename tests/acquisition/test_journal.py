@@ -10,7 +10,7 @@ import pytest
 
 from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover
 from tissueid.acquisition.journal import MAGIC, Entry, Journal, encode_entry, encode_json, read_entries
-from tissueid.acquisition.recorder import session_from_entries
+from tissueid.acquisition.recovery import session_from_entries
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run

@@ -7,6 +7,7 @@ was cut off at its end fails its checksum, and all that stands before it is whol
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import queue
@@ -21,12 +22,17 @@ from pathlib import Path
 from typing import IO, Any
 
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.whole_file import sync_folder, write_all
 
 MAGIC = b"TIDJ\x01\r\n\x00"
 _ENTRY = struct.Struct("<BI")
 _CRC = struct.Struct("<I")
 MAX_ENTRY = 64 * 1024 * 1024
 SYNC_S = 1.0
+MAX_WAITING = 64 * 1024 * 1024
+"""Bytes that wait for the disk; a recorder allows less."""
+PATIENCE_S = 30.0
+"""How long the end of a sitting waits for a disk that does not answer. No coil waits for it."""
 
 
 class JournalError(TissueIDError):
@@ -95,24 +101,39 @@ class _Flush:
 class Journal:
     """A journal being written. A thread does the writing, so that a slow disk does not starve the heartbeat.
 
+    What fails once is final: nothing is written after it, for what a disk says after that is not to be relied on.
+    ``max_waiting`` bytes may wait for a disk that stands still. Nobody waits longer than ``patience_s`` for it.
+
     Raises:
         JournalError: the file is there already, or cannot be made.
     """
 
-    def __init__(self, path: Path, *, sync_s: float = SYNC_S) -> None:
+    def __init__(
+        self, path: Path, *, sync_s: float = SYNC_S, max_waiting: int = MAX_WAITING, patience_s: float = PATIENCE_S
+    ) -> None:
         self.path = path
         self._sync_s = sync_s
+        self._max_waiting = max_waiting
+        self._patience_s = patience_s
         try:
             self._file: IO[bytes] = path.open("xb", buffering=0)
         except FileExistsError as error:
             raise JournalError(f"{path} is left from an unfinished session: run 'tissueid recover' first") from error
         except OSError as error:
             raise JournalError(f"cannot write {path}: {error.strerror}") from error
-        lock(self._file)
-        self._file.write(MAGIC)
+        try:
+            lock(self._file)
+            self._write(MAGIC)
+        except OSError as error:
+            self._file.close()
+            _remove(path)
+            raise JournalError(f"cannot write {path}: {error.strerror}. Nothing was begun") from error
         self._queue: queue.SimpleQueue[bytes | _Flush] = queue.SimpleQueue()
         self._error: OSError | None = None
         self._appended = self._synced = 0
+        self._appended_bytes = self._written_bytes = 0
+        self._named = False
+        self._last: _Flush | None = None
         self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
         self._thread.start()
 
@@ -120,10 +141,20 @@ class Journal:
         """Queue an entry; returns its number, to be compared with ``synced``.
 
         Raises:
-            JournalError: an earlier write failed.
+            JournalError: an earlier write failed, or too much waits to be written.
         """
         self.check()
+        if self._appended_bytes - self._written_bytes > self._max_waiting:
+            raise JournalError(
+                f"the disk does not take what is recorded into {self.path}. What reached it is kept; once the disk "
+                "answers again, 'tissueid recover' makes the session from it"
+            )
+        return self.leave(entry)
+
+    def leave(self, entry: bytes) -> int:
+        """As ``append``, but never refused: for the end of a test, which must not fail over its recording."""
         self._appended += 1
+        self._appended_bytes += len(entry)
         self._queue.put(entry)
         return self._appended
 
@@ -134,49 +165,92 @@ class Journal:
 
     def check(self) -> None:
         """Raise what the writing thread met, if anything."""
+        if isinstance(self._error, FileNotFoundError):
+            raise JournalError(
+                f"{self.path} was removed or moved away while it was written; where it still is, 'tissueid recover' "
+                "makes the session from it"
+            ) from self._error
         if self._error is not None:
             reason = self._error.strerror or str(self._error)
             raise JournalError(
                 f"cannot write {self.path}: {reason}. What was recorded before is kept in it; once that is mended, "
                 "'tissueid recover' makes the session from it"
-            )
+            ) from self._error
 
     def sync(self) -> None:
-        """Wait until everything appended so far is on the disk."""
-        self._flush(_Flush())
+        """Wait until everything appended so far is on the disk.
+
+        Raises:
+            JournalError: it cannot be brought there, or not in time.
+        """
+        self._wait_for(_Flush())
         self.check()
 
     def close(self) -> None:
-        """Write what is queued, sync, and close. Errors are left for ``check``."""
-        if self._thread.is_alive():
-            self._flush(_Flush(last=True))
-            self._thread.join()
+        """Write what is queued, sync, and close. Errors are left for ``check``.
 
-    def _flush(self, request: _Flush) -> None:
-        self._queue.put(request)
-        request.done.wait()
+        A disk that stands still is not waited for for ever: the file is closed when it answers.
+
+        Raises:
+            JournalError: it does not answer in time.
+        """
+        if self._last is None:
+            self._last = _Flush(last=True)
+            self._wait_for(self._last)
+        elif not self._last.done.wait(self._patience_s):
+            raise self._no_answer()
+        self._thread.join()
+
+    def _wait_for(self, request: _Flush) -> None:
+        if self._thread.is_alive():
+            self._queue.put(request)
+            if not request.done.wait(self._patience_s):
+                raise self._no_answer()
+
+    def _no_answer(self) -> JournalError:
+        return JournalError(
+            f"the disk of {self.path} does not answer. What reached it is kept; once it answers again, "
+            "'tissueid recover' makes the session from it"
+        )
 
     def _write_all(self) -> None:
         written = 0
         sync_at: float | None = None
-        with self._file:
-            while True:
-                item = self._next(sync_at)
-                try:
-                    if self._error is None and isinstance(item, bytes):
-                        self._write(item)
-                        written += 1
-                        sync_at = sync_at or time.monotonic() + self._sync_s
-                    due = not isinstance(item, bytes) or (sync_at or 0.0) <= time.monotonic()
-                    if self._error is None and due:
-                        os.fsync(self._file.fileno())
-                        self._synced, sync_at = written, None
-                except OSError as error:
-                    self._error, sync_at = error, None
-                if isinstance(item, _Flush):
-                    item.done.set()
-                    if item.last:
-                        return
+        while True:
+            item = self._next(sync_at)
+            try:
+                if self._error is None and isinstance(item, bytes):
+                    self._write(item)
+                    written += 1
+                    sync_at = sync_at or time.monotonic() + self._sync_s
+                due = not isinstance(item, bytes) or (sync_at or 0.0) <= time.monotonic()
+                if self._error is None and due and written > self._synced:
+                    self._sync()
+                    self._synced, sync_at = written, None
+            except OSError as error:
+                self._fail(error)
+                sync_at = None
+            if isinstance(item, bytes):
+                self._written_bytes += len(item)
+            elif isinstance(item, _Flush):
+                if item.last:
+                    self._end(item)
+                    return
+                item.done.set()
+
+    def _end(self, request: _Flush) -> None:
+        """Close the file, so that nobody holds it any more."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self._fail(error)
+        request.done.set()
+
+    def _fail(self, error: OSError) -> None:
+        """Whatever comes after is not written; a file without a name keeps nothing that was."""
+        self._error = self._error or error
+        if not self._is_anywhere():
+            self._synced = 0
 
     def _next(self, sync_at: float | None) -> bytes | _Flush | None:
         """The next item, or None when it is time to sync."""
@@ -186,9 +260,34 @@ class Journal:
             return None
 
     def _write(self, data: bytes) -> None:
-        view = memoryview(data)
-        while view:
-            view = view[self._file.write(view) :]
+        write_all(self._file.fileno(), data)
+
+    def _sync(self) -> None:
+        """Bring the file to the disk, and its name.
+
+        Raises:
+            FileNotFoundError: it has another name by now, or none.
+            OSError: the disk failed.
+        """
+        os.fsync(self._file.fileno())
+        if not self._named:
+            sync_folder(self.path.parent)
+            self._named = True
+        if not os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
+
+    def _is_anywhere(self) -> bool:
+        """Whether the file still has a name: without one, nothing that it holds can be found again."""
+        try:
+            return os.fstat(self._file.fileno()).st_nlink > 0
+        except (OSError, ValueError):
+            return True  # what cannot be asked any more may hold it all the same
+
+
+def _remove(path: Path) -> None:
+    """Remove a file; one that cannot be removed is in nobody's way."""
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def lock(file: IO[bytes]) -> None:

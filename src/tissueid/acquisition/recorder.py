@@ -1,14 +1,15 @@
-"""The recorder: takes a sitting into the journal, and turns journals into session files."""
+"""The recorder: takes a sitting into the journal, and makes its session file at the end."""
 
 from __future__ import annotations
 
-import json
+import contextlib
+import shutil
 import uuid
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,30 +18,53 @@ from tissueid.acquisition.journal import (
     SYNC_S,
     Entry,
     Journal,
+    JournalError,
     encode_entry,
     encode_json,
     journal_path,
-    lock,
-    read_entries,
 )
+from tissueid.acquisition.quality import QualityGate
+from tissueid.acquisition.recovery import session_into
+from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
-from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.instrument import SAMPLE, SIGNALS, Run, force
-from tissueid.sessions import Session, Subject, Test, read_session, write_session
+from tissueid.errors import CancelledError, FirmwareFaultError, SessionFormatError
+from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
+from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_session
 
-MAX_RUN_SAMPLES = 20_000_000
+WAITING_S = 30.0
+"""Seconds of samples that may wait for a disk that stands still; then the test ends."""
+ROOM_LEFT = 32_000_000
+"""Bytes that must be free beyond what a test is reckoned to take."""
+_NUMBERS = len(SIGNALS) + 2
+"""Of a sample in a session: what was recorded, force and time."""
+_IN_SESSION = 8 * _NUMBERS + 2
+"""Bytes of a sample in a session at the worst; most are compressed to half."""
+_CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date")
+"""What the audit log keeps of the calibration in force."""
+
+_Result = TypeVar("_Result")
 
 
 class SessionRecorder:
     """One sitting being recorded. ``finish`` leaves a session file; a host that dies leaves the journal.
 
+    What is done goes into the audit log by ``trail``, where one is given: before the sitting and before each test,
+    which are refused where that fails; at the end of each test without waiting for it. See ``trail.problem``.
+
     Raises:
         SessionFormatError: the session file is there already.
-        JournalError: an unfinished one is there, or the folder cannot be written.
+        JournalError: an unfinished one is there, or the folder cannot be written, or is full.
+        AuditError: the sitting cannot be logged.
     """
 
     def __init__(
-        self, path: Path, device: DeviceDescription, subject: Subject | None = None, *, sync_s: float = SYNC_S
+        self,
+        path: Path,
+        device: DeviceDescription,
+        subject: Subject | None = None,
+        *,
+        trail: Trail | None = None,
+        sync_s: float = SYNC_S,
     ) -> None:
         if path.is_dir():
             raise SessionFormatError(f"{path} is a folder; name a session file")
@@ -49,31 +73,71 @@ class SessionRecorder:
         if not path.parent.is_dir():
             raise SessionFormatError(f"there is no folder {path.parent}")
         self.path = path
+        self.session_id = str(uuid.uuid4())
+        self.trail = trail
         self.tests_begun = 0
         self.samples_appended = 0
+        self.gate = QualityGate(device)
+        """Judges the tests of this sitting as they end, each against those before it."""
         self._sample_entries: list[tuple[int, int]] = []
-        self._journal = Journal(journal_path(path), sync_s=sync_s)
-        sitting = {
-            "session_id": str(uuid.uuid4()),
-            "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-            "device": asdict(device),
-            "subject": asdict(subject or Subject()),
-            "sample_fields": [list(item) for item in SAMPLE.descr],
-        }
-        self._journal.append(encode_json(Entry.SITTING, sitting))
+        self._run_samples = 0
+        self._check_room(0)
+        waiting = round(WAITING_S * device.sample_rate_hz * SAMPLE.itemsize)
+        self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
+        who = subject or Subject()
+        try:
+            if trail is not None:
+                trail.record("session.begun", subject=self.session_id, new=_about(device, who))
+            sitting = {
+                "session_id": self.session_id,
+                "created": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+                "device": asdict(device),
+                "subject": asdict(who),
+                "sample_fields": [list(item) for item in SAMPLE.descr],
+                "audit_head": "" if trail is None else trail.head,
+            }
+            self._journal.append(encode_json(Entry.SITTING, sitting))
+        except BaseException:
+            self._discard()
+            raise
+
+    def prepare(self, samples: int, *, limits: Limits = CLINICAL, **about: str | float) -> None:
+        """Before a test of so many samples begins: whether it can be recorded and logged; waits for the disk.
+
+        ``about`` goes into the audit log with it.
+
+        Raises:
+            JournalError: the recording has failed, or there is no room for the test.
+            SessionFormatError: the session would be too large to be read again.
+            AuditError: it cannot be logged.
+        """
+        self._journal.check()
+        if (self.samples_appended + samples) * _NUMBERS > MAX_NUMBERS:
+            raise SessionFormatError(f"{self.path} would grow too large to be read: go on in another session file")
+        self._check_room(samples)
+        if self.trail is not None:
+            if limits != CLINICAL:
+                self.trail.record("limits.chosen", subject=self.session_id, old=asdict(CLINICAL), new=asdict(limits))
+            self.trail.record("test.begun", subject=self._test(self.tests_begun + 1), new=about)
 
     def begin_test(self, run: Run, **attributes: Any) -> int:
         """A test starts; ``attributes`` are those of ``sessions.Test``. Returns its number."""
         self.tests_begun += 1
+        self._run_samples = 0
         entry = {"number": self.tests_begun, "run": asdict(run), "attributes": attributes}
         self._journal.append(encode_json(Entry.TEST, entry))
         return self.tests_begun
 
     def add(self, samples: NDArray[np.void]) -> None:
-        """Samples of the running test, shape (k,) of instrument.SAMPLE."""
+        """Samples of the running test, shape (k,) of instrument.SAMPLE.
+
+        Raises:
+            JournalError: they cannot be written, or wait for too long.
+        """
         if samples.size:
             number = self._journal.append(encode_entry(Entry.SAMPLES, samples.tobytes()))
             self.samples_appended += samples.size
+            self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
 
     @property
@@ -87,169 +151,156 @@ class SessionRecorder:
         return 0
 
     def event(self, kind: str, **details: Any) -> None:
-        """Something that happened: a gap, a fault, a verdict."""
-        self._journal.append(encode_json(Entry.EVENT, {"kind": kind, **details}))
+        """Something that happened: a gap, a fault, a verdict. Never fails; a journal that did is told by the others."""
+        self._journal.leave(encode_json(Entry.EVENT, {"kind": kind, **details}))
 
-    def end_test(self, status: str, samples: int | None = None, **notes: str | float) -> None:
-        """The running test is over: ``status`` completed or aborted.
+    def end_test(
+        self, status: str, samples: int | None = None, *, cause: BaseException | None = None, **notes: str | float
+    ) -> None:
+        """The running test is over: ``status`` completed or aborted, by ``cause``. Never fails and never waits.
 
         ``samples`` is how many were played of a test that was completed before its time; all without it.
         """
         entry: dict[str, Any] = {"status": status, "notes": notes}
         if samples is not None:
             entry["samples"] = samples
-        self._journal.append(encode_json(Entry.TEST_END, entry))
+        self._journal.leave(encode_json(Entry.TEST_END, entry))
+        self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, str(notes.get("reason", "")))
 
-    def finish(self) -> Session:
-        """Write the session from what the journal holds, verify it, and remove the journal.
+    def not_begun(self, cause: BaseException, reason: str) -> None:
+        """The test that was prepared did not begin. Never fails and never waits."""
+        self._log_end(self.tests_begun + 1, _ending("aborted", cause), 0, reason)
+
+    def write(self) -> None:
+        """Write the session file from what the journal holds, verify it, and remove the journal.
+
+        The memory that this takes is that of the longest test, however long the sitting was.
 
         Raises:
-            JournalError, OSError: nothing is lost; the journal stays for ``tissueid recover``.
+            JournalError: it could not be written; nothing is lost, the journal stays for ``tissueid recover``.
         """
-        self._journal.append(encode_json(Entry.CLOSED, {}))
-        self._journal.sync()
-        self._journal.close()
-        session = session_from_entries(read_entries(self._journal.path))
-        write_session(self.path, session)
-        self._journal.path.unlink()
-        return session
+        try:
+            self._journal.check()
+            if self.trail is not None:
+                self.trail.settle()
+            self._journal.leave(
+                encode_json(Entry.CLOSED, {"audit_head": "" if self.trail is None else self.trail.head})
+            )
+            self._journal.sync()
+        finally:
+            self._journal.close()
+        self._or_keep(lambda: session_into(self.path, self._journal.path))
+        with contextlib.suppress(OSError):  # the session is whole; what is left over 'recover' takes away
+            self._journal.path.unlink()
+        if self.trail is not None:
+            self.trail.note(
+                "session.written",
+                subject=self.session_id,
+                new={"tests": self.tests_begun, "samples": self.samples_appended},
+            )
+            self.trail.settle()
 
-    def finish_or_discard(self) -> Session | None:
+    def finish(self) -> Session:
+        """As ``write``; returns the session, all of it read into memory.
+
+        Raises:
+            JournalError: as ``write``.
+        """
+        self.write()
+        return read_session(self.path)
+
+    def finish_or_discard(self, cause: BaseException | None = None) -> Session | None:
         """After a failure: keep what was recorded as a session, or leave nothing when there is nothing.
 
         Where even that fails, the journal stays for ``tissueid recover``.
+
+        Raises:
+            JournalError: as ``write``.
         """
+        if self.trail is not None and cause is not None:
+            self.trail.note("session.broken_off", subject=self.session_id, new=self._without_names(str(cause)))
         if self.samples_appended:
             return self.finish()
-        self._journal.close()
-        self._journal.path.unlink()
+        self._discard()
+        if self.trail is not None:
+            self.trail.settle()
         return None
 
     def abandon(self) -> None:
         """Close without a session; the journal stays for ``tissueid recover``."""
-        self._journal.close()
+        with contextlib.suppress(JournalError):  # a disk that stands still: it is closed when that answers
+            self._journal.close()
+        if self.trail is not None:
+            self.trail.settle()
 
+    def _discard(self) -> None:
+        with contextlib.suppress(JournalError):
+            self._journal.close()
+        with contextlib.suppress(OSError):
+            self._journal.path.unlink()
 
-@dataclass
-class _OpenTest:
-    """A test as its entries come by."""
-
-    number: int
-    run: Run
-    attributes: dict[str, Any]
-    status: str = "recovered"
-    notes: dict[str, str | float] = field(default_factory=dict)
-    blocks: list[NDArray[np.void]] = field(default_factory=list)
-    events: list[dict[str, Any]] = field(default_factory=list)
-
-    def end(self, status: str, notes: dict[str, str | float], samples: int | None) -> None:
-        """It is over, after fewer samples than planned when ``samples`` says so.
+    def _check_room(self, samples: int) -> None:
+        """Refuse what would fill the disk: it is better said before a coil is energised.
 
         Raises:
-            UnusableInputError: more samples than planned, or none.
+            JournalError: says how much is free, and how much is wanted.
         """
-        self.status, self.notes = status, notes
-        if samples is not None:
-            if not 0 < samples <= self.run.samples:
-                raise UnusableInputError(f"the journal has a test of {self.run.samples} samples that played {samples}")
-            self.run = Run(self.run.first_index, samples)
+        wanted = samples * SAMPLE.itemsize + (self.samples_appended + samples) * _IN_SESSION + ROOM_LEFT
+        free = self._or_keep(lambda: shutil.disk_usage(self.path.parent).free)
+        if free < wanted:
+            raise JournalError(
+                f"{self.path.parent} has {free / 1e6:,.0f} MB free, and {wanted / 1e6:,.0f} MB are wanted: make room, "
+                "or name a session on another disk"
+            )
 
-    def close(self, device: DeviceDescription) -> Test | None:
-        """The finished test, or None when no sample of it was received."""
-        samples = np.concatenate([*self.blocks, np.zeros(0, SAMPLE)])
-        place = samples["index"].astype(np.int64) - self.run.first_index
-        inside = (place >= 0) & (place < self.run.samples)
-        samples, place = samples[inside], place[inside]
-        if not samples.size:
-            return None
-        # A test that ended early is as long as what was received of it; holes inside it stay NaN.
-        length = self.run.samples if self.status == "completed" else int(place.max()) + 1
-        signals = {}
-        for name in SIGNALS:
-            signals[name] = np.full(length, np.nan)
-            signals[name][place] = samples[name]
-        signals["force"] = np.full(length, np.nan)
-        signals["force"][place] = force(samples, device)
-        attributes = dict(self.attributes)
-        notes = attributes.pop("notes", {}) | self.notes
-        if missing := int(np.isnan(signals["position"]).sum()):
-            notes["samples_lost"] = missing
-        if self.events:
-            notes["events"] = json.dumps(self.events)
-        return Test(number=self.number, signals=signals, status=self.status, notes=notes, **attributes)
+    def _or_keep(self, work: Callable[[], _Result]) -> _Result:
+        """What the work returns; where the disk fails it, say what is kept, and how the session is made from it.
 
+        Raises:
+            JournalError: it failed.
+        """
+        try:
+            return work()
+        except (OSError, SessionFormatError) as error:
+            reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+            kept = "nothing was recorded"
+            if self.samples_appended:
+                kept = (
+                    f"what was recorded is kept in {journal_path(self.path)}; once that is mended, 'tissueid recover' "
+                    "makes the session from it, with --out on another disk"
+                )
+            raise JournalError(f"cannot write {self.path}: {reason}. {kept[0].upper()}{kept[1:]}") from error
 
-def session_from_entries(entries: Iterable[tuple[Entry, bytes]]) -> Session:
-    """The session that a journal's entries tell. A test without an end is marked recovered.
+    def _test(self, number: int) -> str:
+        return f"{self.session_id} test {number}"
 
-    Raises:
-        UnusableInputError: not even the first entry is whole, or the entries make no sense.
-    """
-    sitting: dict[str, Any] | None = None
-    tests: list[_OpenTest] = []
-    try:
-        for kind, payload in entries:
-            if kind is Entry.SAMPLES:
-                if tests:
-                    tests[-1].blocks.append(np.frombuffer(payload, SAMPLE))
-                continue
-            value = json.loads(payload)
-            match kind:
-                case Entry.SITTING:
-                    if value["sample_fields"] != [list(item) for item in SAMPLE.descr]:
-                        raise UnusableInputError("the journal's samples have a layout this software does not know")
-                    sitting = value
-                case Entry.TEST:
-                    run = Run(**value["run"])
-                    if not 0 < run.samples <= MAX_RUN_SAMPLES:
-                        raise UnusableInputError(f"the journal has a test of {run.samples} samples")
-                    tests.append(_OpenTest(value["number"], run, value["attributes"]))
-                case Entry.EVENT if tests:
-                    tests[-1].events.append(value)
-                case Entry.TEST_END if tests:
-                    tests[-1].end(value["status"], value["notes"], value.get("samples"))
-        if sitting is None:
-            raise UnusableInputError("the journal was cut off before anything was recorded")
-        device = DeviceDescription(**sitting["device"])
-        finished = tuple(test for item in tests if (test := item.close(device)) is not None)
-        subject = Subject(**sitting["subject"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnusableInputError(f"the journal's entries make no sense: {error}") from error
-    return Session(
-        instrument=device,
-        subject=subject,
-        tests=finished,
-        session_id=sitting["session_id"],
-        created=sitting["created"],
-    )
+    def _log_end(self, number: int, what: str, samples: int, reason: str) -> None:
+        if self.trail is not None:
+            new: dict[str, str | int] = {"samples": samples}
+            if reason:
+                new["reason"] = self._without_names(reason)
+            self.trail.note(what, subject=self._test(number), new=new)
+
+    def _without_names(self, words: str) -> str:
+        """What goes into the audit log: the names of files may be those of people."""
+        return words.replace(str(self.path), "the session").replace(str(self.path.parent), "its folder")
 
 
-def recover(path: Path, out: Path | None = None) -> tuple[Path, Session]:
-    """Finish what a dead host left. ``path`` is the journal or the session that it belongs to.
+def _about(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:
+    """What the audit log keeps of whom and what a sitting measures."""
+    in_force = {name: device.calibration[name] for name in _CALIBRATION if name in device.calibration}
+    return {
+        "pseudonym": subject.pseudonym,
+        "model": device.model,
+        "serial_number": device.serial_number,
+        "firmware_version": device.firmware_version,
+    } | in_force
 
-    ``out`` is where the session goes when there is no room beside the journal.
 
-    Returns the session file and what it holds.
-
-    Raises:
-        UnusableInputError: there is nothing to recover, or nothing in it.
-        JournalError: the test still runs.
-    """
-    journal = path if path.name.endswith(".journal") else journal_path(path)
-    target = out or journal.with_name(journal.name.removesuffix(".journal"))
-    if not journal.is_file():
-        where = f"{path} has no journal beside it" if path.exists() else f"there is no {journal}"
-        raise UnusableInputError(f"nothing to recover: {where}")
-    with journal.open("rb") as held:
-        lock(held)
-        session = session_from_entries(read_entries(journal))
-        if target.exists():
-            # The host died between the rename and the removal of the journal.
-            if read_session(target).session_id != session.session_id:
-                raise UnusableInputError(f"{target} is another session; move it away first")
-        elif not session.tests:
-            raise UnusableInputError(f"{journal} holds no sample of any test; delete it if it is in the way")
-        else:
-            write_session(target, session)
-    journal.unlink()
-    return target, read_session(target)
+def _ending(status: str, cause: BaseException | None) -> str:
+    """What the audit log calls the end of a test."""
+    if isinstance(cause, FirmwareFaultError):
+        return "test.fault"
+    if isinstance(cause, CancelledError | KeyboardInterrupt):
+        return "test.stopped"
+    return f"test.{status}"

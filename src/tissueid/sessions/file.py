@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
 import re
-from collections.abc import Iterator
-from dataclasses import asdict, fields
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +34,13 @@ _REQUIRED_TEST = ("kind", "sample_rate_hz")
 # -- writing --------------------------------------------------------------------------------------------------
 
 
-def write_session(path: Path, session: Session, *, overwrite: bool = False) -> None:
+def write_session(
+    path: Path, session: Session, *, tests: Iterable[Test] | None = None, overwrite: bool = False
+) -> None:
     """Write a session so that ``path`` is either not there or whole.
 
-    The file is written beside ``path`` under a temporary name, read back and compared, synced, then renamed.
+    The file is written beside ``path`` under a temporary name, read back and compared, synced, then renamed. ``tests``
+    stand in for those of ``session``, and are asked for one by one: a long sitting need not be in memory.
 
     Raises:
         SessionFormatError: ``path`` is there already, or what was read back differs from what was written.
@@ -48,15 +53,23 @@ def write_session(path: Path, session: Session, *, overwrite: bool = False) -> N
     with whole_file(path, synced=True) as partial:
         try:
             with h5py.File(partial, "w", libver="v110") as file:
-                _write(file, session)
+                digests = _write(file, session, session.tests if tests is None else tests)
         except (OSError, RuntimeError) as error:  # h5py wraps a full disk in a text of its own
             number = re.search(r"errno = (\d+)", str(error))
             reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
             raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
-        _verify(partial, session)
+        _verify(partial, session.session_id, digests)
 
 
-def _write(file: h5py.File, session: Session) -> None:
+_Digests = dict[int, dict[str, bytes]]
+"""What was written, by test and signal."""
+
+
+def _digest(values: np.ndarray) -> bytes:
+    return hashlib.blake2b(np.ascontiguousarray(values, dtype=np.float64).data).digest()
+
+
+def _write(file: h5py.File, session: Session, tests: Iterable[Test]) -> _Digests:
     file.attrs.update(
         format=FORMAT,
         format_version=FORMAT_VERSION,
@@ -64,6 +77,8 @@ def _write(file: h5py.File, session: Session) -> None:
         created=session.created,
         software=session.software,
     )
+    if session.audit_head:
+        file.attrs["audit_head"] = session.audit_head
     instrument = file.create_group("instrument")
     figures = asdict(session.instrument)
     calibration = figures.pop("calibration")
@@ -73,9 +88,12 @@ def _write(file: h5py.File, session: Session) -> None:
     subject = file.create_group("subject")
     subject.attrs.update(session.subject.demographics)
     subject.attrs["pseudonym"] = session.subject.pseudonym
-    tests = file.create_group("tests")
-    for test in session.tests:
-        _write_test(tests.create_group(f"{test.number:04d}"), test)
+    group = file.create_group("tests")
+    digests: _Digests = {}
+    for test in tests:
+        _write_test(group.create_group(f"{test.number:04d}"), test)
+        digests[test.number] = {name: _digest(values) for name, values in test.signals.items() if name != "time"}
+    return digests
 
 
 def _write_test(group: h5py.Group, test: Test) -> None:
@@ -105,14 +123,22 @@ def _write_test(group: h5py.Group, test: Test) -> None:
         dataset.attrs["long_name"] = SIGNAL_NAMES.get(name, name)
 
 
-def _verify(path: Path, session: Session) -> None:
-    stored = read_session(path)
-    for written, read in zip(session.tests, stored.tests, strict=True):
-        for name, values in written.signals.items():
-            if name != "time" and not np.array_equal(read.signals[name], values, equal_nan=True):
-                raise SessionFormatError(f"{path}: test {written.number}, {name} reads back differently")
-    if stored.session_id != session.session_id:
-        raise SessionFormatError(f"{path}: the session reads back differently")
+def _verify(path: Path, session_id: str, digests: _Digests) -> None:
+    """Read back what was written, one test at a time.
+
+    Raises:
+        SessionFormatError: it differs, or could not be read by anybody else.
+    """
+    with _opened(path) as file:
+        stored = _read_all_but_tests(file)
+        tests = _group(file, "tests")
+        if stored.session_id != session_id or len(tests) != len(digests):
+            raise SessionFormatError("the session reads back differently")
+        for number, written in digests.items():
+            test = _read_test(name := f"{number:04d}", _group(tests, name))
+            for signal, digest in written.items():
+                if signal not in test.signals or _digest(test.signals[signal]) != digest:
+                    raise SessionFormatError(f"test {number}, {signal} reads back differently")
 
 
 # -- reading --------------------------------------------------------------------------------------------------
@@ -124,9 +150,32 @@ def read_session(path: Path) -> Session:
     Raises:
         SessionFormatError: not there, not a session, or one that breaks the format; says where.
     """
+    with _opened(path) as file:
+        session = _read_all_but_tests(file)
+        tests = _group(file, "tests")
+        return replace(session, tests=tuple(_read_test(name, _group(tests, name)) for name in sorted(tests)))
+
+
+def read_session_head(path: Path) -> Session:
+    """Read a session but for its tests: who and what it is, with the same suspicion.
+
+    Raises:
+        SessionFormatError: not there, not a session, or one that breaks the format; says where.
+    """
+    with _opened(path) as file:
+        return _read_all_but_tests(file)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """The file, open to be read; whatever is wrong with it is said as what it is.
+
+    Raises:
+        SessionFormatError: says what.
+    """
     try:
         with h5py.File(path, "r") as file:
-            return _read(file)
+            yield file
     except SessionFormatError as error:
         raise SessionFormatError(f"{path}: {error}") from error
     except FileNotFoundError as error:
@@ -137,7 +186,7 @@ def read_session(path: Path) -> Session:
         raise SessionFormatError(f"{path} {kind}") from error
 
 
-def _read(file: h5py.File) -> Session:
+def _read_all_but_tests(file: h5py.File) -> Session:
     if _text(file.attrs, "format", "") != FORMAT:
         raise SessionFormatError("not a TissueID session (no format attribute)")
     version = _text(file.attrs, "format_version", "")
@@ -152,10 +201,10 @@ def _read(file: h5py.File) -> Session:
     return Session(
         instrument=_read_instrument(_group(file, "instrument")),
         subject=_read_subject(file),
-        tests=tuple(_read_test(name, _group(tests, name)) for name in sorted(tests)),
         session_id=_text(file.attrs, "session_id", ""),
         created=_text(file.attrs, "created", ""),
         software=_text(file.attrs, "software", ""),
+        audit_head=_text(file.attrs, "audit_head", ""),
     )
 
 

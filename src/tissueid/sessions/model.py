@@ -109,6 +109,8 @@ class Session:
     session_id: str = field(default_factory=lambda: str(uuid.uuid4()))
     created: str = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
     software: str = f"tissueid {__version__}"
+    audit_head: str = ""
+    """Number and hash of the newest line of the audit log when this was written; empty where none was kept."""
 
     def test(self, number: int | None = None) -> Test:
         """A test by its number; without one the first stochastic test, or else the first of all.

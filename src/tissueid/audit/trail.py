@@ -1,0 +1,92 @@
+"""What one sitting, calibration or command has to say to the audit log, and in which role."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import partial
+from typing import Any, Literal, get_args
+
+from tissueid.audit.log import AuditError, AuditLog
+from tissueid.errors import UnusableInputError
+
+Role = Literal["clinician", "researcher", "technician"]
+ROLES: tuple[Role, ...] = get_args(Role)
+ROLE_ENVIRONMENT = "TISSUEID_ROLE"
+SETTLE_S = 10.0
+
+
+def role_in_force(default: Role) -> Role:
+    """The role that ``TISSUEID_ROLE`` names, or else the default.
+
+    Raises:
+        UnusableInputError: it names none.
+    """
+    named = os.environ.get(ROLE_ENVIRONMENT, "").strip().lower()
+    for role in ROLES:
+        if named == role:
+            return role
+    if named:
+        raise UnusableInputError(f"{ROLE_ENVIRONMENT} is {' or '.join(ROLES)}, not {named!r}")
+    return default
+
+
+@dataclass
+class Trail:
+    """Lines of one role. ``record`` is for what is about to begin, ``note`` for what happens while a coil may be on.
+
+    ``head`` is that of the newest line written here; ``problem`` is why the first note that was lost could not be
+    written, in one line, or empty.
+    """
+
+    log: AuditLog
+    role: Role
+    head: str = ""
+    problem: str = ""
+    _waiting: deque[partial[str]] = field(default_factory=deque, repr=False)
+    _writing: bool = False
+    _change: threading.Condition = field(default_factory=threading.Condition, repr=False)
+
+    def record(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
+        """Add a line now; waits for the disk.
+
+        Raises:
+            AuditError: it cannot be written, and what it tells of must not begin.
+        """
+        self.settle()
+        self.head = self.log.record(self.role, what, subject=subject, old=old, new=new)
+
+    def note(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
+        """Have a line added by a thread of its own; never waits and never raises. See ``settle``."""
+        when: datetime = self.log.clock()
+        line = partial(self.log.record, self.role, what, subject=subject, old=old, new=new, when=when)
+        with self._change:
+            self._waiting.append(line)
+            if not self._writing:
+                self._writing = True
+                threading.Thread(target=self._write_all, name="audit", daemon=True).start()
+
+    def settle(self, timeout_s: float = SETTLE_S) -> str:
+        """Wait until what was noted is written, or cannot be; returns ``problem``."""
+        with self._change:
+            if not self._change.wait_for(lambda: not self._writing, timeout_s) and not self.problem:
+                self.problem = f"the audit log {self.log.path} stands still: the disk does not answer"
+        return self.problem
+
+    def _write_all(self) -> None:
+        while True:
+            with self._change:
+                if not self._waiting:
+                    self._writing = False
+                    self._change.notify_all()
+                    return
+                line = self._waiting.popleft()
+            try:
+                self.head = line()
+            except AuditError as error:
+                self.problem = self.problem or str(error)
+            except Exception as error:  # noqa: BLE001 - told where the trail ends; the thread goes on
+                self.problem = self.problem or f"the audit log failed: {type(error).__name__}: {error}"

@@ -1,0 +1,218 @@
+"""Reading the audit log with suspicion: whether every line is there as it was written, and if not, what was done."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from tissueid.audit.line import CANCEL, CLOSED_OFF, MAX_LINE, NOTHING_BEFORE, STARTED, Line, is_torn, read_line
+from tissueid.errors import UnusableInputError
+
+_HEAD = re.compile(r"(?:(\d{1,12}):)?([0-9a-f]{64})")
+
+
+class Damage(Enum):
+    """What was done to a log."""
+
+    CHANGED = "changed"
+    REMOVED = "removed"
+    INSERTED = "inserted"
+    REORDERED = "reordered"
+    CUT = "cut off"
+    FOREIGN = "foreign"
+
+
+@dataclass(frozen=True)
+class Broken:
+    """The first place, a line of the file counted from 1, where a log is not as it was written, and why."""
+
+    place: int
+    damage: Damage
+    words: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What a log is: whole where ``broken`` is None. ``remarks`` are no damage, but worth a look."""
+
+    lines: int
+    """Whole lines before the first broken one."""
+    head: str
+    """Number and hash of the newest of them; empty where there is none."""
+    broken: Broken | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing was changed, removed, inserted, reordered or cut off."""
+        return self.broken is None
+
+
+def check_head(text: str) -> tuple[int | None, str]:
+    """Number, where it is said, and hash of a head as files carry it.
+
+    Raises:
+        UnusableInputError: it is none.
+    """
+    match = _HEAD.fullmatch(text.strip())
+    if match is None:
+        raise UnusableInputError(
+            f"a head of the audit log is NUMBER:HASH with 64 hexadecimal digits, not {text[:80]!r}"
+        )
+    return None if match[1] is None else int(match[1]), match[2]
+
+
+def read_lines(path: Path) -> Iterator[Line]:
+    """The lines of a log that have the hash that they say, in the order of the file; others are passed over.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    for raw in _raw_lines(path):
+        if (line := read_line(raw.removesuffix(b"\n"))) is not None:
+            yield line
+
+
+def verify(path: Path, heads: dict[str, str] | None = None) -> Verification:
+    """Go through a log from its first line. ``heads`` are heads that it must hold, and the name of where each stands.
+
+    A log that was cut off at its end is whole in itself: only a head from elsewhere tells.
+
+    Raises:
+        OSError: it cannot be read.
+        UnusableInputError: a head that is none.
+    """
+    wanted = [(*check_head(head), where) for head, where in (heads or {}).items()]
+    walk = _Walk(path)
+    broken = walk.broken()
+    if broken is None:
+        for number, own, where in wanted:
+            if own not in walk.hashes:
+                broken = _missing(number, walk, where)
+                break
+    last = walk.last
+    return Verification(
+        0 if last is None else last.number, "" if last is None else last.head, broken, tuple(walk.remarks)
+    )
+
+
+def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
+    """A head that the log should hold is not in it."""
+    lines = 0 if walk.last is None else walk.last.number
+    if number is not None and number <= lines:
+        words = f"{where} was written when line {number} had another hash: this is another log, or one made anew"
+        return Broken(number, Damage.FOREIGN, words)
+    line = "another line" if number is None else f"line {number}"
+    words = f"{where} was written when the log had {line}, and it ends with line {lines}: its end was cut off"
+    return Broken(lines + 1, Damage.CUT, words)
+
+
+class _Walk:
+    """One way through a log, up to the first place where it is broken."""
+
+    def __init__(self, path: Path) -> None:
+        self.last: Line | None = None
+        self.hashes: set[str] = set()
+        self.remarks: list[str] = []
+        self._path = path
+        self._place = 0
+        self._torn = b""
+        """Torn pieces that a line to come must account for."""
+
+    def broken(self) -> Broken | None:
+        """The first broken place, or None when there is none."""
+        for raw in _raw_lines(self._path):
+            self._place += 1
+            if (problem := self._take(raw)) is not None:
+                return problem
+        if self._torn:
+            self.remarks.append(
+                f"line {self._place} was not finished when the computer or the program died; the next line says so"
+            )
+        return None
+
+    def _take(self, raw: bytes) -> Broken | None:
+        number = 1 if self.last is None else self.last.number + 1
+        line = read_line(raw.removesuffix(b"\n"))
+        if line is None:
+            finished = raw.endswith(b"\n")
+            piece = raw.removesuffix(b"\n").removesuffix(CANCEL)
+            if is_torn(piece, number) and (not finished or raw.endswith(CANCEL + b"\n")):
+                self._torn += raw
+                return None
+            return self._tell(raw, number, None)
+        before = NOTHING_BEFORE if self.last is None else self.last.hash
+        if line.number != number or line.previous != before:
+            return self._tell(raw, number, line)
+        if self._torn:
+            left = {"bytes": len(self._torn), "sha256": hashlib.sha256(self._torn).hexdigest()}
+            if line.what != CLOSED_OFF or line.new != left:
+                words = f"{len(self._torn)} bytes before line {number} are no line, and it does not account for them"
+                return Broken(self._place - 1, Damage.INSERTED, words)
+            self.remarks.append(f"before line {number} a line was left unfinished, and closed off")
+            self._torn = b""
+        if number == 1 and line.what not in (STARTED, CLOSED_OFF):
+            return Broken(1, Damage.FOREIGN, "its first line does not begin an audit log")
+        if self.last is not None and line.time < self.last.time:
+            self.remarks.append(f"the clock goes back at line {number}, from {self.last.time} to {line.time}")
+        if not raw.endswith(b"\n"):
+            self.remarks.append(f"line {number} lacks its end: the computer died while it was written")
+        self.last = line
+        self.hashes.add(line.hash)
+        return None
+
+    def _tell(self, raw: bytes, number: int, line: Line | None) -> Broken:
+        """What was done where line ``number`` should stand and ``raw``, with or without a hash that is right, does."""
+        place = self._place
+        later = {item.number: item for item in self._after(place)}
+        if line is None:
+            following = later.get(number)
+            if following is not None and self._continues(following):
+                return Broken(place, Damage.INSERTED, f"what stands before line {number} is not part of the log")
+            if number == 1 and not later:
+                return Broken(1, Damage.FOREIGN, "it does not begin with a line of an audit log")
+            what = "was cut short" if not raw.endswith(b"\n") and b'"hash"' not in raw else "was changed"
+            return Broken(place, Damage.CHANGED, f"line {number} {what}: it does not have the hash that it says")
+        if line.hash in self.hashes:
+            return Broken(place, Damage.INSERTED, f"a copy of line {line.number} stands where line {number} should")
+        if line.number > number:
+            if number in later:
+                words = f"line {line.number} stands where line {number} should, which comes later"
+                return Broken(place, Damage.REORDERED, words)
+            gone = f"line {number} is" if line.number == number + 1 else f"lines {number} to {line.number - 1} are"
+            return Broken(place, Damage.REMOVED, f"{gone} not there")
+        if line.number < number:
+            words = f"two lines have number {line.number}: one of them is not part of the log"
+            return Broken(place - 1, Damage.INSERTED, words)
+        words = f"line {number} continues another line than the one before it: one of the two was exchanged"
+        return Broken(max(1, place - 1), Damage.CHANGED, words)
+
+    def _continues(self, line: Line) -> bool:
+        return line.previous == (NOTHING_BEFORE if self.last is None else self.last.hash)
+
+    def _after(self, place: int) -> Iterator[Line]:
+        """The whole lines after a place."""
+        for count, raw in enumerate(_raw_lines(self._path), start=1):
+            if count > place and (line := read_line(raw.removesuffix(b"\n"))) is not None:
+                yield line
+
+
+def _raw_lines(path: Path) -> Iterator[bytes]:
+    """Lines with their newlines; what is longer than a line can be comes in pieces."""
+    with path.open("rb") as file:
+        while raw := file.readline(MAX_LINE):
+            yield raw
+
+
+def last_lines(path: Path, count: int) -> list[Line]:
+    """The newest lines of a log, oldest first.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    return list(deque(read_lines(path), maxlen=count))
