@@ -12,20 +12,138 @@ calibrate = typer.Typer(help="Calibrate an instrument, and see which calibration
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[str, typer.Option("--device", metavar="URL", help="see 'tissueid devices'")]
 OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="calibration to make, TOML")]
+Folder = Annotated[
+    Path | None,
+    typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; ./calibration_data if it is there"),
+]
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="HTML page with the figures")]
 
 
 @calibrate.command()
-def static(device: DeviceUrl, out: OutFile, report: ReportFile = None, json_file: JsonFile = None) -> None:
+def static(
+    device: DeviceUrl,
+    out: OutFile,
+    report: ReportFile = None,
+    steps: Annotated[
+        str | None, typer.Option("--steps", metavar="A,B", help="only these; a wrong one lists all")
+    ] = None,
+    spring: Annotated[
+        float | None, typer.Option("--spring", metavar="N/M", help="the calibration spring; the device's own figure")
+    ] = None,
+    spring_uncertainty: Annotated[
+        float | None,
+        typer.Option("--spring-uncertainty", metavar="PERCENT", min=0, max=50, help="how well it is known"),
+    ] = None,
+    weight: Annotated[
+        list[float] | None, typer.Option("--weight", metavar="GRAMS", help="a known weight; may be repeated")
+    ] = None,
+    gauge: Annotated[
+        list[float] | None,
+        typer.Option("--gauge", metavar="MM", help="height of a gauge block, without a stage; three or more"),
+    ] = None,
+    ambient: Annotated[float | None, typer.Option("--ambient", metavar="DEGC", help="the room's temperature")] = None,
+    orientations: Annotated[
+        int, typer.Option("--orientations", min=1, max=2, help="2: turned over as well, for the accelerometer's zero")
+    ] = 1,
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="the spring is under the probe; leave out what needs a person")
+    ] = False,
+    push_only: Annotated[
+        bool, typer.Option("--push-only", help="the probe leans on the spring and is not fixed to it")
+    ] = False,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, max=100, help="do it all so often")] = 1,
+    valid_days: Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="how long it is good for")] = 90,
+    json_file: JsonFile = None,
+) -> None:
     """Voltage to current to force, position along the stroke, temperature, acceleration, range of motion."""
-    from tissueid.cli.calibrate_static import run_static
+    from tissueid.cli.calibrate_static import StaticOptions, run_static
 
-    run_static(device, out, report, json_file)
+    options = StaticOptions(
+        steps=steps,
+        spring_n_per_m=spring,
+        spring_percent=spring_uncertainty,
+        weights_g=tuple(weight or ()),
+        gauges_mm=tuple(gauge or ()),
+        ambient_c=ambient,
+        orientations=orientations,
+        in_place=in_place,
+        push_only=push_only,
+        repeats=repeats,
+        valid_days=valid_days,
+    )
+    run_static(device, out, report, json_file, options)
 
 
 @calibrate.command()
-def sweep(device: DeviceUrl, out: OutFile, report: ReportFile = None, json_file: JsonFile = None) -> None:
+def sweep(
+    out: OutFile,
+    device: Annotated[str | None, typer.Option("--device", metavar="URL", help="see 'tissueid devices'")] = None,
+    report: ReportFile = None,
+    first: Annotated[float, typer.Option("--from", metavar="MM", help="first position on the stroke")] = 2.0,
+    last: Annotated[float, typer.Option("--to", metavar="MM", help="last position")] = 30.0,
+    step: Annotated[float, typer.Option("--step", metavar="MM", help="from position to position")] = 2.0,
+    seconds: Annotated[float, typer.Option("--seconds", metavar="S", help="length of the test at each")] = 4.0,
+    swing: Annotated[float, typer.Option("--swing", metavar="MM", help="farthest swing to either side")] = 2.5,
+    repeats: Annotated[int, typer.Option("--repeats", metavar="N", help="do the whole sweep so often")] = 1,
+    seed: Annotated[int, typer.Option("--seed", min=0, max=2**31 - 1, help="seed of the noise")] = 1,
+    spring: Annotated[
+        float | None, typer.Option("--spring", metavar="N/M", help="the calibration spring; the device's own figure")
+    ] = None,
+    spring_uncertainty: Annotated[
+        float | None, typer.Option("--spring-uncertainty", metavar="PERCENT", help="how well it is known")
+    ] = None,
+    spring_mass: Annotated[float, typer.Option("--spring-mass", metavar="GRAMS", help="mass of the spring")] = 18.0,
+    session: Annotated[
+        Path | None, typer.Option("--session", metavar="FILE", help="keeps all that was recorded, as a session")
+    ] = None,
+    kept: Annotated[
+        Path | None, typer.Option("--kept", metavar="SESSION", help="analyses a sweep that was kept, without a device")
+    ] = None,
+    folder: Folder = None,
+    valid_days: Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="how long it is good for")] = 90,
+    json_file: JsonFile = None,
+) -> None:
     """Identify the calibration spring along the stroke: where the coil is linear, and its force constant there."""
-    from tissueid.cli.calibrate_sweep import run_sweep
+    from tissueid.cli.calibrate_sweep import SweepOptions, run_sweep
 
-    run_sweep(device, out, report, json_file)
+    options = SweepOptions(
+        first_mm=first,
+        last_mm=last,
+        step_mm=step,
+        seconds=seconds,
+        swing_mm=swing,
+        repeats=repeats,
+        seed=seed,
+        spring_n_per_m=spring,
+        spring_percent=spring_uncertainty,
+        spring_g=spring_mass,
+        session=session,
+        kept=kept,
+        folder=folder,
+        valid_days=valid_days,
+    )
+    run_sweep(device, out, report, json_file, options)
+
+
+@calibrate.command(name="list")
+def list_known(
+    folder: Folder = None,
+    serial: Annotated[str | None, typer.Option("--serial", metavar="TEXT", help="only of this instrument")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """List the calibrations there are, newest first, and which of them are in force."""
+    from tissueid.cli.calibrate_known import list_calibrations
+
+    list_calibrations(folder, serial, json_file)
+
+
+@calibrate.command()
+def show(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="a calibration, TOML")],
+    report: ReportFile = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Tell one calibration: who, when, the verdict, every figure."""
+    from tissueid.cli.calibrate_known import show_calibration
+
+    show_calibration(file, report, json_file)

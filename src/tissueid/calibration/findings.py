@@ -1,0 +1,84 @@
+"""What the steps of a calibration find, gathered: figures, tables, what is wrong, and what else is worth saying."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tissueid.calibration.file import Quantity
+from tissueid.errors import UnusableInputError
+from tissueid.records import Estimate
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What one step found. ``problems`` make the verdict a failure; ``notes`` do not."""
+
+    quantities: dict[str, Quantity] = field(default_factory=dict)
+    tables: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def value(self, name: str) -> float:
+        """A figure that a step before has found.
+
+        Raises:
+            UnusableInputError: it has not.
+        """
+        if name not in self.quantities:
+            raise UnusableInputError(f"the calibration holds no {name}")
+        return self.quantities[name].value
+
+    def __add__(self, other: Findings) -> Findings:
+        return Findings(
+            self.quantities | other.quantities,
+            self.tables | other.tables,
+            self.problems + other.problems,
+            self.notes + other.notes,
+        )
+
+
+def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> Quantity:
+    """A figure with its deviation, as a calibration keeps it; a deviation that is not finite is none."""
+    found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
+    known = None if found.std is None or not np.isfinite(found.std) else float(found.std)
+    return Quantity(value=float(found.value), std=known, unit=unit)
+
+
+def column(values: ArrayLike) -> tuple[float, ...]:
+    """A column of a table."""
+    return tuple(float(value) for value in np.asarray(values, np.float64))
+
+
+def repeated(runs: Sequence[Findings]) -> Findings:
+    """One finding from several runs of the same steps: means, and how far they lie apart.
+
+    The deviation of a mean is the larger of what each run says of itself and what they scatter by, over the root of
+    their number; what is wrong with one of them is wrong. The table ``repeats`` holds every run's figures; other tables
+    are the first run's.
+    """
+    first = runs[0]
+    if len(runs) == 1:
+        return first
+    names = [name for name in first.quantities if all(name in run.quantities for run in runs)]
+    quantities = {}
+    for name in names:
+        values = np.array([run.quantities[name].value for run in runs])
+        stds = [run.quantities[name].std for run in runs]
+        own = float(np.mean([std for std in stds if std is not None])) if None not in stds else 0.0
+        scatter = float(np.std(values, ddof=1))
+        quantities[name] = quantity(
+            float(values.mean()), first.quantities[name].unit, max(own, scatter) / len(runs) ** 0.5
+        )
+    repeats = {"run": column(np.arange(1, len(runs) + 1))} | {
+        name: column([run.quantities[name].value for run in runs]) for name in names
+    }
+    return Findings(
+        quantities,
+        first.tables | {"repeats": dict(list(repeats.items())[:50])},
+        tuple(dict.fromkeys(problem for run in runs for problem in run.problems)),
+        tuple(dict.fromkeys(note for run in runs for note in run.notes)),
+    )

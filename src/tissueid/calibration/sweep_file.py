@@ -1,0 +1,152 @@
+"""A sweep as the calibration that is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tissueid import __version__
+from tissueid.calibration.file import Calibration, Quantity, utc_date
+from tissueid.calibration.findings import quantity
+from tissueid.calibration.force_profile import ForceConstant
+from tissueid.calibration.sweep_analysis import SweepResult
+from tissueid.records import Estimate
+
+GRID_M = 0.5e-3
+"""Spacing of the force constant in the file: a straight line between two of its points is off by less than 0.1 %."""
+
+
+def column(values: ArrayLike) -> tuple[float, ...]:
+    """A column of a table, to as many digits as anybody reads."""
+    return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
+
+
+def as_calibration(
+    result: SweepResult,
+    *,
+    conditions: Mapping[str, float | str] | None = None,
+    valid_days: int = 90,
+    now: datetime | None = None,
+) -> Calibration:
+    """The calibration that a sweep makes; ``conditions`` are how it was made."""
+    device = result.device
+    notes = (*(() if result.agreement.cause else (result.agreement.words,)), *result.remarks)
+    made = {
+        "spring_stiffness_n_per_m": result.spring.stiffness_n_per_m,
+        "spring_relative_uncertainty": result.spring.relative_std,
+        "spring_mass_kg": result.spring.mass_kg,
+        "believed_force_constant_n_per_a": device.force_constant_n_per_a,
+        "positions": float(len(result.points)),
+        "repeats": float(max(1, len(result.repeats))),
+        **(conditions or {}),
+        **{f"note_{number}": note[:500] for number, note in enumerate(notes[:50], start=1)},
+    }
+    return Calibration(
+        kind="sweep",
+        model=device.model,
+        serial_number=device.serial_number,
+        firmware_version=device.firmware_version,
+        date=utc_date(now or datetime.now(UTC)),
+        valid_days=valid_days,
+        software=f"tissueid {__version__}",
+        conditions=made,
+        verdict="passed" if result.passed else "failed",
+        problems=tuple(problem[:500] for problem in result.problems),
+        quantities=_quantities(result),
+        tables=_tables(result),
+    )
+
+
+def _quantities(result: SweepResult) -> dict[str, Quantity]:
+    region, agreement = result.region, result.agreement
+    resistances = np.array([found.value for found in result.flux.resistance_ohm])
+    found = {
+        "force_constant_n_per_a": quantity(region.plateau_n_per_a, "N/A"),
+        "linear_region_min_m": quantity(region.min_m, "m"),
+        "linear_region_max_m": quantity(region.max_m, "m"),
+        "moving_mass_kg": quantity(result.moving_mass_kg, "kg"),
+        "bearing_damping_n_s_per_m": quantity(result.bearing_damping_n_s_per_m, "N s/m"),
+        "coil_inductance_h": quantity(result.flux.inductance_h, "H"),
+        "resistance_in_the_sweep_ohm": quantity(float(resistances.mean()), "ohm", float(resistances.std())),
+        "spring_over_flux": quantity(agreement.ratio, ""),
+        "least_vaf_percent": quantity(min(point.vaf_percent for point in result.points), "%"),
+        "noise_current_a": quantity(result.flux.noise_a, "A"),
+    }
+    if agreement.stage is not None:
+        found["position_over_stage"] = quantity(agreement.stage, "")
+    return found
+
+
+def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
+    points = result.points
+    places = np.array(result.positions_m)
+    low, high = float(places.min()), float(places.max())
+    grid = np.linspace(low, high, 1 + int(np.ceil((high - low) / GRID_M)))
+    by_spring = ForceConstant(result.balance.basis, result.balance.coefficients, result.balance.covariance)
+    by_flux = ForceConstant(result.flux.basis, result.flux.coefficients, result.flux.covariance)
+    believed = result.device.force_constant_n_per_a * result.spring.stiffness_n_per_m
+    by_point = [believed / point.stiffness_n_per_m.value for point in points]
+    point_std = [
+        value * (point.stiffness_n_per_m.std or 0.0) / point.stiffness_n_per_m.value
+        for value, point in zip(by_point, points, strict=True)
+    ]
+
+    def estimates(name: str, stem: str, unit: str) -> dict[str, tuple[float, ...]]:
+        found: list[Estimate] = [getattr(point, name) for point in points]
+        return {
+            f"{stem}_{unit}": column([one.value for one in found]),
+            f"{stem}_std_{unit}": column([one.std or 0.0 for one in found]),
+        }
+
+    tables = {
+        "force_constant": {
+            "position_m": column(grid),
+            "value_n_per_a": column(result.force_constant.at(grid)),
+            "std_n_per_a": column(result.force_constant.std_at(grid)),
+            "by_spring_n_per_a": column(by_spring.at(grid)),
+            "by_spring_std_n_per_a": column(by_spring.std_at(grid)),
+            "by_flux_n_per_a": column(by_flux.at(grid)),
+            "by_flux_std_n_per_a": column(by_flux.std_at(grid)),
+        },
+        "sweep": {
+            "position_m": column(places),
+            "sweep": column([point.sweep for point in points]),
+            "swing_m": column([point.swing_m for point in points]),
+            "vaf_percent": column([point.vaf_percent for point in points]),
+            "vaf_parametric_percent": column([point.vaf_parametric_percent for point in points]),
+            **estimates("mass_kg", "mass", "kg"),
+            **estimates("damping_n_s_per_m", "damping", "n_s_per_m"),
+            **estimates("stiffness_n_per_m", "stiffness", "n_per_m"),
+            "resistance_ohm": column([found.value for found in result.flux.resistance_ohm]),
+            "force_constant_n_per_a": column(by_point),
+            "force_constant_std_n_per_a": column(point_std),
+        },
+        "response": _responses(result),
+    }
+    if result.repeats:
+        runs = result.repeats
+        tables["repeats"] = {
+            "run": column(range(1, len(runs) + 1)),
+            "force_constant_n_per_a": column([run.region.plateau_n_per_a.value for run in runs]),
+            "linear_region_min_m": column([run.region.min_m.value for run in runs]),
+            "linear_region_max_m": column([run.region.max_m.value for run in runs]),
+            "moving_mass_kg": column([run.moving_mass_kg.value for run in runs]),
+            "bearing_damping_n_s_per_m": column([run.bearing_damping_n_s_per_m.value for run in runs]),
+            "coil_inductance_h": column([run.flux.inductance_h.value for run in runs]),
+        }
+    return tables
+
+
+def _responses(result: SweepResult) -> dict[str, tuple[float, ...]]:
+    """Measured compliances of the first sweep, one below the other."""
+    first = min(point.sweep for point in result.points)
+    points = [point for point in result.points if point.sweep == first]
+    return {
+        "position_m": column(np.repeat([p.position_m for p in points], [p.frequency_hz.size for p in points])),
+        "frequency_hz": column(np.concatenate([p.frequency_hz for p in points])),
+        "compliance_m_per_n": column(np.concatenate([np.abs(p.response_m_per_n) for p in points])),
+        "phase_rad": column(np.concatenate([np.unwrap(np.angle(p.response_m_per_n)) for p in points])),
+    }

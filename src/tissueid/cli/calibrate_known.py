@@ -1,0 +1,94 @@
+"""``tissueid calibrate list`` and ``show``: which calibrations there are, what they say, and what is made of them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tissueid.calibration import Calibration, calibration_folder, read_calibration, stored_calibrations
+from tissueid.calibration.in_force import Age, age_of
+from tissueid.calibration.words import notes_of, readable, verdict_of
+from tissueid.cli.output import check_json, check_output, people_read, table, write_json
+
+
+def list_calibrations(folder: Path | None, serial: str | None, json_file: Path | None) -> None:
+    """All calibrations of a folder, newest first, with their state in words."""
+    check_json(json_file)
+    chosen = calibration_folder(folder)
+    now = datetime.now(UTC)
+    people = people_read(json_file)
+    if not people.is_terminal:
+        people.width = 120
+    rows = table(f"Calibrations in {chosen}", "file", "serial number", "kind", "made", "state")
+    answers: list[dict[str, object]] = []
+    newest: set[tuple[str, str]] = set()
+    for item in stored_calibrations(chosen):
+        found = item.calibration
+        if serial is not None and (found is None or found.serial_number != serial):
+            continue
+        age = age_of(item, now)
+        key = ("", "") if found is None else (found.serial_number, found.kind)
+        in_force = age.usable and key not in newest
+        if in_force:
+            newest.add(key)
+        words = f"{age.words}; in force" if in_force else age.words
+        rows.add_row(
+            item.path.name,
+            found.serial_number if found else "",
+            found.kind if found else "",
+            found.date[:10] if found else "",
+            words,
+        )
+        answers.append(_listed(item.path, found, age, in_force))
+    if chosen is None:
+        people.print("there is no folder of calibrations yet: name one with --calibrations DIR", markup=False)
+    elif not answers:
+        people.print(f"no calibrations in {chosen}", markup=False, soft_wrap=True)
+    else:
+        people.print(rows)
+    if json_file is not None:
+        write_json(json_file, {"folder": None if chosen is None else str(chosen), "calibrations": answers})
+
+
+def _listed(path: Path, found: Calibration | None, age: Age, in_force: bool) -> dict[str, object]:
+    return {
+        "file": str(path),
+        "serial_number": found.serial_number if found else None,
+        "model": found.model if found else None,
+        "kind": found.kind if found else None,
+        "date": found.date if found else None,
+        "verdict": found.verdict if found else None,
+        "state": age.state,
+        "words": age.words,
+        "in_force": in_force,
+    }
+
+
+def show_calibration(file: Path, report: Path | None, json_file: Path | None) -> None:
+    """One calibration in words: who, when, the verdict, every figure."""
+    check_json(json_file)
+    check_output(report, ("<!DOCTYPE html",))
+    calibration = read_calibration(file)
+    people = people_read(json_file)
+    if not people.is_terminal:
+        people.width = 120
+    people.print(
+        f"{calibration.kind} calibration of {calibration.model}, {calibration.serial_number}, made {calibration.date} "
+        f"by {calibration.software}",
+        markup=False,
+        soft_wrap=True,
+    )
+    rows = table("", "quantity", "value", "unit")
+    for name, quantity in calibration.quantities.items():
+        rows.add_row(*readable(name, quantity))
+    people.print(rows)
+    people.print(f"The calibration {verdict_of(calibration)}", markup=False)
+    for line in (*calibration.problems, *notes_of(calibration)):
+        people.print(f"- {line}", markup=False, soft_wrap=True)
+    if report is not None:
+        from tissueid.reports.calibration import sweep_report
+        from tissueid.reports.calibration_static import static_report
+
+        (sweep_report if calibration.kind == "sweep" else static_report)(calibration).write(report)
+    if json_file is not None:
+        write_json(json_file, calibration.model_dump(mode="json"))

@@ -1,0 +1,135 @@
+"""Calibration files: what is written comes back, and what comes from elsewhere is judged."""
+
+import os
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tissueid.calibration import Calibration, Quantity, read_calibration, write_calibration
+from tissueid.calibration.file import MOST_BYTES, as_text, utc_date
+from tissueid.errors import UnusableInputError
+
+
+def calibration(**changes):
+    figures = {
+        "kind": "static",
+        "model": "desktop indenter",
+        "serial_number": "A-1",
+        "date": "2026-03-01T09:30:00Z",
+        "software": "tissueid 0",
+        "verdict": "passed",
+        "conditions": {"ambient_c": 23.0, "by": 'a "person" \\ at a bench, 21 °C'},
+        "quantities": {"coil_resistance_ohm": Quantity(value=12.31, std=0.01, unit="ohm")},
+        "tables": {"position": {"position_m": (0.1 + 0.2, 1e-300), "reading_m": (-0.0, 5e-324)}},
+    }
+    return Calibration(**figures | changes)
+
+
+def test_what_is_written_comes_back(tmp_path):
+    path = tmp_path / "a.toml"
+    write_calibration(path, calibration(problems=("one", "two"), valid_days=30))
+    assert read_calibration(path) == calibration(problems=("one", "two"), valid_days=30)
+    assert path.read_text().startswith("# Static calibration of desktop indenter, A-1.\n")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+text = st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=200)
+
+
+@settings(max_examples=50, deadline=None)
+@given(value=finite, std=st.none() | st.floats(0, 1e300), note=text, column=st.lists(finite, max_size=5))
+def test_every_number_and_text_comes_back(tmp_path_factory, value, std, note, column):
+    path = tmp_path_factory.mktemp("files") / "a.toml"
+    made = calibration(
+        conditions={"note": note},
+        quantities={"mass_kg": Quantity(value=value, std=std, unit="kg")},
+        tables={"x": {"y": tuple(column)}},
+    )
+    write_calibration(path, made)
+    assert read_calibration(path) == made
+
+
+def test_comments_are_allowed(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("# by hand\n" + as_text(calibration()).replace("value = 12.31", "value = 12.31 # cold"))
+    assert read_calibration(path) == calibration()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("12.31", "nan", "quantities.coil_resistance_ohm.value"),
+        ("12.31", "true # ", "quantities.coil_resistance_ohm.value"),
+        ("0.01", "-0.01", "quantities.coil_resistance_ohm.std"),
+        ('kind = "static"', 'kind = "guess"', "'kind'"),
+        ('"A-1"', '""', "'serial_number'"),
+        ("2026-03-01T09:30:00Z", "2026-03-01T09:30:00", "'date' cannot be used: it must be a time in UTC"),
+        ("2026-03-01T09:30:00Z", "yesterday", "'date' cannot be used: it must be a time such as"),
+        ("valid_days = 90", "valid_days = 0", "'valid_days'"),
+        ('verdict = "passed"', "", "'verdict' cannot be used: Field required"),
+        ("1e-300,", "", "the columns of position differ in length"),
+        ("ambient_c", '"Ambient, C"', "'conditions.Ambient, C'"),
+        ('format_version = "1.0"', 'format_version = "2.0"', "'format_version'"),
+        ('software = "', 'surprise = 1\nsoftware = "', "'surprise'"),
+        ('format = "tissueid-calibration"', 'format = "recipe"', "not a calibration"),
+        ("[conditions]", "[conditions", "not a calibration"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path, old, new, words):
+    path = tmp_path / "a.toml"
+    whole = as_text(calibration())
+    assert old in whole
+    path.write_text(whole.replace(old, new, 1))
+    with pytest.raises(UnusableInputError, match=words) as caught:
+        read_calibration(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    with pytest.raises(UnusableInputError, match="No such file"):
+        read_calibration(tmp_path / "nothing.toml")
+    with pytest.raises(UnusableInputError, match="not a file"):
+        read_calibration(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UnusableInputError, match="not a file"):
+        read_calibration(tmp_path / "pipe")
+    (tmp_path / "large.toml").write_bytes(b"#" * (MOST_BYTES + 1))
+    with pytest.raises(UnusableInputError, match="too large"):
+        read_calibration(tmp_path / "large.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\x89PNG\xff")
+    with pytest.raises(UnusableInputError, match="not text"):
+        read_calibration(tmp_path / "binary.toml")
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 5000 + "]" * 5000)
+    with pytest.raises(UnusableInputError, match="not a calibration"):
+        read_calibration(tmp_path / "deep.toml")
+
+
+def test_nothing_but_a_calibration_is_written_over(tmp_path):
+    other = tmp_path / "pyproject.toml"
+    other.write_text("[project]\n")
+    with pytest.raises(UnusableInputError, match="not written over"):
+        write_calibration(other, calibration())
+    assert other.read_text() == "[project]\n"
+    old = tmp_path / "old.toml"
+    write_calibration(old, calibration())
+    write_calibration(old, calibration(valid_days=7))
+    assert read_calibration(old).valid_days == 7
+    with pytest.raises(UnusableInputError, match="no folder"):
+        write_calibration(tmp_path / "nowhere" / "a.toml", calibration())
+
+
+def test_dates_are_in_utc():
+    assert utc_date(datetime(2026, 3, 1, 9, 30, tzinfo=UTC)) == "2026-03-01T09:30:00Z"
+    assert calibration().age_days(datetime(2026, 3, 3, 9, 30, tzinfo=UTC)) == pytest.approx(2.0)
+
+
+def test_the_example_is_a_calibration_that_passed():
+    example = Path(__file__).parents[2] / "calibration_data" / "example" / "SIM-EXAMPLE-static.toml"
+    found = read_calibration(example)
+    assert found.verdict == "passed"
+    assert found.quantities["force_constant_n_per_a"].value == pytest.approx(2.93 / 1.012, rel=0.005)

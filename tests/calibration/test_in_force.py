@@ -1,0 +1,213 @@
+"""Which calibration is in force: what is used, what is flagged, what is refused, and what it does to a measurement."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from static_rig import ERRORS, TRUTH, rig
+
+from firmware_sim.converters import ChannelError
+from tissueid.acquisition.guided import play
+from tissueid.calibration import (
+    Calibration,
+    Quantity,
+    StaticPlan,
+    Stored,
+    calibrate_static,
+    calibrated,
+    calibration_folder,
+    put_in_force,
+    stored_calibrations,
+    write_calibration,
+)
+from tissueid.calibration.file import utc_date
+from tissueid.calibration.in_force import corrections, judged, warnings_of
+from tissueid.calibration.store import VARIABLE
+from tissueid.device import DeviceDescription
+from tissueid.errors import InstrumentError, LimitError, UnusableInputError
+from tissueid.instrument import Correction, Limits, SimulatedInstrument
+
+NOW = datetime(2026, 6, 1, 12, 0, tzinfo=UTC)
+DEVICE = DeviceDescription(serial_number="A-1")
+
+
+def quantities(**figures):
+    return {name: Quantity(value=value, std=abs(value) * 1e-3) for name, value in figures.items()}
+
+
+def made(days_ago=10.0, kind="static", **changes):
+    figures = (
+        {"coil_resistance_ohm": 12.3, "force_constant_n_per_a": 2.9, "current_offset_a": 0.01}
+        if kind == "static"
+        else {"moving_mass_kg": 0.066, "linear_region_min_m": 0.004, "linear_region_max_m": 0.0275}
+    )
+    content = {
+        "kind": kind,
+        "model": DEVICE.model,
+        "serial_number": DEVICE.serial_number,
+        "date": utc_date(NOW - timedelta(days=days_ago)),
+        "software": "tissueid 0",
+        "verdict": "passed",
+        "quantities": quantities(**figures | changes.pop("figures", {})),
+    }
+    return Stored(Path(f"{kind}-{days_ago:g}.toml"), Calibration(**content | changes))
+
+
+def test_calibrated_figures_lie_over_the_nominal_ones():
+    device = put_in_force(DEVICE, [made(), made(5, "sweep")], NOW)
+    assert device.coil_resistance_ohm == 12.3
+    assert device.force_constant_n_per_a == 2.9
+    assert device.moving_mass_kg == 0.066
+    assert device.coil_inductance_h == DEVICE.coil_inductance_h
+    known = device.calibration
+    assert known["state"] == "valid"
+    assert known["static_file"] == "static-10.toml"
+    assert known["sweep_file"] == "sweep-5.toml"
+    assert known["nominal_force_constant_n_per_a"] == 3.0
+    assert (known["linear_region_min_m"], known["linear_region_max_m"]) == (0.004, 0.0275)
+    assert all(isinstance(value, float | str) for value in known.values())
+    assert "warnings" not in known
+
+
+def test_without_any_the_nominal_figures_stay_and_say_so():
+    device = put_in_force(DEVICE, [], NOW)
+    assert device is DEVICE
+    assert corrections(device) == {}
+
+
+def test_the_newest_that_passed_is_used():
+    stored = [made(40), made(20), made(3, verdict="failed", problems=("too noisy",)), made(9, "sweep")]
+    device = put_in_force(DEVICE, stored, NOW)
+    assert device.calibration["static_file"] == "static-20.toml"
+    assert warnings_of(device) == ("static-3.toml: the calibration failed: too noisy",)
+
+
+@pytest.mark.parametrize(
+    ("item", "state", "words"),
+    [
+        (made(100), "stale", "100 days old, and was good for 90"),
+        (made(serial_number="B-2"), "foreign", "of B-2, not of A-1"),
+        (made(model="handheld"), "foreign", "of a 'handheld'"),
+        (made(verdict="failed"), "failed", "the calibration failed"),
+        (made(figures={"force_constant_n_per_a": 3.7}), "implausible", "more than 20 % from the nominal 3"),
+        (made(figures={"coil_resistance_ohm": 0.0}), "implausible", "coil_resistance_ohm is 0"),
+        (made(figures={"current_offset_a": 2.0}), "implausible", "not between -0.3 and 0.3"),
+        (made(kind="sweep", figures={"linear_region_max_m": 0.09}), "implausible", "not on the stroke"),
+        (made(-30), "implausible", "in the future"),
+        (Stored(Path("x.toml"), None, "x.toml is not a calibration"), "damaged", "x.toml is not a calibration"),
+        (made(), "valid", ""),
+    ],
+)
+def test_each_is_judged_in_words(item, state, words):
+    found, reason = judged(item, DEVICE, NOW)
+    assert found == state
+    assert words in reason
+    device = put_in_force(DEVICE, [item], NOW)
+    assert (device.calibration.get("state", "none") != "none") == (state in ("valid", "stale"))
+    if state == "stale":
+        assert device.calibration["state"] == "stale"
+    if state not in ("valid", "foreign") or "handheld" in words:
+        assert any(reason in warning for warning in warnings_of(device))
+
+
+def test_a_static_calibration_and_a_sweep_that_disagree_are_flagged():
+    device = put_in_force(DEVICE, [made(), made(5, "sweep", figures={"force_constant_n_per_a": 3.1})], NOW)
+    assert device.force_constant_n_per_a == 2.9
+    assert any("disagree on the force constant: 2.900 and 3.100" in warning for warning in warnings_of(device))
+
+
+def test_it_is_told_in_a_line():
+    instrument = SimulatedInstrument("spring")
+    assert calibrated(instrument, wanted=False, now=NOW).words.startswith("not calibrated")
+
+
+def test_folders_are_looked_for_in_order(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    assert calibration_folder() is None
+    (tmp_path / "home" / "tissueid" / "calibration_data").mkdir(parents=True)
+    assert calibration_folder() == tmp_path / "home" / "tissueid" / "calibration_data"
+    (tmp_path / "calibration_data").mkdir()
+    assert calibration_folder() == Path("calibration_data")
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    assert calibration_folder() == tmp_path
+    assert calibration_folder(tmp_path / "home") == tmp_path / "home"
+    with pytest.raises(UnusableInputError, match="no folder of calibrations"):
+        calibration_folder(tmp_path / "nowhere")
+
+
+def test_a_folder_is_read_newest_first_and_damage_is_kept_as_words(tmp_path):
+    for item in (made(20), made(3), made(9, "sweep")):
+        write_calibration(tmp_path / item.path, item.calibration)
+    (tmp_path / "broken.toml").write_text("no = calibration")
+    (tmp_path / "notes.txt").write_text("other")
+    found = stored_calibrations(tmp_path)
+    assert [item.path.name for item in found] == ["static-3.toml", "sweep-9.toml", "static-20.toml", "broken.toml"]
+    assert "not a calibration" in found[-1].problem
+
+
+def test_under_a_calibration_force_is_measured_right(tmp_path):
+    """Half a percent of the true force, where nominal figures are 4 % off and have a zero of 30 mN."""
+    instrument = rig()
+    steps = ("electrical", "force", "position", "range")
+    found = calibrate_static(instrument, StaticPlan(steps=steps)).calibration
+    write_calibration(tmp_path / "a.toml", found)
+    in_force = calibrated(instrument, tmp_path)
+    assert in_force.state == "valid"
+    assert "calibrated today, linear region not known" in in_force.words
+    assert "there is no sweep" not in "".join(in_force.warnings)
+
+    bench = instrument._link.firmware.bench
+    assert instrument.move_stage(0.016)
+    volts = np.repeat([0.0, 10.0, 0.0], 1200)
+    blocks = []
+    play(instrument, volts, Limits(max_force_n=12.0), on_samples=lambda samples, _: blocks.append(samples))
+    samples = np.concatenate(blocks)
+    late = samples[2000:2400]
+    force = late["current"].mean() * instrument.device.force_constant_n_per_a
+    true_force = TRUTH.force_constant_n_per_a * 10.0 / TRUTH.resistance_ohm
+    assert force == pytest.approx(true_force, rel=0.005)
+    true_position = 0.016 + (true_force + bench.parameters.gravity_force_n) / 1000.0
+    assert late["position"].mean() == pytest.approx(true_position, abs=15e-6)
+    assert samples[3000:]["current"].mean() == pytest.approx(0.0, abs=2e-3)
+
+
+def test_a_calibration_never_loosens_a_limit():
+    """With a force constant that is too small, 12.6 N by the nominal figures would count as 10.5 N."""
+    instrument = rig(errors={})
+    weak = replace(instrument.nominal, force_constant_n_per_a=2.5)
+    instrument.use_calibration(weak, {})
+    instrument.load(np.concatenate([np.linspace(0, 50.0 * 12.0 / 12.5, 400), np.full(100, 48.0)]))
+    with pytest.raises(LimitError, match=r"reaches 12\.0 N; the limit is 11 N"):
+        instrument.arm(Limits(max_force_n=11.0))
+    strong = replace(instrument.nominal, force_constant_n_per_a=3.5)
+    instrument.use_calibration(strong, {})
+    with pytest.raises(LimitError, match=r"reaches 14\.0 N; the limit is 13 N"):
+        instrument.arm(Limits(max_force_n=13.0))
+
+
+def test_a_correction_that_is_none_is_refused():
+    instrument = SimulatedInstrument("spring")
+    with pytest.raises(InstrumentError, match="gain of 0"):
+        Correction(gain=0.0)
+    with pytest.raises(InstrumentError, match="no channel 'command'"):
+        instrument.use_calibration(instrument.nominal, {"command": Correction(offset=1.0)})
+
+
+def test_it_is_not_changed_while_a_test_runs():
+    instrument = SimulatedInstrument("spring")
+    instrument.load(np.zeros(100))
+    instrument.arm(Limits())
+    with pytest.raises(InstrumentError, match="between two tests"):
+        instrument.use_calibration(instrument.nominal, {})
+
+
+def test_calibrating_starts_from_the_nominal_figures():
+    instrument = rig(errors={"current": ChannelError(0.0, 0.05)} | {k: v for k, v in ERRORS.items() if k == "voltage"})
+    instrument.use_calibration(replace(instrument.nominal, coil_resistance_ohm=10.0), {"current": Correction(1.0, 0.2)})
+    found = calibrate_static(instrument, StaticPlan(steps=("electrical",))).calibration
+    assert found.quantities["current_offset_a"].value == pytest.approx(0.05, abs=2e-3)
+    assert instrument.device == instrument.nominal

@@ -1,0 +1,241 @@
+"""Static calibration against instruments whose truth is known and differs from what they say of themselves."""
+
+import numpy as np
+import pytest
+from static_rig import ERRORS, EXPECTED, MASS_KG, TRUTH, Person, rig
+
+from firmware_sim.converters import ChannelError
+from firmware_sim.plant import STANDARD_GRAVITY, PlantParameters
+from tissueid.calibration import StaticPlan, calibrate_static, read_calibration, write_calibration
+from tissueid.calibration.coil import Spring
+from tissueid.calibration.file import Quantity
+from tissueid.calibration.findings import Findings, repeated
+from tissueid.calibration.line import straight_line
+from tissueid.calibration.sensors import mains, position_findings
+from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, UnusableInputError
+from tissueid.instrument import SimulatedInstrument
+from tissueid.records import Estimate
+
+QUICK = ("electrical", "force")
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Everything, on a device with a stage and a finite coil."""
+    instrument = rig(coil="finite")
+    return calibrate_static(instrument, StaticPlan(ambient_c=21.0)).calibration
+
+
+def values(calibration):
+    return {name: quantity.value for name, quantity in calibration.quantities.items()}
+
+
+def test_it_finds_the_truth_within_half_a_percent(found):
+    assert found.verdict == "passed"
+    assert found.problems == ()
+    for name, truth in EXPECTED.items():
+        quantity = found.quantities[name]
+        assert quantity.value == pytest.approx(truth, rel=0.005)
+        assert abs(quantity.value - truth) < 4.5 * quantity.std
+    figures = values(found)
+    assert figures["current_offset_a"] == pytest.approx(0.010, abs=1e-3)
+    assert figures["voltage_offset_v"] == pytest.approx(0.020, abs=5e-4)
+    assert figures["temperature_offset_c"] == pytest.approx(1.5, abs=0.02)
+
+
+def test_the_ends_of_the_stroke_and_the_weight_are_found_by_moving_gently(found):
+    figures = values(found)
+    assert figures["stroke_min_m"] == pytest.approx(0.0, abs=20e-6)
+    assert figures["stroke_max_m"] == pytest.approx(0.032, abs=20e-6)
+    assert figures["moving_weight_n"] == pytest.approx(MASS_KG * STANDARD_GRAVITY, rel=0.02)
+    offset = found.quantities["position_offset_m"]
+    assert abs(offset.value - 150e-6) < 4.0 * offset.std < 20e-6
+
+
+def test_what_limits_the_force_is_the_spring_and_is_said_apart(found):
+    force, spring = found.quantities["force_constant_n_per_a"], found.quantities["spring_n_per_m"]
+    assert force.std / force.value < 0.001
+    assert spring.std / spring.value == pytest.approx(0.02)
+    assert found.quantities["calibration_relative_uncertainty"].value == pytest.approx(0.02, rel=0.01)
+
+
+def test_residuals_are_kept(found, tmp_path):
+    for name in ("electrical", "force", "position", "range"):
+        assert found.tables[name]
+    residuals = np.array(found.tables["force"]["residual_m"])
+    assert np.abs(residuals).max() < 5e-6
+    write_calibration(tmp_path / "a.toml", found)
+    assert read_calibration(tmp_path / "a.toml") == found
+
+
+def test_another_spring_than_said_is_not_believed():
+    instrument = rig()
+    result = calibrate_static(instrument, StaticPlan(steps=QUICK, spring=Spring(1300.0, 0.02)))
+    assert result.calibration.verdict == "failed"
+    assert any("force constant comes out as 3.7" in problem for problem in result.calibration.problems)
+
+
+def test_without_a_known_position_scale_its_uncertainty_counts():
+    result = calibrate_static(rig(), StaticPlan(steps=QUICK))
+    assert result.calibration.quantities["force_constant_n_per_a"].std > 0.009 * 2.93
+    assert "position_gain" not in result.calibration.quantities
+
+
+def test_a_person_does_what_a_stage_would():
+    instrument = rig(stage=False)
+    person = Person(instrument)
+    plan = StaticPlan(steps=(*QUICK, "position", "range"), gauges_m=(0.005, 0.015, 0.025))
+    figures = values(calibrate_static(instrument, plan, ask=person).calibration)
+    assert figures["position_gain"] == pytest.approx(1.008, rel=1e-4)
+    assert figures["force_constant_n_per_a"] == pytest.approx(EXPECTED["force_constant_n_per_a"], rel=0.005)
+    assert "position_offset_m" not in figures  # heights tell distances, not where they begin
+    assert [sum(word in words for words in person.asked) for word in ("spring", "gauge", "everything")] == [1, 3, 1]
+
+
+def test_known_weights_need_no_known_spring():
+    instrument = rig(errors=ERRORS | {"position": ChannelError(0.05, 0.0)})
+    plan = StaticPlan(steps=QUICK, weights_kg=(0.1,), spring=Spring(1200.0, 0.2))
+    found = calibrate_static(instrument, plan, ask=Person(instrument)).calibration
+    constant = found.quantities["force_constant_n_per_a"]
+    assert constant.value == pytest.approx(EXPECTED["force_constant_n_per_a"], rel=0.005)
+    assert abs(constant.value - EXPECTED["force_constant_n_per_a"]) < 4 * constant.std
+    assert found.quantities["spring_n_per_m"].value == pytest.approx(1000.0 / 1.05, rel=0.005)
+    assert found.quantities["calibration_relative_uncertainty"].value < 0.005
+
+
+def test_turned_over_the_accelerometers_zero_is_known_too():
+    instrument = rig()
+    plan = StaticPlan(steps=("acceleration",), turn_over=True)
+    figures = values(calibrate_static(instrument, plan, ask=Person(instrument)).calibration)
+    assert figures["acceleration_gain"] == pytest.approx(1.03, abs=1e-3)
+    assert figures["acceleration_offset_m_s2"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_nobody_and_no_stage_is_refused_with_what_to_give():
+    with pytest.raises(UnusableInputError, match="--in-place"):
+        calibrate_static(rig(stage=False), StaticPlan())
+
+
+def test_in_place_leaves_out_what_needs_a_person():
+    result = calibrate_static(rig(stage=False), StaticPlan(steps=("electrical", "position", "range"), in_place=True))
+    assert result.calibration.verdict == "passed"
+    assert any("position along the stroke was left out" in note for note in result.notes)
+    assert any("range of motion was left out" in note for note in result.notes)
+    assert "stroke_max_m" not in result.calibration.quantities
+
+
+def test_the_spring_must_stand_where_it_has_room():
+    instrument = rig(stage=False, surface_m=0.029)
+    with pytest.raises(UnusableInputError, match=r"stands at 30\.\d mm"):
+        calibrate_static(instrument, StaticPlan(in_place=True))
+
+
+def test_a_thermometer_that_does_not_follow_heat_fails_it():
+    instrument = rig()
+    instrument._link.firmware.bench.stuck = {"temperature"}
+    result = calibrate_static(instrument, StaticPlan(steps=("temperature",)))
+    assert result.calibration.verdict == "failed"
+    assert "thermometer rises by 0.00" in result.calibration.problems[0]
+
+
+def test_a_supply_that_changes_meanwhile_fails_it():
+    instrument = rig()
+    bench = instrument._link.firmware.bench
+
+    def sag(label, fraction):
+        if label == "at rest again":
+            bench._converters._scale[1] = 0.97  # what the voltage channel makes of a volt
+
+    result = calibrate_static(instrument, StaticPlan(steps=("electrical", "supply")), progress=sag)
+    assert any("voltage changed by" in problem for problem in result.calibration.problems)
+
+
+def test_repeats_are_averaged_and_their_spread_is_kept():
+    result = calibrate_static(rig(), StaticPlan(steps=("electrical",), repeats=2)).calibration
+    spread = np.array(result.tables["repeats"]["coil_resistance_ohm"])
+    assert spread.size == 2
+    assert result.quantities["coil_resistance_ohm"].value == pytest.approx(spread.mean())
+    assert np.ptp(spread) > 0
+
+
+def test_a_repeat_that_fails_fails_all():
+    one = Findings({"coil_resistance_ohm": Quantity(value=12.0, std=0.1)})
+    other = Findings({"coil_resistance_ohm": Quantity(value=12.4, std=0.1)}, problems=("hot",))
+    both = repeated([one, other])
+    assert both.problems == ("hot",)
+    assert both.quantities["coil_resistance_ohm"].value == pytest.approx(12.2)
+    assert both.quantities["coil_resistance_ohm"].std == pytest.approx(0.2)  # they scatter by more than they say
+
+
+def test_cancelling_frees_the_coil():
+    instrument = rig()
+    firmware = instrument._link.firmware
+    seen = []
+
+    def note(label, fraction):
+        seen.append(firmware.energised)
+
+    with pytest.raises(CancelledError):
+        calibrate_static(instrument, StaticPlan(), progress=note, cancelled=lambda: any(seen))
+    instrument._link.run_for(0.2)
+    assert any(seen)
+    assert not firmware.energised
+
+
+def test_an_open_coil_is_said():
+    instrument = rig(parameters=PlantParameters(resistance_ohm=300.0, inductance_h=30e-3))
+    with pytest.raises(FirmwareFaultError, match="current does not follow the voltage"):
+        calibrate_static(instrument, StaticPlan(steps=("electrical",)))
+
+
+def test_the_simulation_in_this_process_is_calibrated_too():
+    result = calibrate_static(SimulatedInstrument("spring"), StaticPlan(push_only=True))
+    assert result.calibration.verdict == "passed"
+    assert values(result.calibration)["force_constant_n_per_a"] == pytest.approx(3.0, rel=0.001)
+
+
+def test_a_spring_that_is_not_fixed_and_pulled_is_said():
+    with pytest.raises(LimitError, match="--push-only"):
+        calibrate_static(SimulatedInstrument("spring"), StaticPlan(steps=QUICK))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"steps": ("dance",)}, "no step 'dance'"),
+        ({"steps": ()}, "name a step"),
+        ({"repeats": 0}, "1 to 100 times"),
+        ({"spring": Spring(1.0, 0.02)}, "10 to 100000 N/m"),
+        ({"weights_kg": (2.0,)}, "1 to 300 g"),
+        ({"gauges_m": (0.01, 0.01, 0.02)}, "3 to 50 different heights"),
+        ({"ambient_c": 80.0}, "-10 to 50"),
+    ],
+)
+def test_a_plan_that_cannot_be_done_is_refused(wrong, words):
+    with pytest.raises(UnusableInputError, match=words):
+        StaticPlan(**wrong)
+
+
+def test_mains_are_found_and_noise_is_not_taken_for_them():
+    time = np.arange(4000) / 2000.0
+    random = np.random.default_rng(3)
+    assert all(mains(random.standard_normal(4000), 2000.0) == (0.0, 0.0) for _ in range(200))
+    hertz, amplitude = mains(random.standard_normal(4000) + 0.3 * np.sin(2 * np.pi * 50.0 * time), 2000.0)
+    assert hertz == 50.0
+    assert amplitude == pytest.approx(0.3, abs=0.08)
+
+
+def test_a_position_sensor_that_is_not_straight_fails_it():
+    places = np.linspace(0.003, 0.029, 9)
+    bent = places + 3e-3 * np.sin(places / 0.032 * 2 * np.pi)
+    result = position_findings(places, straight_line(places, bent, 1e-3), Estimate(0.0))
+    assert any("not straight" in problem for problem in result.problems)
+
+
+@pytest.mark.soak
+def test_ten_seeds_stay_within_half_a_percent():
+    for seed in range(10):
+        figures = values(calibrate_static(rig(seed, coil="finite"), StaticPlan(ambient_c=21.0)).calibration)
+        for name, truth in EXPECTED.items():
+            assert figures[name] == pytest.approx(truth, rel=0.005)
+        assert figures["moving_weight_n"] == pytest.approx(TRUTH.gravity_force_n, rel=0.02)

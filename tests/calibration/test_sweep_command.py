@@ -1,0 +1,163 @@
+"""``tissueid calibrate sweep`` as technicians and scripts meet it."""
+
+import json
+
+import pytest
+from support import connect_scenario
+
+from firmware_sim.scenario import Scenario
+from tissueid.calibration import read_calibration
+from tissueid.calibration.moved_by_hand import Standing
+from tissueid.calibration.sweep import Sweep
+from tissueid.cli import main
+from tissueid.sessions import read_session
+
+SPRING = Scenario(preset="calibration-spring", coil="finite", seed=5)
+SHORT = ["--from", "8", "--to", "24", "--step", "4", "--seconds", "1"]
+
+
+@pytest.fixture
+def device(monkeypatch):
+    """An instrument behind the URL ``spring``, and the scenario that it is made of."""
+    scenario = [SPRING]
+
+    def opened(url):
+        assert url == "spring"
+        scenario.append(connect_scenario(scenario[0]))
+        return scenario[-1]
+
+    monkeypatch.setattr("tissueid.cli.calibrate_sweep.open_instrument", opened)
+    return scenario
+
+
+def sweep(*arguments):
+    return main(["calibrate", "sweep", *map(str, arguments)])
+
+
+def complaint(capsys, *arguments):
+    assert sweep(*arguments) == 2
+    captured = capsys.readouterr()
+    lines = captured.err.strip().splitlines()
+    assert lines[-1].startswith("tissueid: ")
+    assert "Traceback" not in captured.err
+    return lines[-1]
+
+
+def test_it_runs_unattended_and_leaves_calibration_report_session_and_answer(device, tmp_path, capsys):
+    out, page, kept = tmp_path / "sweep.toml", tmp_path / "sweep.html", tmp_path / "sweep.h5"
+    arguments = ["--device", "spring", "--out", out, "--report", page, "--session", kept, "--json", "-", *SHORT]
+    assert sweep(*arguments) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["verdict"] == "passed"
+    assert answer["quantities"]["force_constant_n_per_a"]["value"] == pytest.approx(3.0, rel=0.02)
+    assert len(answer["tables"]["sweep"]["vaf_percent"]) == 5
+    assert answer["seconds"] > answer["measuring_seconds"] > 0
+    made = read_calibration(out)
+    assert made.kind == "sweep"
+    assert made.serial_number == "SIM-0001"
+    assert made.conditions["by"] == "motorised stage"
+    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert len(read_session(kept).tests) == 5
+
+    again = tmp_path / "again.toml"  # from what was kept, without a device
+    assert sweep("--kept", kept, "--out", again) == 0
+    told = capsys.readouterr().out
+    assert "linear from 8.0" in told
+    assert "or less to 24.0" in told
+    assert "passed: good for use" in told
+    assert read_calibration(again).quantities == made.quantities
+    assert main(["calibrate", "show", str(again), "--report", str(tmp_path / "shown.html")]) == 0
+    assert "Dynamic sweep of" in (tmp_path / "shown.html").read_text(encoding="utf-8")
+
+
+def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_path, monkeypatch, capsys):
+    device[0] = SPRING.model_copy(update={"stage": False})
+    asked = []
+
+    def there(instrument, place_m, tell):
+        asked.append(place_m)
+        instrument._link.firmware.bench.place_fixture(place_m - 0.6e-3)
+        tell(Standing(place_m - 1.4e-3, False))
+
+    monkeypatch.setattr("tissueid.cli.calibrate_sweep.wait_until_there", there)
+    for stream in ("stdin", "stderr"):
+        monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
+    out = tmp_path / "sweep.toml"
+    assert sweep("--device", "spring", "--out", out, *SHORT) == 0
+    assert asked == pytest.approx([8e-3, 12e-3, 16e-3, 20e-3, 24e-3])
+    assert "Move the spring so that the probe stands at 12.0 mm" in capsys.readouterr().err
+    assert read_calibration(out).conditions["by"] == "hand"
+
+
+def test_without_a_stage_and_a_terminal_it_refuses(device, tmp_path, capsys):
+    device[0] = SPRING.model_copy(update={"stage": False})
+    said = complaint(capsys, "--device", "spring", "--out", tmp_path / "sweep.toml", *SHORT)
+    assert "no motorised stage" in said
+    assert "run this on a terminal" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_static_calibration_in_force_corrects_what_is_read(device, tmp_path, capsys):
+    (tmp_path / "calibrations").mkdir()
+    static = tmp_path / "calibrations" / "static.toml"
+    static.write_text(
+        'format = "tissueid-calibration"\nformat_version = "1.0"\nkind = "static"\n'
+        'model = "desktop indenter (simulated)"\nserial_number = "SIM-0001"\ndate = "2026-01-01T00:00:00Z"\n'
+        'valid_days = 3650\nsoftware = "test"\nverdict = "passed"\n'
+        "[quantities.position_gain]\nvalue = 1.01\nstd = 0.001\n",
+        encoding="utf-8",
+    )
+    device[0] = Scenario.model_validate(
+        {"preset": "calibration-spring", "seed": 5, "channels": {"position": {"gain_error": 0.01}}}
+    )
+    out = tmp_path / "sweep.toml"
+    options = ["--calibrations", static.parent, "--spring-uncertainty", "0.1"]
+    assert sweep("--device", "spring", "--out", out, *options, *SHORT) == 0
+    made = read_calibration(out)
+    assert made.conditions["static_file"] == "static.toml"
+    assert made.quantities["position_over_stage"].value == pytest.approx(1.0, abs=1e-3)
+
+
+def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp_path, monkeypatch, capsys):
+    kept, out = tmp_path / "sweep.h5", tmp_path / "sweep.toml"
+    calls = []
+
+    def second(self, *arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return measure(self, *arguments)
+
+    measure = Sweep._measure
+    monkeypatch.setattr(Sweep, "_measure", second)
+    assert sweep("--device", "spring", "--out", out, "--session", kept, *SHORT) != 0
+    assert "what was measured is kept" in capsys.readouterr().err
+    assert not out.exists()
+    assert [test.status for test in read_session(kept).tests] == ["completed"]
+    assert "needs 5 positions or more, and 1 could be measured" in complaint(capsys, "--kept", kept, "--out", out)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "name the instrument with --device, or a sweep that was kept with --kept"),
+        (["--device", "spring", "--kept", "x.h5"], "not both"),
+        (["--kept", "x.h5", "--session", "y.h5"], "does not go with --kept"),
+        (["--device", "spring", "--from", "20", "--to", "10"], "from a position to a greater one"),
+        (["--device", "spring", "--step", "0.1"], "0.5 to 5 mm"),
+        (["--device", "spring", "--spring", "1"], "10 to 100000 N/m"),
+        (["--device", "spring", "--spring-uncertainty", "60"], "better than 50 %"),
+        (["--device", "spring", "--spring-mass", "-1"], "0 to 200 g"),
+        (["--kept", "nowhere.h5"], "nowhere.h5"),
+    ],
+)
+def test_what_cannot_be_used_is_said_in_a_line(device, tmp_path, capsys, arguments, words):
+    assert words in complaint(capsys, "--out", tmp_path / "sweep.toml", *arguments)
+    assert len(device) == 1
+
+
+def test_another_file_is_not_written_over(device, tmp_path, capsys):
+    out = tmp_path / "notes.txt"
+    out.write_text("mine", encoding="utf-8")
+    assert "not written over" in complaint(capsys, "--device", "spring", "--out", out)
+    assert out.read_text(encoding="utf-8") == "mine"

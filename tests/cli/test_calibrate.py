@@ -1,0 +1,134 @@
+"""``tissueid calibrate`` as a technician meets it: files, pages, states in words, refusals that say what to give."""
+
+import io
+import json
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from tissueid.calibration import read_calibration, write_calibration
+from tissueid.calibration.file import utc_date
+from tissueid.cli import main
+
+SPRING = "simulated://spring?seed=4"
+STATIC = ["calibrate", "static", "--device", SPRING, "--push-only"]
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A calibration with its page and its JSON, as the command leaves them."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    files = ["--out", folder / "a.toml", "--report", folder / "a.html", "--json", folder / "a.json"]
+    assert main([*STATIC, "--ambient", "25", "--repeats", "2", *map(str, files)]) == 0
+    return folder
+
+
+def complaint(capsys, *arguments):
+    """Run a command that must refuse; returns its one line."""
+    assert main([*map(str, arguments)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    return captured.err.strip().splitlines()[-1]
+
+
+def test_static_leaves_a_calibration_a_page_and_json(kept):
+    found = read_calibration(kept / "a.toml")
+    assert found.verdict == "passed"
+    assert found.serial_number == "TWIN-4"
+    assert found.conditions["ambient_c"] == 25.0
+    assert str(found.conditions["audit_head"])
+    page = (kept / "a.html").read_text()
+    assert "The calibration passed" in page
+    assert "Force constant" in page
+    assert page.count("<svg") == 4
+    answer = json.loads((kept / "a.json").read_text())
+    assert answer["verdict"] == "passed"
+    assert answer["quantities"]["force_constant_n_per_a"]["value"] == pytest.approx(3.0, rel=0.005)
+    assert answer["seconds"] > 0
+    assert answer["quantities"] == {name: q.model_dump() for name, q in found.quantities.items()}
+
+
+def test_show_tells_it(kept, capsys):
+    assert main(["calibrate", "show", str(kept / "a.toml"), "--report", str(kept / "again.html")]) == 0
+    out = capsys.readouterr().out
+    assert "Coil resistance" in out
+    assert "passed: good for use" in out
+    assert "<svg" in (kept / "again.html").read_text()
+    assert main(["calibrate", "show", str(kept / "a.toml"), "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["kind"] == "static"
+
+
+def test_list_tells_the_state_of_each(kept, tmp_path, capsys):
+    found = read_calibration(kept / "a.toml")
+    now = datetime.now(UTC)
+    write_calibration(tmp_path / "new.toml", found)
+    write_calibration(tmp_path / "middle.toml", found.model_copy(update={"date": utc_date(now - timedelta(days=9))}))
+    write_calibration(tmp_path / "old.toml", found.model_copy(update={"date": utc_date(now - timedelta(days=400))}))
+    failed = {"verdict": "failed", "problems": ("too noisy",), "serial_number": "B-2"}
+    write_calibration(tmp_path / "failed.toml", found.model_copy(update=failed))
+    (tmp_path / "broken.toml").write_text("[")
+    assert main(["calibrate", "list", "--calibrations", str(tmp_path), "--json", "-"]) == 0
+    listed = {
+        row["file"].rsplit("/", 1)[-1]: (row["state"], row["in_force"])
+        for row in json.loads(capsys.readouterr().out)["calibrations"]
+    }
+    assert listed == {
+        "new.toml": ("valid", True),
+        "middle.toml": ("valid", False),
+        "old.toml": ("stale", False),
+        "failed.toml": ("failed", False),
+        "broken.toml": ("damaged", False),
+    }
+    assert main(["calibrate", "list", "--calibrations", str(tmp_path), "--serial", "B-2"]) == 0
+    out = capsys.readouterr().out
+    assert "too noisy" in out
+    assert "new.toml" not in out
+
+
+def test_an_empty_folder_is_said(tmp_path, capsys):
+    assert main(["calibrate", "list", "--calibrations", str(tmp_path)]) == 0
+    assert "no calibrations" in capsys.readouterr().out
+
+
+def test_refusals_say_what_to_give(tmp_path, capsys):
+    out = ["--out", tmp_path / "a.toml"]
+    static = ["calibrate", "static", "--device", SPRING]
+    assert "no step 'x'" in complaint(capsys, *static, *out, "--steps", "x")
+    assert "--push-only" in complaint(capsys, *static, *out, "--steps", "electrical")
+    assert "need a person on a terminal" in complaint(capsys, *static, *out, "--weight", 50)
+    assert "--in-place asks nobody" in complaint(capsys, *static, *out, "--in-place", "--gauge", 5)
+    assert "no folder" in complaint(capsys, *static, "--out", tmp_path / "b" / "a.toml")
+    (tmp_path / "notes.toml").write_text("title = 'mine'\n")
+    assert "not written over" in complaint(capsys, *static, "--out", tmp_path / "notes.toml")
+    assert "no folder of calibrations" in complaint(capsys, "calibrate", "list", "--calibrations", tmp_path / "x")
+    assert "No such file" in complaint(capsys, "calibrate", "show", tmp_path / "x.toml")
+    assert not (tmp_path / "a.toml").exists()
+
+
+def test_a_failed_calibration_is_kept_and_says_so(tmp_path, capsys):
+    arguments = [*STATIC, "--out", str(tmp_path / "a.toml"), "--steps", "force", "--spring", "1400"]
+    assert main(arguments) == 0
+    assert "never put in force" in capsys.readouterr().out
+    found = read_calibration(tmp_path / "a.toml")
+    assert found.verdict == "failed"
+    assert "more than 20 % apart" in found.problems[0]
+
+
+class Terminal(io.StringIO):
+    """Somebody who presses Enter."""
+
+    def isatty(self):
+        return True
+
+
+def test_a_person_at_the_terminal_is_told_what_to_do(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", Terminal("\n\n"))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    arguments = [*STATIC, "--steps", "acceleration", "--orientations", "2", "--out", str(tmp_path / "a.toml")]
+    assert main(arguments) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "Turn the instrument over" in told
+    assert "Turn the instrument back" in told
+    # The simulation stays as it is: it was not turned over, which shows.
+    assert "0.00 times gravity" in read_calibration(tmp_path / "a.toml").problems[0]
