@@ -146,9 +146,12 @@ def test_a_probe_in_the_air_is_noticed():
     from firmware_sim.firmware import Firmware
     from tissueid.instrument import SerialInstrument
 
-    link = LoopbackLink(Firmware(Bench("left-posterior-forearm", tilt_deg=180.0)))
-    with pytest.raises(TissueIDError, match="end of its stroke"):
-        find_surface(SerialInstrument(link, clock=link.clock))
+    for tilt in (0.0, 180.0):
+        bench = Bench("left-posterior-forearm", tilt_deg=tilt)
+        bench.place_fixture(None)
+        link = LoopbackLink(Firmware(bench))
+        with pytest.raises(TissueIDError, match="end of its stroke"):
+            find_surface(SerialInstrument(link, clock=link.clock))
 
 
 def test_lost_samples_while_placing_are_said():

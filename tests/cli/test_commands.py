@@ -211,7 +211,7 @@ def test_an_interrupt_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tissueid.cli.test.find_surface", interrupt)
+    monkeypatch.setattr("tissueid.cli.test.place", interrupt)
     out = tmp_path / "s.h5"
     assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
     assert list(tmp_path.iterdir()) == []

@@ -32,6 +32,8 @@ class LiveIdentification:
         window_s: of the sliding method: how much of the latest samples counts; all of them when None.
         stop: when it is good enough; never when None.
         apart: look in a process of its own. Without it nothing happens until ``step`` is called.
+        external_spring_n_per_m: stands beside the tissue and is taken off the stiffness that is told. A rule to stop by
+            looks at both together, which is what the test determines.
 
     Raises:
         UnusableInputError: a method that cannot be started so.
@@ -48,7 +50,10 @@ class LiveIdentification:
         window_s: float | None = RECENT_S,
         stop: StopRule | None = None,
         apart: bool = True,
+        external_spring_n_per_m: float = 0.0,
     ) -> None:
+        self._spring = external_spring_n_per_m
+        self._told: tuple[LiveView, LiveView] | None = None
         self._device = device
         self._preload = round(preload_s * device.sample_rate_hz)
         self._first_index: int | None = None
@@ -84,7 +89,12 @@ class LiveIdentification:
 
     def latest(self) -> LiveView | None:
         """The newest look; None before the first."""
-        return self._looks.news.view
+        view = self._looks.news.view
+        if view is None or not self._spring:
+            return view
+        if self._told is None or self._told[0] is not view:
+            self._told = view, view.without_spring(self._spring)
+        return self._told[1]
 
     def enough(self) -> bool:
         """True once the rule has been met; it stays true."""

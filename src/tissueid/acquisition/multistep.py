@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.choice import PRELOAD_S
-from tissueid.acquisition.guided import GuidedTest, Progress, check_test, find_surface, run_guided_test
+from tissueid.acquisition.guided import GuidedTest, check_test, run_guided_test
+from tissueid.acquisition.placing import Placement, place
+from tissueid.acquisition.playing import Progress
 from tissueid.acquisition.recorder import SessionRecorder
 from tissueid.acquisition.waiting import meanwhile
+from tissueid.configuration import Configuration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Model
@@ -71,10 +74,17 @@ class MultistepTest:
     seed: int = 1
     limits: Limits = CLINICAL
     preload_s: float = PRELOAD_S
+    configuration: Configuration = field(default_factory=Configuration)
 
     def guided_test(self, noise: Noise, notes: dict[str, str | float]) -> GuidedTest:
         """One of its tests."""
-        return GuidedTest(guided(noise.build(), self.preload_s), self.site, limits=self.limits, notes=notes)
+        return GuidedTest(
+            guided(noise.build(), self.preload_s),
+            self.site,
+            configuration=self.configuration,
+            limits=self.limits,
+            notes=notes,
+        )
 
 
 def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
@@ -82,8 +92,13 @@ def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
 
     Raises:
         LimitError: the force range or the length goes beyond the limits.
-        UnusableInputError: another sample rate than the device's, or a depth beyond its stroke.
+        UnusableInputError: another sample rate than the device's, a depth beyond its stroke, or a configuration that
+            has no depth.
     """
+    if not test.configuration.has_depth:
+        raise UnusableInputError(
+            f"a multistep test spreads over depths, and there are none in the configuration {test.configuration.name}"
+        )
     if test.design.depth_max_m > device.stroke_m:
         raise UnusableInputError(
             f"a depth of {1e3 * test.design.depth_max_m:g} mm is beyond the stroke of {1e3 * device.stroke_m:g} mm"
@@ -97,7 +112,7 @@ def run_multistep(
     test: MultistepTest,
     recorder: SessionRecorder,
     *,
-    surface_m: float | None = None,
+    surface_m: float | Placement | None = None,
     progress: Callable[[str, Progress], None] = lambda _label, _progress: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> tuple[Step, ...]:
@@ -113,9 +128,10 @@ def run_multistep(
     device, design = instrument.device, test.design
     check_multistep(test, device)
     if surface_m is None:
-        surface_m = find_surface(
+        surface_m = place(
             instrument, test.limits, progress=lambda p: progress("placing the probe", p), cancelled=cancelled
         )
+    origin_m = surface_m.surface_m if isinstance(surface_m, Placement) else surface_m
     records: list[Record] = []
     steps: list[Step] = []
     described: Described | None = None
@@ -138,7 +154,7 @@ def run_multistep(
             progress=take,
             cancelled=cancelled,
         )
-        records.append(_record(blocks, device, surface_m, test.preload_s))
+        records.append(_record(blocks, device, origin_m, test.preload_s))
         low, high = (
             (design.depth_min_m, design.depth_max_m)
             if redesigned is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from numba.core.event import install_timer
@@ -13,6 +13,8 @@ from numba.core.event import install_timer
 from tissueid.analysis.split import Split, split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
+from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.external_spring import has_stiffness, profile_without_spring, without_spring
 from tissueid.identification.registry import get_engine
 from tissueid.identification.validation import validated
 from tissueid.records import Record
@@ -26,6 +28,9 @@ class Analysis:
     """One engine fitted to one or several tests. ``fit_part`` and ``held_out`` index the records as in ``Split``.
 
     ``test`` is the number of the first test that was fitted, ``tests`` are those of all.
+
+    ``external_spring_n_per_m`` stood beside the tissue: the stiffness among the model's parameters and that of
+    ``depth_profile`` are without it. The model itself, its response and its figures are of both together.
     """
 
     model: Model
@@ -36,6 +41,15 @@ class Analysis:
     test: int
     validated_on: str
     tests: tuple[int, ...] = ()
+    external_spring_n_per_m: float = 0.0
+    configuration: str = "indentation"
+
+    def depth_profile(self) -> DepthProfile | None:
+        """Mass, damping and stiffness of the tissue against depth; None for models that hold no depth."""
+        profile = self.model.depth_profile()
+        if profile is None or not self.external_spring_n_per_m:
+            return profile
+        return profile_without_spring(profile, self.external_spring_n_per_m)
 
 
 def analyse(
@@ -81,7 +95,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
     with _its_own_fault(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     return Analysis(
-        model,
+        _without_spring(model, parts.external_spring_n_per_m),
         parts.record,
         parts.fit_part,
         parts.held_out_record,
@@ -89,7 +103,22 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         parts.tests[0],
         parts.validated_on,
         parts.tests,
+        parts.external_spring_n_per_m,
+        parts.configuration,
     )
+
+
+def _without_spring(model: Model, spring_n_per_m: float) -> Model:
+    """The model with the external spring taken off the stiffness that it reports, and a line that says so."""
+    report = model.report
+    if not spring_n_per_m or not (has_stiffness(report.parameters) or model.depth_profile() is not None):
+        return model
+    line = (
+        f"The external spring of {spring_n_per_m:g} N/m is subtracted from the stiffness; natural frequency, damping "
+        "ratio, curves and figures of the response are those of tissue and spring together."
+    )
+    parameters = without_spring(report.parameters, spring_n_per_m)
+    return replace(model, report=replace(report, parameters=parameters, findings=(*report.findings, line)))
 
 
 def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> tuple[Model, float]:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tissueid.configuration import spring_of
 from tissueid.errors import UnusableInputError
 from tissueid.records import Record, joined
-from tissueid.sessions import Session
+from tissueid.sessions import Session, Test
 
 QUARTERS = 4
 FIT_SHARE = 1.0 - 1.0 / QUARTERS
@@ -21,7 +22,8 @@ class Split:
     """Fitted and held-out samples. ``fit_part`` and ``held_out`` index ``record`` and ``held_out_record``.
 
     ``tests`` are the numbers of the fitted tests, ``records`` what they hold, whole, where a part of each is held out
-    and nothing where another test is, whose number is ``validated``.
+    and nothing where another test is, whose number is ``validated``. ``external_spring_n_per_m`` stood beside the
+    tissue in all of them, where the record is force and position.
 
     Several tests are joined with a gap between each two, which no engine reaches across. What is held out of them are
     then separate stretches: ``held_out_record`` holds the whole input, which a free run needs, and as outputs those
@@ -36,6 +38,8 @@ class Split:
     validated_on: str
     records: tuple[Record, ...] = ()
     validated: int | None = None
+    external_spring_n_per_m: float = 0.0
+    configuration: str = "indentation"
 
     @property
     def fitted(self) -> Record:
@@ -74,7 +78,8 @@ def split(
     quarter of every fitted test is held out.
 
     Raises:
-        UnusableInputError: no such test or signal, a test named twice, or tests that cannot be fitted together.
+        UnusableInputError: no such test or signal, a test named twice, or tests that cannot be fitted together, such as
+            those of different configurations or with different external springs.
     """
     if input_name == output_name:
         raise UnusableInputError(f"input and output are the same signal, {input_name!r}")
@@ -86,13 +91,39 @@ def split(
             raise UnusableInputError(f"test {number} is named twice among the tests to fit")
     if validate in numbers:
         raise UnusableInputError(f"test {validate} is one that is fitted: validate on another, or on none")
+    spring = _common_spring(tests if validate is None else [*tests, session.test(validate)])
+    if (input_name, output_name) != ("force", "position"):
+        spring = 0.0
     records = tuple(t.record(input_name, output_name) for t in tests)
     if validate is not None:
         record = joined(records)
         other = session.test(validate).record(input_name, output_name)
         whole = slice(0, len(record)), slice(0, len(other))
-        return Split(record, whole[0], other, whole[1], numbers, f"test {validate}", validated=validate)
-    return split_records(records, numbers)
+        parts = Split(record, whole[0], other, whole[1], numbers, f"test {validate}", validated=validate)
+    else:
+        parts = split_records(records, numbers)
+    return replace(parts, external_spring_n_per_m=spring, configuration=first.configuration)
+
+
+def _common_spring(tests: Sequence[Test]) -> float:
+    """The external spring of all the tests, N/m.
+
+    Raises:
+        UnusableInputError: they differ in it.
+    """
+    springs = [spring_of(test.notes) for test in tests]
+    for test, spring in zip(tests, springs, strict=True):
+        if test.configuration != tests[0].configuration:
+            raise UnusableInputError(
+                f"tests {tests[0].number} and {test.number} are of different configurations, {tests[0].configuration} "
+                f"and {test.configuration}: analyse them one by one"
+            )
+        if spring != springs[0]:
+            raise UnusableInputError(
+                f"tests {tests[0].number} and {test.number} had external springs of {springs[0]:g} and {spring:g} N/m: "
+                "analyse them one by one"
+            )
+    return springs[0]
 
 
 def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> Split:

@@ -15,7 +15,7 @@ from platformdirs import user_log_path
 from typer.exceptions import Abort, TyperException
 
 from tissueid.cli.commands import app
-from tissueid.errors import TissueIDError
+from tissueid.errors import CancelledError, TissueIDError
 
 INTERRUPTED = 130
 
@@ -33,6 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status = app(
                 args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False
             )
+    except CancelledError as error:
+        return _complain(str(error), INTERRUPTED)
     except TissueIDError as error:
         return _complain(str(error), 2)
     except TyperException as error:

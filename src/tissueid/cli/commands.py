@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from tissueid import __version__
+from tissueid.cli.audit import audit
 from tissueid.cli.calibrate import calibrate
+from tissueid.cli.logged import take_role
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -17,6 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(calibrate, name="calibrate")
+app.add_typer(audit, name="audit")
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[
@@ -49,8 +52,13 @@ def open_window(
     _version_asked: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
     ] = False,
+    role: Annotated[
+        str | None, typer.Option(metavar="ROLE", help="clinician, researcher or technician, for the audit log")
+    ] = None,
 ) -> int:
     """Without a command: open the application."""
+    if role is not None:
+        take_role(role)
     if context.invoked_subcommand is not None:
         return 0
     from tissueid.cli.window import open_application
@@ -133,6 +141,18 @@ def run_test(
     repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
     subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="never a name")] = "anonymous",
+    configuration: Annotated[
+        str, typer.Option(metavar="NAME", help="indentation, extension or surface")
+    ] = "indentation",
+    probe: Annotated[str | None, typer.Option(metavar="NAME", help="the tip; a wrong one lists all")] = None,
+    external_spring: Annotated[
+        float,
+        typer.Option("--external-spring", metavar="N/M", help="stiffness beside the tissue, subtracted; for surface"),
+    ] = 0.0,
+    calibrations: Annotated[
+        Path | None, typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
+    ] = None,
+    calibration: Annotated[bool, typer.Option(help="put the newest calibration in force")] = True,
     json_file: JsonFile = None,
 ) -> None:
     """Run a guided test: place, preload, stimulus, release."""
@@ -157,9 +177,26 @@ def run_test(
             repeats=repeats,
             limits=limits,
             subject=subject,
+            configuration=configuration,
+            probe=probe,
+            external_spring_n_per_m=external_spring,
+            calibrations=calibrations,
+            calibration=calibration,
             json_file=json_file,
         )
     )
+
+
+@app.command()
+def quality(
+    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
+    test: Annotated[int | None, typer.Option("--test", metavar="N", help="one test; all without it")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Judge the tests of a saved session anew: can they be believed, and what to do about those that cannot."""
+    from tissueid.cli.quality import run_quality
+
+    run_quality(session, test, json_file)
 
 
 @app.command()

@@ -14,6 +14,7 @@ from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_
 from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
 from tissueid.cli.identify import identify_answer, parse_options
 from tissueid.cli.output import check_json, check_output, people_read, progress_bars, table, write_json
+from tissueid.cli.quality import doubted
 from tissueid.errors import UnusableInputError
 from tissueid.identification.recommendation import Recommendation
 from tissueid.sessions import Session, read_session
@@ -58,10 +59,13 @@ def run_compare(
         found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
         _draw(session, found, out, figures, show)
     _tell(found, no_ceiling, people_read(json_file))
+    warned = list(doubted(session, found.split.tests))
+    for line in warned:
+        people_read(json_file).print(line, markup=False)
     if told := _distortion(session, found):
         people_read(json_file).print(told, markup=False)
     if json_file is not None:
-        write_json(json_file, compare_answer(found))
+        write_json(json_file, compare_answer(found) | {"quality_warnings": warned})
     if out is not None:
         people_read(json_file).print(f"report: {out}", markup=False)
     if figures is not None:

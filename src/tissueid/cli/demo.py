@@ -21,6 +21,7 @@ from tissueid.acquisition.guided import find_surface
 from tissueid.analysis import Analysis, analyse_all
 from tissueid.calibration import ElectricalCheck, check_coil
 from tissueid.cli.identify import identify_answer, readable
+from tissueid.cli.logged import noted
 from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
 from tissueid.cli.test import show_progress
 from tissueid.errors import InstrumentError, UnusableInputError
@@ -45,6 +46,7 @@ def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
     """Everything from the cable to the report. The three files appear together at the end, or not at all."""
     _check_target(out)
     check_json(json_file)
+    noted("researcher", "demo.begun", subject="DEMO", new={"preset": preset, "seed": seed})
     with tempfile.TemporaryDirectory(dir=out, prefix=".demo-") as folder, progress_bars() as show:
         work = Path(folder)
         show("starting the simulated instrument", 0.0)

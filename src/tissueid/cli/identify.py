@@ -14,6 +14,8 @@ from rich.table import Table
 
 from tissueid.analysis import Analysis, analyse
 from tissueid.cli.output import check_json, people_read, table, write_json
+from tissueid.cli.quality import doubted
+from tissueid.configuration import travel_word
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
@@ -44,8 +46,9 @@ def run_identify(
         if "memory" in chosen:
             raise UnusableInputError("the memory is given twice")
         chosen["memory"] = memory
+    session = read_session(path)
     analysis = analyse(
-        read_session(path),
+        session,
         engine,
         chosen,
         test=test,
@@ -59,8 +62,13 @@ def run_identify(
     print_analysis(analysis, out)
     for finding in () if tests is None else tests.findings:
         out.print(f"on {analysis.validated_on}, {finding}", markup=False)
+    warned = list(doubted(session, analysis.tests))
+    for line in warned:
+        out.print(line, markup=False)
     if json_file is not None:
-        write_json(json_file, identify_answer(analysis) | {"residual_tests": _tests_answer(tests)})
+        write_json(
+            json_file, identify_answer(analysis) | {"residual_tests": _tests_answer(tests), "quality_warnings": warned}
+        )
 
 
 def _residual_tests(analysis: Analysis) -> ResidualTests | None:
@@ -80,11 +88,12 @@ def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
 
 def identify_answer(analysis: Analysis) -> dict[str, Any]:
     """The contract's keys, which tests were fitted and which part validated, and what is known against depth."""
-    profile = analysis.model.depth_profile()
+    profile = analysis.depth_profile()
     return analysis.model.report.as_dict() | {
         "test": analysis.test,
         "tests": list(analysis.tests),
         "validated_on": analysis.validated_on,
+        "external_spring_n_per_m": analysis.external_spring_n_per_m,
         "depth_profile": None if profile is None else profile.as_rows(),
     }
 
@@ -137,21 +146,21 @@ def print_analysis(analysis: Analysis, out: Console) -> None:
     if report.seconds is not None:
         rows.add_row("computed in", fixed(report.seconds, 3), "s")
     out.print(rows)
-    profile = analysis.model.depth_profile()
+    profile = analysis.depth_profile()
     if profile is not None:
-        out.print(depth_table(profile))
+        out.print(depth_table(profile, travel_word(analysis.configuration)))
     for finding in report.findings:
         out.print(finding, markup=False)
     for warning in report.warnings:
         out.print(f"warning: {warning}", markup=False)
 
 
-def depth_table(profile: DepthProfile) -> Table:
-    """Mass, damping and stiffness against depth, in the units that people read."""
+def depth_table(profile: DepthProfile, way: str = "depth") -> Table:
+    """Mass, damping and stiffness against depth, or what the ``way`` of the probe is called; in people's units."""
     directed = bool(np.any(profile.direction))
     columns = ("position mm", *["direction"] * directed, "mass g", "damping N·s/m", "stiffness N/m", "samples")
     step = -(-len(profile) // _MOST_DEPTHS)
-    rows = table("Against depth" if step == 1 else f"Against depth, every {step} rows", *columns)
+    rows = table(f"Against {way}" if step == 1 else f"Against {way}, every {step} rows", *columns)
     for k in range(0, len(profile), step):
         direction = {1: "in", -1: "out"}.get(int(profile.direction[k]), "both")
         values = (

@@ -9,12 +9,13 @@ from typing import Any
 from rich.table import Table
 
 from tissueid.acquisition import Step
+from tissueid.acquisition.quality import quality_of
 from tissueid.cli.output import table
 from tissueid.errors import UnusableInputError
 from tissueid.sessions import Test
 from tissueid.stimuli.base import GUIDED
 from tissueid.stimuli.redesign import uniform_distance
-from tissueid.wording import fixed, grouped
+from tissueid.wording import MISSING, fixed, grouped
 
 DepthRange = tuple[float, float]
 
@@ -36,6 +37,10 @@ def answer_of(test: Test, asked: DepthRange | None, step: Step | None) -> dict[s
         answer[note] = int(count) if isinstance(count, float) else None
     for note in ("generating_share", "generating_longest_s", "ended_early_s", "reason"):
         answer[note] = test.notes.get(note)
+    quality = quality_of(test)
+    answer["configuration"] = test.configuration
+    answer["verdict"] = None if quality is None else quality.verdict
+    answer["quality"] = None if quality is None else quality.as_dict()["findings"]
     if step is not None:
         answer |= {
             "kolmogorov_distance_predicted": step.predicted,
@@ -55,6 +60,7 @@ def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:
         "computing %": [fixed(_percent(a["generating_share"]), 1) for a in answers],
         "late blocks": [grouped(a["late_blocks"]) for a in answers],
         "held samples": [grouped(a["held_samples"]) for a in answers],
+        "quality": [a["verdict"] or MISSING for a in answers],
     }
     needs = {
         "depth mm": "depth_min_m",
@@ -62,6 +68,7 @@ def tests_table(tests: Sequence[Test], asked: DepthRange | None) -> Table:
         "computing %": "generating_share",
         "late blocks": "late_blocks",
         "held samples": "held_samples",
+        "quality": "verdict",
     }
     shown = [name for name in columns if name not in needs or any(a[needs[name]] is not None for a in answers)]
     rows = table("Tests", "test", "stimulus", "status", *shown)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.acquisition import recover
+from tissueid.cli.logged import tell, trail
 from tissueid.cli.output import check_json, people_read, write_json
 
 
 def run_recover(path: Path, target: Path | None, json_file: Path | None) -> None:
     """Recover, and say what was saved."""
     check_json(json_file)
-    session_file, session = recover(path, target)
+    own = trail()
+    session_file, session = recover(path, target, trail=own)
+    tell(own)
     out = people_read(json_file)
     out.print(f"{session_file} holds {len(session.tests)} test(s):", markup=False)
     answer = []

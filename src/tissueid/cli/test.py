@@ -9,6 +9,7 @@ from pathlib import Path
 from tissueid.acquisition import (
     PRELOAD_S,
     GuidedTest,
+    JournalError,
     MultistepTest,
     NoiseChoice,
     Progress,
@@ -18,14 +19,20 @@ from tissueid.acquisition import (
     run_guided_test,
     run_multistep,
 )
-from tissueid.acquisition.guided import check_test, find_surface
+from tissueid.acquisition.guided import check_test
+from tissueid.acquisition.placing import Placement, place
 from tissueid.acquisition.stimulus_file import load_stimulus
 from tissueid.acquisition.waiting import meanwhile
+from tissueid.calibration import calibrated, in_words, warnings_of
+from tissueid.cli.logged import tell, trail
 from tissueid.cli.output import check_json, people_read, progress_bars, write_json
 from tissueid.cli.played import answer_of, out_of_reach, tests_table
+from tissueid.cli.quality import findings_lines
 from tissueid.cli.stimulus import designed
 from tissueid.cli.stimulus_options import CommonOptions, specified
+from tissueid.cli.stop_key import stop_key
 from tissueid.cli.watching import Watch
+from tissueid.configuration import Configuration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.online.stopping import StopRule
@@ -39,6 +46,8 @@ MAX_TEXT = 200
 LEAST_DEPTH_RANGE_M = 1e-4
 _DEFAULTS = NoiseChoice()
 """What the ordinary noise is without options; other kinds have defaults of their own."""
+_Runner = Callable[[SessionRecorder, Callable[[], bool]], tuple[Step, ...]]
+"""Runs all tests into a recorder until it is told to stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +72,11 @@ class TestPlan:
     repeats: int = 1
     limits: str = "clinical"
     subject: str = "anonymous"
+    configuration: str = "indentation"
+    probe: str | None = None
+    external_spring_n_per_m: float = 0.0
+    calibrations: Path | None = None
+    calibration: bool = True
     json_file: Path | None = None
 
     def check(self) -> None:
@@ -76,6 +90,9 @@ class TestPlan:
         for what, text in (("site", self.site), ("subject", self.subject)):
             if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
                 raise UnusableInputError(f"the {what} must be one line of 1 to {MAX_TEXT} printable characters")
+        configuration = self.instrument_configuration()
+        if self.depth_range_m is not None and not configuration.has_depth:
+            raise UnusableInputError(f"--depth-range asks for depths: there are none in {configuration.name}")
         check_json(self.json_file)
         if self.json_file is not None and self.json_file.absolute() == self.out.absolute():
             raise UnusableInputError("the session and the JSON cannot be the same file")
@@ -93,6 +110,14 @@ class TestPlan:
             )
         if self.depth_range_m is None:
             raise UnusableInputError("--multistep needs a --depth-range MM:MM from the surface, such as 1:4")
+
+    def instrument_configuration(self) -> Configuration:
+        """How the instrument meets the tissue.
+
+        Raises:
+            UnusableInputError: no such configuration or probe, or what does not go together.
+        """
+        return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
 
     def all_options(self) -> list[str]:
         """Options of the stimulus as NAME=VALUE, those that have a name of their own on the command line included.
@@ -145,18 +170,26 @@ def run_tests(plan: TestPlan) -> None:
     steps: tuple[Step, ...] = ()
     instrument = open_instrument(plan.url)
     try:
-        run: Callable[[SessionRecorder], tuple[Step, ...]]
+        in_force = calibrated(instrument, plan.calibrations, wanted=plan.calibration)
+        run: _Runner
         if plan.multistep is not None:
             run = _multistep(plan, instrument, limits)
         else:
             run = _repeats(plan, instrument, limits, rule)
-        recorder = SessionRecorder(plan.out, instrument.device, Subject(plan.subject))
+        own = trail()
+        own.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.words)
+        recorder = meanwhile(
+            instrument, lambda: SessionRecorder(plan.out, instrument.device, Subject(plan.subject), trail=own)
+        )
         try:
-            steps = run(recorder)
-        except BaseException:
-            _keep(recorder, plan)
+            with stop_key() as key:
+                steps = run(recorder, key.check)
+        except BaseException as error:
+            _keep(recorder, plan, error)
+            tell(own)
             raise
         session = recorder.finish()
+        tell(own)
     finally:
         instrument.close()
     _tell(plan, session)
@@ -165,28 +198,28 @@ def run_tests(plan: TestPlan) -> None:
         write_json(plan.json_file, {"session": str(plan.out), "session_id": session.session_id, "tests": tests})
 
 
-def _repeats(
-    plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopRule | None
-) -> Callable[[SessionRecorder], tuple[Step, ...]]:
+def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopRule | None) -> _Runner:
     """The same test as often as asked, checked and ready to be run."""
     test = meanwhile(instrument, lambda: _prepared(plan, instrument.device, limits))
     preload_s = test.opening.preload_s
 
-    def run(recorder: SessionRecorder) -> tuple[Step, ...]:
-        surface: float | None = None
+    def run(recorder: SessionRecorder, cancelled: Callable[[], bool]) -> tuple[Step, ...]:
+        placement: Placement | None = None
         with progress_bars() as show:
             for repeat in range(plan.repeats):
-                with Watch(instrument, preload_s, rule, plan.live) as watch:
-                    if surface is None:
-                        surface = find_surface(instrument, limits, progress=show_progress(show, "placing the probe"))
+                with Watch(instrument, preload_s, rule, plan.live, plan.external_spring_n_per_m) as watch:
+                    if placement is None:
+                        placing = show_progress(show, "placing the probe")
+                        placement = place(instrument, limits, progress=placing, cancelled=cancelled)
                     # What a feedback stimulus played is played once: the next run answers what it measures itself.
                     same = repeat > 0 and isinstance(test.stimulus, Stimulus)
                     run_guided_test(
                         instrument,
                         replace(test, repeat_of=1 if same else None),
                         recorder,
-                        surface_m=surface,
+                        surface_m=placement,
                         progress=watch.beside(show_progress(show, f"test {repeat + 1} of {plan.repeats}")),
+                        cancelled=cancelled,
                         enough=watch.enough,
                         why=watch.why,
                     )
@@ -201,12 +234,13 @@ def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Guid
     Raises:
         LimitError, UnusableInputError: it could not.
     """
-    test = GuidedTest(_stimulus(plan, device.sample_rate_hz), plan.site, limits=limits)
+    stimulus = _stimulus(plan, device.sample_rate_hz)
+    test = GuidedTest(stimulus, plan.site, configuration=plan.instrument_configuration(), limits=limits)
     check_test(test, device)
     return test
 
 
-def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> Callable[[SessionRecorder], tuple[Step, ...]]:
+def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> _Runner:
     """The multistep test, checked and ready to be run."""
     assert plan.multistep is not None
     assert plan.depth_range_m is not None
@@ -222,13 +256,25 @@ def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> Callab
         | options
     )
     target = {} if plan.target is None else {"target": plan.target}
-    test = MultistepTest(design, plan.site, steps=plan.multistep, seed=seed, limits=limits, **target)
+    test = MultistepTest(
+        design,
+        plan.site,
+        steps=plan.multistep,
+        seed=seed,
+        limits=limits,
+        configuration=plan.instrument_configuration(),
+        **target,
+    )
     check_multistep(test, instrument.device)
 
-    def run(recorder: SessionRecorder) -> tuple[Step, ...]:
+    def run(recorder: SessionRecorder, cancelled: Callable[[], bool]) -> tuple[Step, ...]:
         with progress_bars() as show:
             return run_multistep(
-                instrument, test, recorder, progress=lambda label, progress: show(label, progress.fraction)
+                instrument,
+                test,
+                recorder,
+                progress=lambda label, progress: show(label, progress.fraction),
+                cancelled=cancelled,
             )
 
     return run
@@ -269,9 +315,19 @@ def _step(steps: tuple[Step, ...], number: int) -> Step | None:
     return next((step for step in steps if step.number == number), None)
 
 
-def _keep(recorder: SessionRecorder, plan: TestPlan) -> None:
-    """Whatever was recorded before it went wrong becomes a session; an empty one leaves nothing."""
-    session = recorder.finish_or_discard()
+def _keep(recorder: SessionRecorder, plan: TestPlan, error: BaseException) -> None:
+    """Whatever was recorded before it went wrong becomes a session; an empty one leaves nothing.
+
+    Raises:
+        JournalError: the disk failed as well; it says both.
+    """
+    try:
+        session = recorder.finish_or_discard(error)
+    except JournalError as trouble:
+        recorder.abandon()
+        if isinstance(error, JournalError):
+            return  # it says already what is kept, and where
+        raise JournalError(f"{error or 'interrupted'}; and {trouble}") from error
     if session is not None:
         _tell(plan, session)
 
@@ -281,6 +337,9 @@ def _tell(plan: TestPlan, session: Session) -> None:
     if not people.is_terminal:
         people.width = 120
     people.print(f"session: {plan.out}", markup=False)
+    people.print(f"instrument: {in_words(session.instrument)}", markup=False)
+    for warning in warnings_of(session.instrument):
+        people.print(f"calibration: {warning}", markup=False)
     people.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
         if short := out_of_reach(test):
@@ -289,3 +348,5 @@ def _tell(plan: TestPlan, session: Session) -> None:
             people.print(f"test {test.number}: {lost:.0f} samples were lost and are marked as such", markup=False)
         if reason := test.notes.get("reason"):
             people.print(f"test {test.number}: {reason}", markup=False)
+        for line in findings_lines(test):
+            people.print(line, markup=False)

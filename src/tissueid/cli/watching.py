@@ -24,7 +24,14 @@ class Watch:
     A simulation in this process has no clock of its own: there every look is taken before the next samples come.
     """
 
-    def __init__(self, instrument: Instrument, preload_s: float, rule: StopRule | None, told: bool) -> None:
+    def __init__(
+        self,
+        instrument: Instrument,
+        preload_s: float,
+        rule: StopRule | None,
+        told: bool,
+        external_spring_n_per_m: float = 0.0,
+    ) -> None:
         self._instrument = instrument
         self._waits = isinstance(instrument, SimulatedInstrument)
         self._told = told
@@ -33,7 +40,11 @@ class Watch:
         self._identification: LiveIdentification | None = None
         if rule is not None or told:
             self._identification = LiveIdentification(
-                instrument.device, preload_s=preload_s, stop=rule, apart=not self._waits
+                instrument.device,
+                preload_s=preload_s,
+                stop=rule,
+                apart=not self._waits,
+                external_spring_n_per_m=external_spring_n_per_m,
             )
 
     def __enter__(self) -> Self:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -20,6 +20,7 @@ from tissueid.reports.comparison_figures import (
     sweep_figure,
 )
 from tissueid.reports.comparison_tables import compared_parameters, compared_scores, notes_of
+from tissueid.reports.configured import in_words_of, surface_of
 from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Group, Subject, figures_of
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
@@ -28,6 +29,7 @@ from tissueid.reports.record_pictures import distributions_picture, power_pictur
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
+from tissueid.sessions.quality import quality_of
 from tissueid.wording import engine_label, fixed
 
 Progress = Callable[[str, float], None]
@@ -65,6 +67,7 @@ class ComparisonReport:
             tests=", ".join(map(str, found.split.tests)),
             test=test,
             recommendation=found.recommendation,
+            quality=quality_of(test),
             ceiling=_ceiling(found),
             scores=compared_scores(found),
             notes=notes_of(found),
@@ -105,12 +108,13 @@ def comparison_report(
     """Draw everything about a comparison; ``progress`` is told which engine's figures are being drawn."""
     test = session.test(found.split.tests[0])
     material = Material(session, test, found.analyses, ())
-    sections = [_overview(found, test.surface_position_m), _recorded(material, found)]
+    sections = [_overview(found, surface_of(test)), _recorded(material, found)]
     for number, subject in enumerate(material.subjects):
         progress("figures", number / max(1, len(material.subjects)))
         sections.append(_of_engine(subject))
     progress("figures", 1.0)
-    return ComparisonReport(session, found, tuple(sections))
+    worded = [replace(section, pictures=in_words_of(test, section.pictures)) for section in sections]
+    return ComparisonReport(session, found, tuple(worded))
 
 
 def _overview(found: EngineComparison, surface_position_m: float) -> Section:

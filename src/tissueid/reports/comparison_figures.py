@@ -190,7 +190,7 @@ def with_impulse_response(found: EngineComparison) -> Iterator[tuple[str, HasImp
 
 def depth_profiles(found: EngineComparison) -> dict[str, DepthProfile]:
     """Profiles against depth of the engines that have one, by the name in a legend."""
-    profiles = {engine_label(name): a.model.depth_profile() for name, a in found.analyses.items()}
+    profiles = {engine_label(name): a.depth_profile() for name, a in found.analyses.items()}
     return {name: profile for name, profile in profiles.items() if profile is not None}
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from tissueid.analysis import Analysis
 from tissueid.identification.base import Model
 from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.reports.configured import surface_of
 from tissueid.reports.diagnostics import Prediction
 from tissueid.reports.figures.registry import Subject
 from tissueid.sessions import Session, Test
@@ -30,7 +31,7 @@ class Material:
     @property
     def subjects(self) -> list[Subject[Model]]:
         """The models, to be drawn."""
-        surface = self.test.surface_position_m
+        surface = surface_of(self.test)
         return [Subject(name, a.model, a, surface) for name, a in self.analyses.items()]
 
     @property

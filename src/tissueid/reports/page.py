@@ -9,6 +9,7 @@ from tissueid.analysis import REPORT_ENGINES, Analysis
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
+from tissueid.reports.configured import in_words_of, spring_line, surface_of
 from tissueid.reports.diagnostics import Prediction, held_out_prediction
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
@@ -17,6 +18,7 @@ from tissueid.reports.tables import Table, parameter_table, score_table
 from tissueid.reports.validation_figures import prediction_figure, residuals_figure, scatter_figure
 from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
+from tissueid.sessions.quality import Quality, quality_of
 from tissueid.wording import engine_label
 
 
@@ -34,6 +36,7 @@ class TestPage:
     verdict: Verdict
     key_numbers: tuple[KeyNumber, ...]
     visited: str
+    quality: Quality | None
     groups: tuple[FigureGroup, ...]
     parameters: Table | None
     scores: Table
@@ -46,6 +49,7 @@ def test_page(session: Session, number: int, analyses: Mapping[str, Analysis], *
     material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)))
     key = f"test{number}"
     groups = _full_groups(material, key) if full else _short_groups(material, key)
+    quality = quality_of(test)
     return TestPage(
         number=number,
         key=key,
@@ -54,7 +58,8 @@ def test_page(session: Session, number: int, analyses: Mapping[str, Analysis], *
         configuration=test.configuration,
         verdict=judge(test, analyses),
         key_numbers=key_numbers(analyses),
-        visited=visited(analyses, test.surface_position_m),
+        visited=" ".join(filter(None, [visited(analyses, surface_of(test)), spring_line(analyses.values())])),
+        quality=quality,
         groups=groups,
         parameters=parameter_table(analyses),
         scores=score_table(analyses),
@@ -87,6 +92,7 @@ def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis])
 def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
     return (
         _group(
+            material,
             f"{key}-recorded",
             "What was recorded",
             _signals(material, key),
@@ -94,9 +100,10 @@ def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
             *_of_engines(material, key, "record"),
             _distributions(material, key),
         ),
-        _group(f"{key}-linear", "Linear description", *_of_engines(material, key, "linear")),
-        _group(f"{key}-nonlinear", "Nonlinear description", *_of_engines(material, key, "nonlinear")),
+        _group(material, f"{key}-linear", "Linear description", *_of_engines(material, key, "linear")),
+        _group(material, f"{key}-nonlinear", "Nonlinear description", *_of_engines(material, key, "nonlinear")),
         _group(
+            material,
             f"{key}-unseen",
             "Against unseen data",
             _prediction(material, key),
@@ -109,11 +116,11 @@ def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
 def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
     groups: tuple[Group, ...] = ("record", "linear", "nonlinear")
     drawn = [one for group in groups for one in _of_engines(material, key, group, short=True)]
-    return (_group(f"{key}-figures", "Figures", _signals(material, key), *drawn, _prediction(material, key)),)
+    return (_group(material, f"{key}-figures", "Figures", _signals(material, key), *drawn, _prediction(material, key)),)
 
 
-def _group(key: str, heading: str, *pictures: Picture) -> FigureGroup:
-    return FigureGroup(key, heading, tuple(one.block for one in pictures))
+def _group(material: Material, key: str, heading: str, *pictures: Picture) -> FigureGroup:
+    return FigureGroup(key, heading, tuple(one.block for one in in_words_of(material.test, pictures)))
 
 
 def _of_engines(material: Material, key: str, group: Group, *, short: bool = False) -> Iterator[Picture]:

@@ -14,6 +14,7 @@ from tissueid import __version__
 from tissueid.analysis import Analysis
 from tissueid.device import DeviceDescription
 from tissueid.records import Estimate
+from tissueid.reports.configured import spring_line
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Session, Test
 from tissueid.wording import (
@@ -66,7 +67,7 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
 
 
-_TOLD_ELSEWHERE = ("events", "samples_lost", "stimulus_report")
+_TOLD_ELSEWHERE = ("events", "quality", "samples_lost", "stimulus_report")
 """Notes of a test that have a row of their own, or are data for programs."""
 
 
@@ -89,7 +90,8 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         ("Quantity", "Unit", *map(engine_label, analyses)),
         tuple(rows),
         "± is one standard deviation; a value without it has no estimate of its uncertainty. LMS and Spectral share "
-        "one second-order fit to the record: their mass, damping and stiffness are one answer, not two.",
+        "one second-order fit to the record: their mass, damping and stiffness are one answer, not two. "
+        + spring_line(analyses.values()),
     )
 
 

@@ -12,6 +12,7 @@ from tissueid.analysis import Analysis
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
+from tissueid.sessions.quality import quality_of
 from tissueid.wording import (
     engine_label,
     estimate,
@@ -85,7 +86,7 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     if lost > LOST_SHARE * test.samples:
         share = f"{100 * lost / test.samples:.1f} %"
         found.append(("check", f"{lost} of {test.samples} samples ({share}) were not received."))
-    found += _lifted_off(test)
+    found += _gate(test)
     found += _poorly_explained(analyses)
     found += _uncertain(analyses)
     warned = [name for name, a in analyses.items() if a.model.report.warnings]
@@ -93,6 +94,20 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
         level: Level = "check" if (linear_engine(analyses) or warned[0]) in warned else "good"
         found.append((level, f"Warnings from {', '.join(map(engine_label, warned))}: see the list of warnings."))
     return found
+
+
+_GATE: dict[str, Level] = {"good": "good", "look": "check", "repeat": "poor"}
+
+
+def _gate(test: Test) -> list[_Doubt]:
+    """What the quality gate said when the test ended; of a test that it never saw, what the position says."""
+    quality = quality_of(test)
+    if quality is None:
+        return _lifted_off(test)
+    if quality.verdict == "good":
+        return []
+    worst = quality.findings[0]
+    return [(_GATE[quality.verdict], worst.words)]
 
 
 def _lifted_off(test: Test) -> list[_Doubt]:
@@ -171,6 +186,8 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
             unit, scale = people_unit(si_unit)
             value, std, power = estimate(parameters[name], scale)
             note = "" if std else "without an estimate of its uncertainty"
+            if name == "stiffness_n_per_m" and (spring := analyses[source].external_spring_n_per_m):
+                note = f"external spring of {spring:g} N/m subtracted"
             if name == "natural_frequency_rad_per_s" and ratio is not None:
                 note = f"damping ratio {fixed(ratio.value, 2)}"
             numbers.append(KeyNumber(label, value, std, f"{power} {unit}".strip(), note))

@@ -7,7 +7,7 @@ few milliseconds, so that it can be done several times a second.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,6 +20,7 @@ from tissueid.identification.engines.als import Als, AlsIdentifier
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls, RlsIdentifier
 from tissueid.identification.engines.spectral import Spectral
+from tissueid.identification.external_spring import without_spring
 from tissueid.identification.impulse_response import kernel_std
 from tissueid.identification.online.identifier import RECENT_S
 from tissueid.identification.online.precision import PARAMETERS, Parameter, Precision
@@ -122,6 +123,17 @@ class LiveView:
     depths: LiveDepths | None
     course: LiveCourse
     missing: str = ""
+
+    def without_spring(self, spring_n_per_m: float) -> LiveView:
+        """The same look with a spring that stands beside the tissue taken off the stiffness; responses keep it."""
+        values = self.course.values.copy()
+        if values.size:
+            values[:, PARAMETERS.index("stiffness")] -= spring_n_per_m
+        return replace(
+            self,
+            parameters=without_spring(self.parameters, spring_n_per_m),
+            course=replace(self.course, values=values),
+        )
 
 
 def start_identifier(

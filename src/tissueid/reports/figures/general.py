@@ -60,11 +60,11 @@ _TITLES: dict[TestName, str] = {
     "Three panels against depth: mass, damping and stiffness with 95 % bars, and below them the samples at each depth.",
     group="nonlinear",
     place=30,
-    applies=lambda subject: subject.model.depth_profile() is not None,
+    applies=lambda subject: subject.profile is not None,
 )
 def depth_profile(subject: Subject[Model]) -> Drawn:
     """Mass, damping and stiffness against depth of one engine (Chen 2010, Figs. 5.9 to 5.11)."""
-    profile = subject.model.depth_profile()
+    profile = subject.profile
     if profile is None:
         raise UnusableInputError("this model holds no depth")
     text = (

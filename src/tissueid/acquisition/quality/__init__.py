@@ -1,0 +1,16 @@
+"""The quality gate: whether a finished test can be believed, in words that somebody at the bedside can act on."""
+
+from tissueid.acquisition.quality.gate import QualityGate, judge, judge_session
+from tissueid.sessions.quality import HEADLINES, Quality, QualityFinding, Severity, Verdict, quality_of
+
+__all__ = [
+    "HEADLINES",
+    "Quality",
+    "QualityFinding",
+    "QualityGate",
+    "Severity",
+    "Verdict",
+    "judge",
+    "judge_session",
+    "quality_of",
+]

@@ -1,0 +1,73 @@
+"""``tissueid quality``, and what other commands say of a test's quality."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from tissueid.acquisition.quality import Quality, judge_session, quality_of
+from tissueid.cli.output import check_json, people_read, table, write_json
+from tissueid.sessions import Session, Test, read_session
+
+_MARKS = {"note": "note", "look": "look", "repeat": "REPEAT"}
+
+
+def run_quality(path: Path, number: int | None, json_file: Path | None) -> None:
+    """Judge the tests of a session as this software would today; the file is left as it is.
+
+    Raises:
+        UnusableInputError: the file is not a session, or has no such test.
+    """
+    check_json(json_file)
+    session = read_session(path)
+    chosen = session.test(number).number if number is not None or not session.tests else None
+    judged = [(test, found) for test, found in judge_session(session) if chosen in (None, test.number)]
+    out = people_read(json_file)
+    if not out.is_terminal:
+        out.width = 120
+    rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
+    for test, found in judged:
+        before = quality_of(test)
+        rows.add_row(
+            str(test.number), test.site, test.kind, found.headline, "not judged" if before is None else before.headline
+        )
+    out.print(rows)
+    for test, found in judged:
+        for line in finding_lines(test.number, found):
+            out.print(line, markup=False)
+    if json_file is not None:
+        answer = [_answer(test, found) for test, found in judged]
+        write_json(json_file, {"session": str(path), "session_id": session.session_id, "tests": answer})
+
+
+def _answer(test: Test, found: Quality) -> dict[str, object]:
+    before = quality_of(test)
+    return {
+        "test": test.number,
+        "site": test.site,
+        "kind": test.kind,
+        **found.as_dict(),
+        "verdict_when_recorded": None if before is None else before.verdict,
+    }
+
+
+def finding_lines(number: int, quality: Quality) -> Iterator[str]:
+    """The verdict on a test and its findings, one line each."""
+    yield f"test {number}: {quality.headline}"
+    for finding, line in zip(quality.findings, quality.lines, strict=True):
+        yield f"  {_MARKS[finding.severity]}: {line}"
+
+
+def findings_lines(test: Test) -> Iterator[str]:
+    """What the gate said of a test when it ended; nothing of a test that was not judged."""
+    quality = quality_of(test)
+    return iter(()) if quality is None else finding_lines(test.number, quality)
+
+
+def doubted(session: Session, numbers: Iterable[int]) -> Iterator[str]:
+    """A warning for each of these tests that the gate wanted to be done again."""
+    for test in session.tests:
+        quality = quality_of(test)
+        if test.number in set(numbers) and quality is not None and quality.verdict == "repeat":
+            worst = quality.findings[0]
+            yield f"warning: the quality gate asked to repeat test {test.number}: {worst.words}"

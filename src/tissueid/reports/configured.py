@@ -1,0 +1,41 @@
+"""What a page says differently of a test that goes along the tissue and not into it: a displacement, no depth."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+
+from tissueid.analysis import Analysis
+from tissueid.configuration import has_depth, travel_word
+from tissueid.reports.blocks import Picture
+from tissueid.sessions import Test
+
+_DEPTH = re.compile(r"\b([Dd])epth(s?)\b")
+
+
+def surface_of(test: Test) -> float:
+    """Where depth is counted from, m; NaN where there is none."""
+    return test.surface_position_m if has_depth(test.configuration) else math.nan
+
+
+def in_words_of(test: Test, pictures: Iterable[Picture]) -> tuple[Picture, ...]:
+    """Pictures with their headings, captions and alternative texts as the test's configuration wants them."""
+    if has_depth(test.configuration):
+        return tuple(pictures)
+    word = travel_word(test.configuration)
+
+    def put(text: str) -> str:
+        return _DEPTH.sub(lambda found: (word.capitalize() if found[1] == "D" else word) + found[2], text)
+
+    return tuple(
+        replace(one, heading=put(one.heading), alt=put(one.alt), caption=put(one.caption), missing=put(one.missing))
+        for one in pictures
+    )
+
+
+def spring_line(analyses: Iterable[Analysis]) -> str:
+    """That an external spring was subtracted, and which; empty where there was none."""
+    spring = max((analysis.external_spring_n_per_m for analysis in analyses), default=0.0)
+    return f"The external spring of {spring:g} N/m is subtracted from every stiffness." if spring else ""

@@ -1,0 +1,135 @@
+"""Placing: which way the instrument points, and the same surface whichever way that is."""
+
+import json
+
+import numpy as np
+import pytest
+from support import LoopbackLink
+
+from firmware_sim.bench import Bench
+from firmware_sim.firmware import Firmware
+from firmware_sim.limits import LIFT_S
+from firmware_sim.models import MODELS
+from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition.placing import Orientation, Placement, orientation_of, place
+from tissueid.acquisition.quality import quality_of
+from tissueid.errors import FirmwareFaultError, LimitError
+from tissueid.instrument import CLINICAL, SerialInstrument, SimulatedInstrument
+
+RATE = 2000.0
+GENTLE = NoiseChoice(min_force_n=1.5, max_force_n=6.0, seconds=1.0).stimulus(RATE)
+
+
+def held(tilt_deg, model="desktop", tissue="left-posterior-forearm"):
+    figures = MODELS[model]
+    bench = Bench(tissue, seed=2, tilt_deg=tilt_deg, parameters=figures.plant, frame_mass_kg=figures.frame_mass_kg)
+    link = LoopbackLink(Firmware(bench, seed=2))
+    return SerialInstrument(link, clock=link.clock)
+
+
+@pytest.mark.parametrize("model", ["desktop", "handheld"])
+@pytest.mark.parametrize("tilt", [0.0, 45.0, 90.0, 135.0, 180.0])
+def test_the_surface_is_found_whichever_way_it_points(tilt, model, tmp_path):
+    instrument = held(tilt, model)
+    placement = place(instrument)
+    assert placement.surface_m == pytest.approx(0.01025, abs=3e-5)
+    assert placement.orientation.measured
+    assert placement.orientation.tilt_deg == pytest.approx(tilt, abs=1.0)
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder, surface_m=placement)
+    test = recorder.finish().test()
+    weight = MODELS[model].plant.moving_mass_kg * 9.80665 * np.cos(np.radians(tilt))
+    assert test.notes["net_force_n"] == pytest.approx(np.mean(test.signals["force"][1000:]) + weight, abs=5e-3)
+    assert test.notes["tilt_deg"] == pytest.approx(tilt, abs=1.0)
+    assert test.notes["gravity_along_stroke_m_s2"] == pytest.approx(9.80665 * np.cos(np.radians(tilt)), abs=0.03)
+    assert {finding.code for finding in quality_of(test).findings} <= {"calibration_none"}
+
+
+def test_a_turn_between_placing_and_test_is_found(tmp_path):
+    instrument = held(0.0)
+    placement = Placement(place(instrument).surface_m, Orientation(9.0, 3.9, measured=True))
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder, surface_m=placement)
+    quality = quality_of(recorder.finish().test())
+    assert quality.verdict == "repeat"
+    assert quality.findings[0].code == "orientation_changed"
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "measured", "words"),
+    [
+        (9.8, 0.1, True, ""),
+        (-6.9, 6.9, True, ""),
+        (3.0, 2.0, True, ""),
+        (14.0, 0.0, False, "which cannot be"),
+        (0.0, 0.0, False, "reads nothing"),
+        (np.nan, 0.0, False, "tells nothing"),
+    ],
+)
+def test_an_accelerometer_that_cannot_be_right_is_not_believed(along, across, measured, words):
+    found = orientation_of(np.full(400, along), np.full(400, across))
+    assert found.measured is measured
+    assert words in found.why
+    if not measured:
+        assert found.along_m_s2 == pytest.approx(9.80665)
+        assert "straight down" in str(found.as_notes()["orientation"])
+        assert "gravity_across_stroke_m_s2" not in found.as_notes()
+    json.dumps(found.as_notes(), allow_nan=False)
+
+
+def test_a_third_axis_may_hold_the_rest_of_gravity():
+    assert Orientation(0.0, 5.0, measured=True).tilt_deg == pytest.approx(90.0)
+    assert Orientation(4.903, 0.0, measured=True).tilt_deg == pytest.approx(60.0, abs=0.1)
+
+
+def test_an_accelerometer_without_sense_leaves_straight_down(tmp_path):
+    instrument = SimulatedInstrument()
+    poll = instrument.poll
+
+    def broken(timeout_s):
+        samples = poll(timeout_s)
+        samples["acceleration_x"] = 21.0
+        return samples
+
+    instrument.poll = broken
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder)
+    notes = recorder.finish().test().notes
+    assert notes["gravity_along_stroke_m_s2"] == pytest.approx(9.80665)
+    assert "21.0 m/s² at rest, which cannot be" in notes["orientation"]
+
+
+# -- the near end of the stroke, where a probe that points upwards rests -------------------------------------------
+
+
+def test_a_probe_that_stays_at_the_near_end_is_released():
+    """Half a second it may take to lift off; then the near limit counts, on the host and in the firmware."""
+    for host in (True, False):
+        instrument = held(180.0)
+        if not host:
+            instrument._judge.take = lambda *_: None
+        instrument.load(np.full(6000, 1.0))  # 0.25 N: less than its weight
+        instrument.arm(CLINICAL)
+        run = instrument.start()
+        with pytest.raises((LimitError, FirmwareFaultError), match="end of its stroke"):
+            for _ in range(60):
+                newest = instrument.poll(0.05)
+        assert newest["index"][-1] >= run.first_index + LIFT_S * RATE - 200
+        instrument._link.run_for(0.1)
+        assert not instrument._link.firmware.energised
+
+
+def test_once_lifted_the_near_limit_counts_at_once():
+    for host in (True, False):
+        instrument = held(180.0)
+        if not host:
+            instrument._judge.take = lambda *_: None
+        volts = np.concatenate([np.full(500, 8.0), np.full(3000, -2.0)])  # up, and back before half a second is over
+        instrument.load(volts)
+        instrument.arm(CLINICAL)
+        instrument.start()
+        with pytest.raises((LimitError, FirmwareFaultError), match="end of its stroke"):
+            for _ in range(60):
+                instrument.poll(0.05)
+        instrument._link.run_for(0.1)
+        assert not instrument._link.firmware.energised

@@ -1,0 +1,104 @@
+"""``tissueid quality``, and the verdict in the answers of other commands."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tissueid.cli import main
+from tissueid.sessions import read_session, write_session
+from tissueid.sessions.quality import Quality, QualityFinding
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    out = tmp_path_factory.mktemp("quality") / "s.h5"
+    told = out.with_suffix(".json")
+    command = ["test", "--device", "simulated://forearm", "--site", "arm", "--out", str(out), "--seconds", "1.5"]
+    assert main([*command, "--repeats", "2", "--json", str(told)]) == 0
+    return out, json.loads(told.read_text())
+
+
+def test_a_test_ends_with_its_verdict(session):
+    _, told = session
+    assert [test["verdict"] for test in told["tests"]] == ["good", "good"]
+    assert [finding["code"] for finding in told["tests"][0]["quality"]] == ["calibration_none"]
+    assert set(told["tests"][0]["quality"][0]) == {"code", "severity", "words", "advice", "value"}
+
+
+def test_a_saved_session_is_judged_anew(session, tmp_path, capsys):
+    path, _ = session
+    answer = tmp_path / "q.json"
+    assert main(["quality", str(path), "--json", str(answer)]) == 0
+    printed = capsys.readouterr().out
+    assert "test 1: Good test" in printed
+    assert "note: No calibration was in force" in printed
+    tests = json.loads(answer.read_text())["tests"]
+    assert [(test["test"], test["verdict"], test["verdict_when_recorded"]) for test in tests] == [
+        (1, "good", "good"),
+        (2, "good", "good"),
+    ]
+    assert main(["quality", str(path), "--test", "2", "--json", str(answer)]) == 0
+    assert [test["test"] for test in json.loads(answer.read_text())["tests"]] == [2]
+
+
+def test_what_is_judged_anew_is_the_recording_and_not_the_note(session, tmp_path, capsys):
+    path, _ = session
+    saved = read_session(path)
+    first = saved.test(1)
+    position = first.signals["position"].copy()
+    position[2500:] = position[2500]
+    spoilt = replace(first, signals=first.signals | {"position": position})
+    write_session(tmp_path / "stuck.h5", replace(saved, tests=(spoilt,)))
+    answer = tmp_path / "q.json"
+    assert main(["quality", str(tmp_path / "stuck.h5"), "--json", str(answer)]) == 0
+    assert "REPEAT: The reading of the position stood still" in capsys.readouterr().out
+    test = json.loads(answer.read_text())["tests"][0]
+    assert (test["verdict"], test["verdict_when_recorded"]) == ("repeat", "good")
+
+
+def test_engines_warn_of_a_test_that_was_to_be_repeated(session, tmp_path, capsys):
+    path, _ = session
+    saved = read_session(path)
+    bad = Quality((QualityFinding("sensor_stuck", "repeat", "The reading stood still.", "Repeat it."),))
+    tests = (replace(saved.test(1), notes=saved.test(1).notes | bad.as_notes()), saved.test(2))
+    write_session(tmp_path / "bad.h5", replace(saved, tests=tests))
+    answer = tmp_path / "a.json"
+    for command in (["identify", "--engine", "lms"], ["compare", "--engines", "lms,spectral"]):
+        arguments = [command[0], str(tmp_path / "bad.h5"), *command[1:], "--test"]
+        assert main([*arguments, "1", "--json", str(answer)]) == 0
+        assert "asked to repeat test 1: The reading stood still." in capsys.readouterr().out.replace("\n", " ")
+        assert len(json.loads(answer.read_text())["quality_warnings"]) == 1
+        assert main([*arguments, "2"]) == 0
+        assert "asked to repeat" not in capsys.readouterr().out
+    page = tmp_path / "r.html"
+    assert main(["report", str(tmp_path / "bad.h5"), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "Recording: do the test again" in text
+    assert "Do not rely on this measurement" in text
+
+
+def test_refusals_are_one_line(session, tmp_path, capsys):
+    path, _ = session
+    (tmp_path / "no.h5").write_bytes(b"nothing")
+    for arguments, words in (
+        ([str(tmp_path / "no.h5")], "damaged, or not an HDF5 session"),
+        ([str(path), "--test", "9"], "the session has no test 9"),
+    ):
+        assert main(["quality", *arguments]) == 2
+        printed = capsys.readouterr().err.strip()
+        assert words in printed
+        assert "\n" not in printed
+
+
+def test_a_session_of_outside_data_can_be_judged(tmp_path, capsys):
+    from tissueid.device import DeviceDescription
+    from tissueid.sessions import Session, Test
+
+    time = np.arange(4000) / 2000.0
+    signals = {"force": 5 + np.sin(60 * time), "position": 0.012 + 1e-4 * np.sin(60 * time + 1)}
+    test = Test(number=1, kind="stochastic", signals=signals, sample_rate_hz=2000.0)
+    write_session(tmp_path / "out.h5", Session(DeviceDescription(), tests=(test,)))
+    assert main(["quality", str(tmp_path / "out.h5")]) == 0
+    assert "not judged" in capsys.readouterr().out
