@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import tempfile
 import threading
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
@@ -16,11 +17,15 @@ from PySide6.QtCore import QEventLoop, QTimer
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication
 
-from tissueid.app.main_window import MainWindow, Surroundings
-from tissueid.instrument import Found
+from tissueid.app.main_window import MainWindow
+from tissueid.app.surroundings import Surroundings
+from tissueid.audit import AuditLog
+from tissueid.calibration import Calibration, calibrated, write_calibration
+from tissueid.calibration.file import utc_date
+from tissueid.instrument import Found, SimulatedInstrument
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SIZE = (1280, 720)
+SIZE = (1280, 800)
 COLOURS = 96
 HELD_AT_POLL = 430
 """Where the running test is held for its picture: a good half through its stimulus."""
@@ -49,6 +54,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         around = Surroundings(
             finder=lambda probe: [Found("simulated://forearm", "simulation in this process", True)],
+            calibrate=functools.partial(calibrated, folder=_calibrations(Path(folder))),
+            audit=AuditLog(Path(folder) / "audit.jsonl"),
             folder=Path(folder) / "Documents" / "TissueID",
             wait=pace.wait,
             apart=False,
@@ -71,6 +78,29 @@ def main() -> None:
         _take(window, "window-dark")
         window.close()
         _until(lambda: not window.isVisible())
+
+
+def _calibrations(folder: Path) -> Path:
+    """A static calibration and a sweep of the simulated instrument, twelve days old."""
+    device = SimulatedInstrument().device
+    figures = {
+        "static": {"coil_resistance_ohm": 12.0, "force_constant_n_per_a": 3.0},
+        "sweep": {"linear_region_min_m": 0.004, "linear_region_max_m": 0.0275},
+    }
+    for kind, quantities in figures.items():
+        made = Calibration.model_validate(
+            {
+                "kind": kind,
+                "model": device.model,
+                "serial_number": device.serial_number,
+                "date": utc_date(datetime.now(UTC) - timedelta(days=12)),
+                "software": "tissueid",
+                "verdict": "passed",
+                "quantities": {name: {"value": value} for name, value in quantities.items()},
+            }
+        )
+        write_calibration(folder / f"{kind}.toml", made)
+    return folder
 
 
 def _until(done: Callable[[], bool]) -> None:

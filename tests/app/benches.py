@@ -9,7 +9,7 @@ from tissueid.instrument import Found, SimulatedInstrument
 WAIT_MS = 20_000
 
 
-def found(*, probe):
+def found(*, probe, opener=None):
     return [
         Found("/dev/ttyACM7", "serial port", True if probe else None, "desktop indenter, TEST-7" if probe else ""),
         Found("simulated://forearm", "simulation in this process", True),
@@ -30,6 +30,16 @@ class Gate:
         if self.left < 0:
             self.reached.set()
             assert self.opened.wait(WAIT_MS / 1000)
+
+
+class Clock:
+    """Seconds that pass when a test says so."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def read(self):
+        return self.now
 
 
 class Bench:

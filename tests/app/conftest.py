@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
-import threading
 
 import pytest
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
-from app.benches import WAIT_MS, Bench, found
+from app.benches import WAIT_MS, Bench, Clock, found
 from PySide6.QtCore import QCoreApplication, QEvent
 
-from tissueid.app.main_window import MainWindow, Surroundings
+from tissueid.app.emergency import EmergencyStop
+from tissueid.app.main_window import MainWindow
+from tissueid.app.surroundings import Surroundings
+from tissueid.calibration.in_force import calibrated
 from tissueid.instrument import SimulatedInstrument
 
 
@@ -28,13 +31,27 @@ def bench():
 
 
 @pytest.fixture
-def open_window(qtbot, tmp_path, bench):
+def clock():
+    """What the dead man's switch goes by: it stands still until a test moves it on."""
+    return Clock()
+
+
+@pytest.fixture
+def calibrations(tmp_path_factory):
+    """The folder of calibrations: empty until a test puts one there."""
+    return tmp_path_factory.mktemp("calibrations")
+
+
+@pytest.fixture
+def open_window(qtbot, tmp_path, bench, clock, calibrations):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
     windows = []
 
     def make(**changes):
         around = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
         around["apart"] = False
+        around["stop"] = lambda: EmergencyStop(clock.read)
+        around["calibrate"] = functools.partial(calibrated, folder=calibrations)
         around["show_file"] = lambda _: True
         window = MainWindow(Surroundings(**(around | changes)))
         windows.append(window)
@@ -71,5 +88,5 @@ def saved(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
     plan = Plan(url="simulated://forearm", site="left calf", path=path, seconds=1.5)
-    measure(plan, LiveSignals(), threading.Event(), lambda _: SimulatedInstrument(seed=5), lambda _: None, apart=False)
+    measure(plan, LiveSignals(), EmergencyStop(), lambda _: SimulatedInstrument(seed=5), lambda _: None, apart=False)
     return path

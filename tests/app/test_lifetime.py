@@ -9,7 +9,8 @@ from app.benches import WAIT_MS, found
 from PySide6.QtCore import QCoreApplication, QEvent
 from PySide6.QtWidgets import QApplication
 
-from tissueid.app.main_window import MainWindow, Surroundings
+from tissueid.app.main_window import MainWindow
+from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import DARK, LIGHT
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -20,7 +21,7 @@ def live_and_die(qtbot, folder, saved, *, analyse):
     window.show()
     if analyse:
         window.open_session(saved)
-        qtbot.waitUntil(lambda: window.findings is not None and not window._jobs, timeout=WAIT_MS)
+        qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
         window.grab()
     for theme in (DARK, LIGHT):
         window.ui.paint_with(theme)

@@ -146,7 +146,7 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
     assert panel.isVisible()
     qtbot.waitUntil(lambda: "N/m" in panel.numbers["stiffness"].text, timeout=WAIT_MS)
     gate.opened.set()
-    qtbot.waitUntil(lambda: window.findings is not None and not window._jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
     identification = window._live.identification
     assert identification.problem == ""
     assert identification.latest().seconds == 4.0
@@ -154,5 +154,5 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
     assert panel.isVisible()
     qtbot.waitUntil(lambda: panel._shown is identification.latest(), timeout=WAIT_MS)
     window.open_session(saved)
-    qtbot.waitUntil(lambda: window.findings.path == saved and not window._jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.findings.path == saved and not window.jobs, timeout=WAIT_MS)
     assert not panel.isVisible()

@@ -10,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tissueid.acquisition import Phase, Progress, journal_path
+from tissueid.app.emergency import EmergencyStop
 from tissueid.app.live import LiveSignals, decimated
-from tissueid.app.measuring import PacedInstrument, measure
+from tissueid.app.measuring import measure
+from tissueid.app.pacing import PacedInstrument
 from tissueid.app.plan import Plan, dated_path, longest_stimulus_s
 from tissueid.app.words import in_words, sentence
 from tissueid.device import DeviceDescription
@@ -97,7 +99,7 @@ def plan(tmp_path, **changes):
 
 
 def run(chosen, instrument, stop=None, apart=False):
-    return measure(chosen, LiveSignals(), stop or threading.Event(), lambda _: instrument, lambda _: None, apart)
+    return measure(chosen, LiveSignals(), stop or EmergencyStop(), lambda _: instrument, lambda _: None, apart)
 
 
 class Spy(SimulatedInstrument):
@@ -164,8 +166,8 @@ def test_what_the_limits_forbid_never_energises_the_coil(tmp_path, changes, erro
 
 
 def test_stopped_before_the_beginning(tmp_path):
-    stop = threading.Event()
-    stop.set()
+    stop = EmergencyStop()
+    stop.press("stopped")
     instrument = Spy()
     outcome = run(plan(tmp_path), instrument, stop)
     assert outcome.stopped
@@ -178,7 +180,7 @@ def test_a_session_that_cannot_be_written_leaves_its_journal(tmp_path, monkeypat
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tissueid.acquisition.recorder.write_session", full)
+    monkeypatch.setattr("tissueid.acquisition.recovery.write_session", full)
     outcome = run(plan(tmp_path), Spy())
     assert outcome.session is None
     assert outcome.problem.startswith("No space left on device. The recording stays in ")

@@ -27,7 +27,7 @@ def type_site(qtbot, window, site="left forearm"):
 
 
 def idle(window):
-    return not window._jobs and not window.testing
+    return not window.jobs and not window.testing
 
 
 def wait_for_result(qtbot, window):
@@ -346,7 +346,7 @@ def test_a_path_of_ones_own_is_used_once(qtbot, window, tmp_path):
 def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
     asked = []
 
-    def finder(*, probe):
+    def finder(*, probe, opener=None):
         asked.append((probe, threading.get_ident()))
         return found(probe=probe)
 
@@ -366,7 +366,7 @@ def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
 
 
 def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, open_window):
-    def finder(*, probe):
+    def finder(*, probe, opener=None):
         raise PermissionError(13, "Permission denied", "/sys/class/tty")
 
     window = open_window(finder=finder)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.plan import DEFAULT_URL
 from tissueid.instrument import Found
 from tissueid.instrument.discovery import IN_PROCESS
@@ -19,6 +20,7 @@ class InstrumentChooser(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._found: dict[str, Found] = {}
+        self._calibrations: dict[str, CalibrationState] = {}
         self.choice = QComboBox()
         self.choice.setEditable(True)
         self.choice.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
@@ -36,6 +38,11 @@ class InstrumentChooser(QWidget):
         self.about.setWordWrap(True)
         self.about.setMinimumWidth(1)
         self.about.setTextFormat(Qt.TextFormat.PlainText)
+        self.calibration = QLabel()
+        self.calibration.setProperty("role", "readout")
+        self.calibration.setWordWrap(True)
+        self.calibration.setMinimumWidth(1)
+        self.calibration.setTextFormat(Qt.TextFormat.PlainText)
         row = QHBoxLayout()
         row.setSpacing(6)
         row.addWidget(self.choice, 1)
@@ -45,6 +52,7 @@ class InstrumentChooser(QWidget):
         layout.setSpacing(3)
         layout.addLayout(row)
         layout.addWidget(self.about)
+        layout.addWidget(self.calibration)
         self.choice.currentTextChanged.connect(self._describe)
 
     @property
@@ -66,6 +74,17 @@ class InstrumentChooser(QWidget):
             self.choice.setEditText(kept)
         self._describe()
 
+    def tell_calibration(self, url: str, state: CalibrationState) -> None:
+        """It is known now how the instrument at an address is calibrated."""
+        if self._calibrations.get(url) != state:
+            self._calibrations[url] = state
+            self._describe_calibration()
+
+    def forget_calibrations(self) -> None:
+        """Something was calibrated: what was known of calibrations is out of date."""
+        self._calibrations.clear()
+        self._describe_calibration()
+
     def doubt(self, url: str) -> None:
         """An instrument failed: that it once answered no longer says that it is ready."""
         item = self._found.get(url)
@@ -74,6 +93,7 @@ class InstrumentChooser(QWidget):
             self._describe()
 
     def _describe(self) -> None:
+        self._describe_calibration()
         item = self._found.get(self.url)
         if item is None:
             self.about.setText("Typed address: tried when the test starts." if self.url else "")
@@ -83,3 +103,12 @@ class InstrumentChooser(QWidget):
             self.about.setText(f"{item.what}: not asked whether it is ready.")
         else:
             self.about.setText(f"Does not answer: {item.detail or item.what}.")
+
+    def _describe_calibration(self) -> None:
+        state = self._calibrations.get(self.url, CalibrationState())
+        self.calibration.setText(state.words)
+        self.calibration.setToolTip("\n".join(state.warnings))
+        self.calibration.setAccessibleName(" ".join([state.words, *state.warnings]))
+        self.calibration.setProperty("level", state.level)
+        self.calibration.style().unpolish(self.calibration)
+        self.calibration.style().polish(self.calibration)

@@ -9,6 +9,7 @@ from tissueid.acquisition import JournalError, recover
 from tissueid.acquisition.journal import lock
 from tissueid.app.findings import Findings
 from tissueid.app.words import in_words
+from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session
 
@@ -34,12 +35,12 @@ def unfinished(folder: Path) -> list[Path]:
     return found
 
 
-def recover_all(journals: list[Path]) -> Recovery:
-    """Make sessions of journals; one that cannot be recovered does not keep the others back."""
+def recover_all(journals: list[Path], trail: Trail | None = None) -> Recovery:
+    """Make sessions of journals, and log it; one that cannot be recovered does not keep the others back."""
     recovery = Recovery([], [])
     for journal in journals:
         try:
-            recovery.sessions.append(recover(journal))
+            recovery.sessions.append(recover(journal, trail=trail))
         except (TissueIDError, OSError) as error:
             recovery.problems.append(in_words(error))
     return recovery

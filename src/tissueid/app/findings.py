@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.acquisition.quality import Quality, quality_of
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
@@ -69,12 +70,16 @@ class Number:
 
 @dataclass(frozen=True)
 class Findings:
-    """One test of a session, analysed. ``cautions`` is what engines refused or warned of."""
+    """One test of a session, analysed. ``cautions`` is what engines refused or warned of.
+
+    ``quality`` is what the gate said when the test ended, None for a test that it never judged.
+    """
 
     path: Path
     session: Session
     test: Test
     analyses: dict[str, Analysis]
+    quality: Quality | None
     verdict: Verdict
     numbers: tuple[Number, ...]
     ended: str
@@ -113,6 +118,7 @@ def find(path: Path, session: Session | None = None, number: int | None = None) 
         session=session,
         test=test,
         analyses=analyses,
+        quality=quality_of(test),
         verdict=judge(test, analyses),
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),

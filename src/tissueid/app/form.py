@@ -24,6 +24,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.chooser import InstrumentChooser
+from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.instrument import PROFILES
 
@@ -53,6 +54,7 @@ class PlanForm(QWidget):
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
             line.setPlaceholderText("where on the body, or which material")
+        self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
             self.limits.addItem(f"{name.capitalize()}: up to {PROFILES[name].max_force_n:g} N", name)
@@ -66,6 +68,7 @@ class PlanForm(QWidget):
         _add(layout, "&Instrument", self.instrument, focus=self.instrument.choice)
         _add(layout, "Si&te", self.site)
         _add(layout, "Su&bject (a pseudonym, never a name)", self.subject)
+        layout.addWidget(self.set_up)
         _add(layout, "&Limits", self.limits)
         self._add_settings(layout)
         saving = QWidget()
@@ -94,6 +97,9 @@ class PlanForm(QWidget):
             path=Path(self.path.text().strip()),
             pseudonym=self.subject.text().strip() or ANONYMOUS,
             limits=self.limits.currentData(),
+            configuration=self.set_up.chosen,
+            probe=self.set_up.probe_name,
+            external_spring_n_per_m=self.set_up.spring_n_per_m,
             distribution=self.distribution.currentData(),
             min_force_n=self.min_force.value(),
             max_force_n=self.max_force.value(),

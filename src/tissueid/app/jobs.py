@@ -31,3 +31,34 @@ class Job(QThread):
             self.failed.emit(in_words(error))
         else:
             self.succeeded.emit(result)
+
+
+class Jobs(QObject):
+    """The jobs that go on. ``changed`` is sent when one begins and when it has ended; it is true while one goes on."""
+
+    changed = Signal()
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self._running: set[Job] = set()
+
+    def __bool__(self) -> bool:
+        return bool(self._running)
+
+    def do(self, work: Callable[[], Any], succeeded: Callable[[Any], None], failed: Callable[[str], None]) -> None:
+        """Begin a piece of work; one of the two methods is called at its end."""
+        job = Job(work, self)
+        job.succeeded.connect(succeeded)
+        job.failed.connect(failed)
+        job.finished.connect(self._finished)
+        self._running.add(job)
+        self.changed.emit()
+        job.start()
+
+    def _finished(self) -> None:
+        job = self.sender()
+        if isinstance(job, Job):
+            job.wait()
+            self._running.discard(job)
+            job.deleteLater()
+        self.changed.emit()

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -21,42 +20,38 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.buttons import BigButton
+from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
+from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.notice import Notice
+from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
+from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.theme import Theme
+from tissueid.audit import Role
 
 SIDE_WIDTH = 330
 RESEARCH_USE = "Research use only. Not a medical device."
 
 
-class BigButton(QPushButton):
-    """A button that Return presses as well as Space, once for each time that the key goes down."""
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Press; a key that is held down is not pressed again."""
-        if event.isAutoRepeat():
-            return
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self.click()
-            return
-        super().keyPressEvent(event)
-
-
 class Layout:
     """The parts of the window."""
 
-    def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime]) -> None:
+    def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], role: Role) -> None:
         self.form = PlanForm(folder, now)
+        self.role = RoleChooser(role)
+        self.safety = SafetyReadouts()
+        self.gate = QualityGate()
         self.start = BigButton("&Start test")
         self.start.setProperty("role", "start")
         self.stop = BigButton("STOP – release coil")
         self.stop.setProperty("role", "stop")
         self.stop.setAccessibleName("STOP, release the coil")
-        self.stop.setToolTip("Escape does the same")
+        self.stop.setToolTip("Escape and Space do the same")
         self.open = QPushButton("&Open session…")
         self.report = QPushButton("Open &report")
         self.notice = Notice()
@@ -75,21 +70,34 @@ class Layout:
         self.pages.tabBar().setDrawBase(False)
         self.pages.addTab(self.running, "Sig&nals")
         self.pages.addTab(self.result, "Res&ult")
+        self.calibration = CalibrationPage()
+        self.pages.addTab(self.calibration, "Calibration")
         self.pages.setTabVisible(1, False)
+        self.show_role(role)
         window.setCentralWidget(self._arrange())
         window.setMinimumSize(1100, 640)
         window.resize(1280, 720)
         order = [self.form.instrument.choice, self.form.instrument.refresh, self.form.site, self.form.subject]
+        order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
         order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
         order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.start, self.stop]
-        order += [self.open, self.report, self.notice.offer, self.notice.dismiss, self.pages.tabBar(), self.result.test]
+        order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
+        order += [self.gate.more, self.gate.run_again, self.pages.tabBar(), self.result.test]
+        order += self.calibration.fields
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
         self.form.site.setFocus()
 
+    def show_role(self, role: Role) -> None:
+        """Show what a role has to do with."""
+        self.pages.setTabVisible(2, role == "technician")
+
     def settle(self, *, busy: bool, testing: bool, has_result: bool) -> None:
         """Enable what makes sense: while a test runs that is STOP alone."""
         self.form.setEnabled(not testing)
+        self.role.setEnabled(not busy)
+        self.calibration.settle(busy=busy)
+        self.gate.run_again.setEnabled(not busy)
         self.form.instrument.refresh.setEnabled(not busy)
         self.start.setEnabled(not busy)
         self.open.setEnabled(not busy)
@@ -118,6 +126,7 @@ class Layout:
         main.setSpacing(8)
         main.addWidget(self.notice)
         main.addWidget(self.guidance)
+        main.addWidget(self.gate)
         main.addWidget(self.pages, 1)
         columns.addLayout(main, 1)
         rows.addLayout(columns, 1)
@@ -136,12 +145,13 @@ class Layout:
         row.addWidget(title)
         row.addWidget(research)
         row.addStretch(1)
+        row.addWidget(self.role)
         row.addWidget(self.open)
         row.addWidget(self.report)
         return header
 
     def _side(self) -> QWidget:
-        """The form, scrolled where it does not fit, above the two buttons that are always there."""
+        """The form, scrolled where it does not fit, above what is always there: how things stand, and two buttons."""
         content = QWidget()
         inside = QVBoxLayout(content)
         inside.setContentsMargins(14, 10, 14, 10)
@@ -159,9 +169,9 @@ class Layout:
         column.setContentsMargins(0, 0, 0, 12)
         column.setSpacing(8)
         column.addWidget(scroll, 1)
-        for button in (self.start, self.stop):
+        for part in (self.safety, self.start, self.stop):
             row = QHBoxLayout()
             row.setContentsMargins(14, 0, 14, 0)
-            row.addWidget(button)
+            row.addWidget(part)
             column.addLayout(row)
         return side

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tissueid.acquisition import Phase, Progress
 from tissueid.acquisition.guided import PLACE_S
 from tissueid.acquisition.live import LiveIdentification
+from tissueid.app.safety import Safety, SafetyWatch
 from tissueid.device import DeviceDescription
 from tissueid.instrument import force
 
@@ -26,6 +27,7 @@ class Glance:
 
     ``time_s`` counts from the start of the preload, as a session's does, and is negative while the probe is placed.
     ``phase`` is None before the first sample; ``fraction`` (0 to 1) tells how much of the phase's run is played.
+    ``safety`` is None until it is known which instrument answers.
     """
 
     time_s: Array
@@ -33,23 +35,37 @@ class Glance:
     position_m: Array
     phase: Phase | None
     fraction: float
+    safety: Safety | None = None
 
 
 class LiveSignals:
     """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long.
 
-    ``identification`` is set by the one that adds once it knows the instrument; the one that looks asks it for the
-    newest view.
+    ``device`` and ``identification`` are set by the one that adds once it knows the instrument; the one that looks asks
+    the latter for its newest view.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
+        self.device: DeviceDescription | None = None
         self.identification: LiveIdentification | None = None
+        self._watch: SafetyWatch | None = None
         self._lock = threading.Lock()
         self._ring = np.full((3, capacity), np.nan)  # time, force, position
         self._added = 0
         self._phase: Phase | None = None
         self._fraction = 0.0
         self._first_index: dict[bool, int] = {}
+
+    def begin(self, watch: SafetyWatch) -> None:
+        """It is known which instrument answers, and how far it may go."""
+        with self._lock:
+            self.device, self._watch = watch.device, watch
+
+    def placed(self, surface_m: float) -> None:
+        """It is known where the tissue begins, m."""
+        with self._lock:
+            if self._watch is not None:
+                self._watch.surface_m = surface_m
 
     def add(self, progress: Progress, device: DeviceDescription) -> None:
         """Take in what a guided test tells of itself."""
@@ -58,6 +74,8 @@ class LiveSignals:
             self._phase, self._fraction = progress.phase, progress.fraction
             if not samples.size:
                 return
+            if self._watch is not None:
+                self._watch.take(samples)
             placing = progress.phase is Phase.PLACE
             first = self._first_index.setdefault(placing, int(samples["index"][0]))
             time_s = (samples["index"] - first) / device.sample_rate_hz - (PLACE_S if placing else 0.0)
@@ -75,7 +93,8 @@ class LiveSignals:
                 rows = self._ring[:, : self._added].copy()
             else:
                 rows = np.roll(self._ring, -(self._added % capacity), axis=1)
-            return Glance(rows[0], rows[1], rows[2], self._phase, self._fraction)
+            safety = None if self._watch is None else self._watch.look()
+            return Glance(rows[0], rows[1], rows[2], self._phase, self._fraction, safety)
 
 
 def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:

@@ -3,54 +3,36 @@
 from __future__ import annotations
 
 import functools
-import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from PySide6.QtCore import QCoreApplication, Qt, QTimer, QUrl
-from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeySequence, QShortcut
-from PySide6.QtWidgets import QFileDialog, QMainWindow
+from PySide6.QtCore import QCoreApplication, Qt, QTimer
+from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
+from tissueid.acquisition.quality import quality_of
+from tissueid.app.calibration_state import calibration_state
+from tissueid.app.calibrator import Calibrator
+from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
 from tissueid.app.errands import Recovery, recover_all, unfinished, write_report_beside
 from tissueid.app.findings import Findings, find
-from tissueid.app.jobs import Job
+from tissueid.app.instruments import Survey, survey
+from tissueid.app.jobs import Jobs
 from tissueid.app.layout import Layout
 from tissueid.app.live import LiveSignals
-from tissueid.app.measuring import Outcome, Wait, measure
-from tissueid.app.plan import Plan, default_folder
+from tissueid.app.measuring import Outcome, measure
+from tissueid.app.plan import Plan
+from tissueid.app.stop_keys import StopKeys
+from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
 from tissueid.app.words import in_words
+from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
-from tissueid.instrument import Found, Instrument, find_instruments, open_instrument
-from tissueid.instrument.discovery import IN_PROCESS
-from tissueid.sessions import Session
+from tissueid.sessions import Session, Test
 from tissueid.wording import clean
 
 FRAME_MS = 33
 LONGEST_SITE = 80
-
-
-def _show_file(path: Path) -> bool:
-    return QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What the window reaches out to; tests hand in their own.
-
-    ``wait`` None paces simulations by the clock. ``apart`` is whether a running test is looked at by another process.
-    """
-
-    opener: Callable[[str], Instrument] = open_instrument
-    finder: Callable[..., list[Found]] = find_instruments
-    folder: Path = field(default_factory=default_folder)
-    wait: Wait | None = None
-    apart: bool = True
-    now: Callable[[], datetime] = datetime.now
-    show_file: Callable[[Path], bool] = _show_file
 
 
 class MainWindow(QMainWindow):
@@ -58,9 +40,10 @@ class MainWindow(QMainWindow):
 
     def __init__(self, surroundings: Surroundings | None = None) -> None:
         super().__init__()
-        self._around = surroundings or Surroundings()
-        self._jobs: set[Job] = set()
-        self._stop = threading.Event()
+        self.around = surroundings or Surroundings()
+        self.jobs = Jobs(self)
+        self._stop = self.around.stop()
+        self._keys = StopKeys(self)
         self._live = LiveSignals()
         self._plan: Plan | None = None
         self.findings: Findings | None = None
@@ -72,10 +55,11 @@ class MainWindow(QMainWindow):
         self._palette_watch = PaletteWatch()
         self.testing = False
         self.setWindowTitle("TissueID")
-        self.ui = Layout(self, self._around.folder, self._around.now)
+        self.ui = Layout(self, self.around.folder, self.around.now, self.around.role)
         self._frames = QTimer(self)
         self._frames.setInterval(FRAME_MS)
-        self._frames.timeout.connect(self._show_frame)
+        self._frames.timeout.connect(self._frame)
+        self._calibrator = Calibrator(self)
         self._connect()
         self._take_palette()
         self._list_instruments()
@@ -86,23 +70,23 @@ class MainWindow(QMainWindow):
 
     def start_test(self) -> None:
         """Begin the test that the form describes."""
-        if self._busy:
+        if self.busy:
             return
         try:
             plan = self.ui.form.plan()
             plan.check()
-            if plan.path.parent == self._around.folder:
+            if plan.path.parent == self.around.folder:
                 plan.path.parent.mkdir(parents=True, exist_ok=True)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True)
             if not self.ui.form.site.currentText().strip():
                 self.ui.form.site.setFocus()
             return
-        self._plan, self._live, self._stop = plan, LiveSignals(), threading.Event()
-        self.testing = True
+        self._plan, self._live = plan, LiveSignals()
+        stop = self.energise(self._show_frame)
         self.findings = None
         self.ui.pages.setTabVisible(1, False)
-        self.ui.notice.hide()
+        self.ui.gate.hide()
         self.ui.guidance.rest()
         self.ui.guidance.say("Connecting to the instrument.")
         self.ui.signals.expect(plan)
@@ -112,26 +96,68 @@ class MainWindow(QMainWindow):
             measure,
             plan,
             self._live,
-            self._stop,
-            opener=self._around.opener,
-            wait=self._around.wait,
-            apart=self._around.apart,
+            stop,
+            opener=self.around.opener,
+            wait=self.around.wait,
+            apart=self.around.apart,
+            trail=Trail(self.around.audit, self.ui.role.role),
+            calibrate=self.around.calibrate,
         )
-        self._do(work, self._test_ended, self._test_failed)
-        self._frames.start()
+        self.jobs.do(work, self._test_ended, self._test_failed)
         self.ui.stop.setFocus()
 
-    def stop_test(self) -> None:
+    def energise(self, draw: Callable[[], None]) -> EmergencyStop:
+        """From now on a coil may be energised: STOP, its keys and the dead man's switch are about what begins here.
+
+        ``draw`` shows where it stands, 30 times a second, until :meth:`free`.
+        """
+        self._draw, self._stop = draw, self.around.stop()
+        self._stop.beat()
+        self._keys.listen(True)
+        self.testing = True
+        self.ui.notice.hide()
+        self.ui.safety.expect()
+        self._frames.start()
+        return self._stop
+
+    def free(self) -> None:
+        """What was begun is over, and the coil is free."""
+        self._keys.listen(False)
+        self._frames.stop()
+        self.testing = False
+        self.ui.safety.rest()
+
+    def stop_test(self, reason: str) -> None:
         """Release the coil and end the running test; what was recorded is kept."""
         if self.testing:
-            self._stop.set()
+            self._stop.press(reason)
             self.ui.guidance.say("Stopping: the coil is being released.")
-        else:
+        elif not self.busy:
             self.ui.notice.say("No test is running.")
+
+    def _stop_by_button(self) -> None:
+        self.stop_test(BY_BUTTON)
+
+    def _stop_by_key(self) -> None:
+        self.stop_test(BY_KEY)
+
+    def meet_defect(self, error: BaseException) -> None:
+        """Something in the window went wrong where nobody expected it: release the coil first, then say so."""
+        self._stop.press(BY_DEFECT)
+        self.ui.notice.say(in_words(error), problem=True)
+
+    def _frame(self) -> None:
+        """Only a frame that was drawn is a beat of the window's heart."""
+        self._draw()
+        self.ui.safety.tell_keys(reach=QApplication.activeWindow() is not None)
+        self._stop.beat()
 
     def _show_frame(self) -> None:
         glance = self._live.look()
         self.ui.signals.show_live(glance)
+        self.ui.safety.show_safety(glance.safety)
+        if self._live.device is not None and self._plan is not None:
+            self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self._live.device))
         if self._live.identification is not None:
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
@@ -141,13 +167,19 @@ class MainWindow(QMainWindow):
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
-        saved = f"The recorded part is saved in {outcome.path}." if session else "Nothing was recorded yet."
+        saved = f"The recorded part is saved in {outcome.path}." if session else ""
         if outcome.stopped:
-            self.ui.notice.say(f"Stopped, and the coil is released. {saved}")
-        elif outcome.problem:
-            self.ui.notice.say(f"{outcome.problem} {saved if session else ''}".strip(), problem=True)
+            how = "Stopped by the button on the instrument" if outcome.by_button else "Stopped"
+            words = [f"{how}, and the coil is released.", saved or outcome.trouble or "Nothing was recorded yet."]
+        else:
+            words = [outcome.problem, saved if outcome.problem else ""]
+        if said := " ".join(filter(None, [*words, outcome.unlogged])):
+            failed = bool(outcome.trouble or outcome.unlogged or (outcome.problem and not outcome.stopped))
+            self.ui.notice.say(said, problem=failed)
+        if outcome.problem and not outcome.stopped:
             self._doubt_instrument()
         if session is not None and session.tests and not self._closing:
+            self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
             self.ui.guidance.rest()
@@ -165,9 +197,9 @@ class MainWindow(QMainWindow):
             self.ui.form.instrument.doubt(self._plan.url)
 
     def _end_frames(self) -> None:
+        self.free()
         self._show_frame()
-        self._frames.stop()
-        self.testing = False
+        self.ui.safety.rest()
 
     # -- sessions and results ------------------------------------------------------------------------------
 
@@ -179,16 +211,21 @@ class MainWindow(QMainWindow):
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
         self.ui.guidance.say("Identifying the tissue.")
-        self._do(functools.partial(find, path, session, number), self._show_findings, self._say_failed)
+        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self._say_failed)
 
     def _show_findings(self, findings: Findings) -> None:
         self.findings, self._report = findings, None
-        self.ui.signals.show_test(findings.test)
+        self.ui.signals.show_test(findings.test, findings.session.instrument)
+        self._show_gate(findings.test)
         self.ui.result.show_findings(findings)
         self.ui.pages.setTabVisible(1, True)
         self.ui.pages.setCurrentWidget(self.ui.result)
         self.ui.pages.tabBar().setFocus()
         self._rest()
+
+    def _show_gate(self, test: Test) -> None:
+        """What the quality gate said, as soon as it is known: the models may take a while."""
+        self.ui.gate.show_quality(quality_of(test), can_repeat=self._plan is not None and not self._closing)
 
     def _rest(self) -> None:
         """Nothing goes on: name what is shown, or say how to begin."""
@@ -220,18 +257,22 @@ class MainWindow(QMainWindow):
 
     def open_report(self) -> None:
         """Write the report of the shown result beside its session, and open it."""
-        if self.findings is None or self._busy:
+        if self.findings is None or self.busy:
             return
         if self._report is not None and self._report.exists():
-            self._show_report(self._report)
+            self.show_report(self._report)
             return
         self.ui.guidance.say("Writing the report.")
-        self._do(functools.partial(write_report_beside, self.findings), self._show_report, self._say_failed)
+        self.jobs.do(functools.partial(write_report_beside, self.findings), self._report_written, self._say_failed)
 
-    def _show_report(self, path: Path) -> None:
+    def _report_written(self, path: Path) -> None:
         self._report = path
         self._rest()
-        if self._around.show_file(path):
+        self.show_report(path)
+
+    def show_report(self, path: Path) -> None:
+        """Open a report, and say where it is."""
+        if self.around.show_file(path):
             self.ui.notice.say(f"The report is saved in {path}.")
         else:
             self.ui.notice.say(f"The report is saved in {path}; open it in a browser.")
@@ -240,19 +281,18 @@ class MainWindow(QMainWindow):
 
     def find_instruments(self) -> None:
         """Ask every port whether an instrument answers."""
-        if self._busy:
+        if self.busy:
             return
         self.ui.form.instrument.about.setText("Asking every port…")
-        work = functools.partial(self._around.finder, probe=True)
-        self._do(work, self._found, self._finding_failed)
+        around = self.around
+        work = functools.partial(survey, around.finder, around.opener, around.calibrate)
+        self.jobs.do(work, self._found, self._finding_failed)
 
-    def _found(self, found: Sequence[Found]) -> None:
-        self.ui.form.instrument.offer(found)
-        answering = sum(item.answers is True and not item.url.startswith(IN_PROCESS) for item in found)
-        what = {0: "No instrument answers", 1: "One instrument answers"}.get(
-            answering, f"{answering} instruments answer"
-        )
-        self.ui.notice.say(f"{what}; simulations in this program can always be chosen.")
+    def _found(self, found: Survey) -> None:
+        self.ui.form.instrument.offer(found.found)
+        for url, state in found.calibrations.items():
+            self.ui.form.instrument.tell_calibration(url, state)
+        self.ui.notice.say(found.words)
 
     def _finding_failed(self, words: str) -> None:
         self.ui.form.instrument.offer([])
@@ -261,22 +301,23 @@ class MainWindow(QMainWindow):
     def _list_instruments(self) -> None:
         """Offer what can be seen without asking; a system that cannot list its ports still has typed addresses."""
         try:
-            self.ui.form.instrument.offer(self._around.finder(probe=False))
+            self.ui.form.instrument.offer(self.around.finder(probe=False))
         except (TissueIDError, OSError) as error:
             self._finding_failed(in_words(error))
 
     def _offer_recovery(self) -> None:
-        self._unfinished = unfinished(self._around.folder)
+        self._unfinished = unfinished(self.around.folder)
         if self._unfinished:
             count = len(self._unfinished)
             what = "An unfinished test was" if count == 1 else f"{count} unfinished tests were"
             names = ", ".join(path.name.removesuffix(".journal") for path in self._unfinished[:3])
-            self.ui.notice.say(f"{what} found in {self._around.folder}: {names}.", offer="Re&cover")
+            self.ui.notice.say(f"{what} found in {self.around.folder}: {names}.", offer="Re&cover")
 
     def _recover(self) -> None:
-        if not self._busy:
+        if not self.busy:
             self.ui.notice.hide()
-            self._do(functools.partial(recover_all, self._unfinished), self._recovered, self._say_failed)
+            trail = Trail(self.around.audit, self.ui.role.role)
+            self.jobs.do(functools.partial(recover_all, self._unfinished, trail), self._recovered, self._say_failed)
 
     def _recovered(self, recovery: Recovery) -> None:
         saved = [f"Recovered {path}." for path, _ in recovery.sessions]
@@ -284,42 +325,35 @@ class MainWindow(QMainWindow):
         if recovery.sessions:
             self._identify(*recovery.sessions[-1], None)
 
-    # -- jobs -----------------------------------------------------------------------------------------------
+    # -- roles and jobs -----------------------------------------------------------------------------------------------
 
     @property
-    def _busy(self) -> bool:
-        return bool(self._jobs) or self._closing
+    def busy(self) -> bool:
+        """Whether something goes on that nothing else may begin beside."""
+        return bool(self.jobs) or self._closing
 
-    def _do(self, work: Callable[[], Any], succeeded: Callable[[Any], None], failed: Callable[[str], None]) -> None:
-        job = Job(work, self)
-        job.succeeded.connect(succeeded)
-        job.failed.connect(failed)
-        job.finished.connect(self._job_finished)
-        self._jobs.add(job)
-        self._settle()
-        job.start()
+    def _change_role(self, before: str, now: Role) -> None:
+        self.ui.show_role(now)
+        trail = Trail(self.around.audit, now)
+        work = functools.partial(trail.record, "role.changed", old=before, new=now)
+        self.jobs.do(work, self._logged, self._say_failed)
 
-    def _job_finished(self) -> None:
-        job = self.sender()
-        if isinstance(job, Job):
-            job.wait()
-            self._jobs.discard(job)
-            job.deleteLater()
-        self._settle()
-        if self._closing and not self._jobs:
-            self.close()
+    def _logged(self, _: object) -> None:
+        """It is in the audit log; there is nothing to say."""
 
     def _settle(self) -> None:
         """Let every control do what now makes sense, and nothing else."""
-        self.ui.settle(busy=self._busy, testing=self.testing, has_result=self.findings is not None)
+        self.ui.settle(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
+        if self._closing and not self.jobs:
+            self.close()
 
     # -- the window itself ------------------------------------------------------------------------------------
 
     def closeEvent(self, event: QCloseEvent) -> None:  # noqa: N802
         """Close; a running test first releases the coil and keeps what was recorded."""
-        if self._jobs:
+        if self.jobs:
             self._closing = True
-            self._stop.set()
+            self._stop.press(BY_CLOSING)
             first = "the coil is being released" if self.testing else "the last work is being finished"
             self.ui.guidance.say(f"Closing: {first}.")
             self._settle()
@@ -339,9 +373,13 @@ class MainWindow(QMainWindow):
 
     def _connect(self) -> None:
         ui = self.ui
+        self.jobs.changed.connect(self._settle)
         ui.start.clicked.connect(self.start_test)
+        ui.role.changed.connect(self._change_role)
+        ui.gate.again.connect(self.start_test)
         ui.form.filled.connect(ui.start.setFocus)
-        ui.stop.clicked.connect(self.stop_test)
+        ui.stop.clicked.connect(self._stop_by_button)
+        self._keys.pressed.connect(self._stop_by_key)
         ui.open.clicked.connect(self._choose_session)
         ui.report.clicked.connect(self.open_report)
         ui.form.instrument.refresh.clicked.connect(self.find_instruments)
@@ -351,4 +389,4 @@ class MainWindow(QMainWindow):
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
         escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
         escape.setContext(Qt.ShortcutContext.ApplicationShortcut)
-        escape.activated.connect(self.stop_test)
+        escape.activated.connect(self._stop_by_key)

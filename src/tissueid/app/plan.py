@@ -10,6 +10,7 @@ from typing import get_args
 from platformdirs import user_documents_path
 
 from tissueid.acquisition import PRELOAD_S, NoiseChoice
+from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES
 from tissueid.stimuli.kinds.noise import Noise
@@ -39,13 +40,19 @@ DISTRIBUTIONS: tuple[str, ...] = tuple(
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(NoiseChoice):
-    """One test as the form describes it. ``limits`` names a profile."""
+    """One test as the form describes it. ``limits`` names a profile, ``configuration`` and ``probe`` what they are of.
+
+    Without a ``probe`` it is the first one that is made for the configuration.
+    """
 
     url: str
     site: str
     path: Path
     pseudonym: str = ANONYMOUS
     limits: str = "clinical"
+    configuration: str = "indentation"
+    probe: str | None = None
+    external_spring_n_per_m: float = 0.0
 
     def check(self) -> None:
         """Refuse what can be seen to be wrong before an instrument is touched.
@@ -63,6 +70,15 @@ class Plan(NoiseChoice):
             )
         if not self.path.name:
             raise UnusableInputError("say where to save the session")
+        self.set_up()
+
+    def set_up(self) -> Configuration:
+        """How the instrument meets the tissue.
+
+        Raises:
+            UnusableInputError: configuration, probe and spring do not go together.
+        """
+        return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
 
     @property
     def total_s(self) -> float:

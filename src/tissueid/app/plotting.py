@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Collection
 
@@ -60,7 +61,7 @@ class PlotCard(QFrame):
         self._key = key or {}
         self._pens: list[tuple[pg.PlotDataItem, str, int, int]] = []
         self._dots: list[tuple[pg.PlotDataItem, str]] = []
-        self._bands: list[tuple[pg.FillBetweenItem, str]] = []
+        self._bands: list[tuple[pg.FillBetweenItem, str, int]] = []
         self._marks: list[pg.InfiniteLine] = []
         self.plot = pg.PlotWidget(axisItems={side: LogAxis(side) for side in log_axes})
         self.plot.setMenuEnabled(False)
@@ -70,6 +71,8 @@ class PlotCard(QFrame):
         self.plot.setAccessibleName(f"Plot: {title}, {unit}" if unit else f"Plot: {title}")
         self.plot.setMinimumHeight(60)
         self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+        self._remark: tuple[str, str] | None = None
+        self._theme: Theme | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
         for side in ("left", "bottom"):  # drawing the grid anew takes ten times as long as a frame's curve
@@ -109,13 +112,13 @@ class PlotCard(QFrame):
         self._dots.append((item, role))
         return item
 
-    def band(self, role: str) -> tuple[pg.PlotCurveItem, pg.PlotCurveItem]:
+    def band(self, role: str, *, alpha: int = 60) -> tuple[pg.PlotCurveItem, pg.PlotCurveItem]:
         """Add an empty band; returns its lower and upper edge. The axes do not stretch to hold it."""
         edges = pg.PlotCurveItem(_NOTHING, _NOTHING, pen=None), pg.PlotCurveItem(_NOTHING, _NOTHING, pen=None)
         band = pg.FillBetweenItem(*edges)
         for item in (*edges, band):
             self.plot.addItem(item, ignoreBounds=True)
-        self._bands.append((band, role))
+        self._bands.append((band, role, alpha))
         return edges
 
     def mark(self, *, upright: bool = True, text: str = "") -> pg.InfiniteLine:
@@ -126,6 +129,18 @@ class PlotCard(QFrame):
         self.plot.addItem(item, ignoreBounds=True)
         self._marks.append(item)
         return item
+
+    def retitle(self, title: str, unit: str) -> None:
+        """Another heading: what is plotted goes by the test."""
+        self._heading.setText(f"{title} ({unit})" if unit else title)
+        self.plot.setAccessibleName(f"Plot: {title}, {unit}" if unit else f"Plot: {title}")
+
+    def remark(self, text: str, role: str = "muted") -> None:
+        """Words beside the key, in the colour of a role; none of them takes them away."""
+        remark = (text, role) if text else None
+        if remark != self._remark:
+            self._remark = remark
+            self._show_key()
 
     def say_missing(self, text: str) -> None:
         """Show words in place of the plot, or with no words the plot."""
@@ -158,7 +173,18 @@ class PlotCard(QFrame):
             mark.setPen(pg.mkPen(theme.muted, width=1, style=Qt.PenStyle.DotLine))
             if hasattr(mark, "label"):
                 mark.label.setColor(theme.muted)
-        for band, role in self._bands:
-            band.setBrush(faint(getattr(theme, role), 60))
+        for band, role, alpha in self._bands:
+            band.setBrush(faint(getattr(theme, role), alpha))
+        self._theme = theme
+        self._show_key()
+
+    def _show_key(self) -> None:
+        """The key and the remark, once there are colours."""
+        theme = self._theme
+        if theme is None:
+            return
         entries = [f'<span style="color:{getattr(theme, role)}">■</span> {name}' for name, role in self._key.items()]
+        if self._remark is not None:
+            text, role = self._remark
+            entries.append(f'<span style="color:{getattr(theme, role)}">{html.escape(text)}</span>')
         self._legend.setText("&nbsp;&nbsp; ".join(entries))

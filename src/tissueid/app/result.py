@@ -21,6 +21,7 @@ from tissueid.app.theme import Theme
 from tissueid.sessions import Test
 
 _TILES = 5
+SEE_ABOVE = "For the reasons above."
 _NOTHING = np.zeros(0)
 
 
@@ -60,7 +61,12 @@ class ResultPage(QScrollArea):
             widget.style().unpolish(widget)
             widget.style().polish(widget)
         self.headline.setText(verdict.headline)
-        self.reasons.setText("\n".join([*verdict.reasons, *findings.cautions]))
+        # What the quality gate said stands above already.
+        told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
+        reasons = [reason for reason in verdict.reasons if reason not in told]
+        if verdict.reasons and not reasons:
+            reasons = [SEE_ABOVE]
+        self.reasons.setText("\n".join([*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
         self.facts.setText(" ".join(text for text in (findings.ended, findings.visited) if text))
         for place, tile in enumerate(self._tiles):

@@ -11,13 +11,20 @@ from tissueid.acquisition.guided import PLACE_S
 from tissueid.app.live import Array, Glance, decimated
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
+from tissueid.app.safety import Region, linear_region
 from tissueid.app.theme import Theme
+from tissueid.configuration import has_depth
+from tissueid.device import DeviceDescription
 from tissueid.sessions import Test
 
 MM = 1e3
 _SLACK = 0.15
 """Share of its span by which an axis grows beyond the data, so that it seldom has to."""
 _LEAST_SPAN = {"force": 2.0, "position": 1.0}
+_LONG_BEFORE_S, _LONG_AFTER_S = -1e3, 1e5
+"""A shade reaches as far to both sides as any test."""
+LINEAR = "shaded: linear"
+OUTSIDE = "left the linear region"
 
 
 class SignalPlots(QWidget):
@@ -28,9 +35,12 @@ class SignalPlots(QWidget):
         self.force = PlotCard("Force", "", "N")
         self.position = PlotCard("Position", "Time from the start of the preload (s)", "mm")
         self.force.plot.setXLink(self.position.plot)
+        self._region_edges = self.position.band("good", alpha=30)
+        self._region: Region | None = None
         self._curves = {"force": self.force.line("measured"), "position": self.position.line("measured")}
         self._starts = [card.mark() for card in self.cards for _ in range(2)]
         self._surface = self.position.mark(upright=False, text="surface")
+        self._level = self.position.mark(upright=False, text="where it began")
         self._limits: dict[str, tuple[float, float]] = {}
         self._time = (-PLACE_S, 5.0)
         layout = QVBoxLayout(self)
@@ -47,32 +57,54 @@ class SignalPlots(QWidget):
     def expect(self, plan: Plan) -> None:
         """Make room for a test that is about to begin."""
         self.clear()
+        self._title(plan.configuration)
         self._show_times(-PLACE_S, plan.total_s, (0.0, PRELOAD_S))
         self._grow("force", min(-1.0, plan.min_force_n), plan.max_force_n)
 
     def show_live(self, glance: Glance) -> None:
         """Draw what a running test has recorded so far."""
+        safety = glance.safety
+        if safety is not None and safety.region != self._region:
+            self.show_region(safety.region)
         self._draw(glance.time_s, glance.force_n, MM * glance.position_m)
+        if safety is not None and safety.left_region:
+            self.position.remark(OUTSIDE, "check")
 
-    def show_test(self, test: Test) -> None:
-        """Draw a recorded test."""
+    def show_test(self, test: Test, device: DeviceDescription) -> None:
+        """Draw a recorded test, and where the coil that recorded it was linear."""
         self.clear()
+        self._title(test.configuration)
         unknown = np.full(test.samples, np.nan)
         force, position = test.signals.get("force", unknown), test.signals.get("position", unknown)
         time_s = np.arange(test.samples) / test.sample_rate_hz
         self._show_times(0.0, test.samples / test.sample_rate_hz, (test.preload_s,) if test.preload_s else ())
         self._draw(time_s, force, MM * position)
+        self.show_region(linear_region(device))
+        if self._region is not None and not self._region.holds(position):
+            self.position.remark(OUTSIDE, "check")
         if np.isfinite(test.surface_position_m):
-            self._surface.setValue(MM * test.surface_position_m)
-            self._surface.show()
+            mark = self._surface if has_depth(test.configuration) else self._level
+            mark.setValue(MM * test.surface_position_m)
+            mark.show()
+
+    def show_region(self, region: Region | None) -> None:
+        """Shade the linear region of the coil; None takes the shade away."""
+        self._region = region
+        ends = (np.zeros(0),) * 2 if region is None else (np.full(2, MM * region.low_m), np.full(2, MM * region.high_m))
+        times = np.zeros(0) if region is None else np.array([_LONG_BEFORE_S, _LONG_AFTER_S])
+        for edge, values in zip(self._region_edges, ends, strict=True):
+            edge.setData(times, values)
+        self.position.setToolTip("" if region is None else "Shaded: where the coil was found to be linear")
+        self.position.remark("" if region is None else LINEAR, "good")
 
     def clear(self) -> None:
         """Empty plots."""
         self._limits = {}
         for curve in self._curves.values():
             curve.setData(np.zeros(0), np.zeros(0))
-        for mark in (*self._starts, self._surface):
+        for mark in (*self._starts, self._surface, self._level):
             mark.hide()
+        self.show_region(None)
         self._show_times(-PLACE_S, PRELOAD_S + 4.0, ())
         self._grow("force", 0.0, 10.0)
         self._grow("position", 0.0, 30.0)
@@ -82,6 +114,9 @@ class SignalPlots(QWidget):
         """Take on the colours of a theme."""
         for card in self.cards:
             card.paint_with(theme)
+
+    def _title(self, configuration: str) -> None:
+        self.position.retitle("Position" if has_depth(configuration) else "Displacement", "mm")
 
     def _show_times(self, low_s: float, high_s: float, marks: tuple[float, ...]) -> None:
         self._time = (low_s, high_s)

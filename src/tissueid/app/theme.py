@@ -78,6 +78,10 @@ QLabel { background: transparent; }
 QLabel[role="title"] { font-size: 15pt; font-weight: 600; }
 QLabel[role="muted"] { color: $muted; }
 QLabel[role="field"] { color: $muted; font-size: 9pt; }
+QLabel[role="readout"] { font-size: 9pt; }
+QLabel[role="readout"][level="good"] { color: $good; }
+QLabel[role="readout"][level="check"] { color: $check; font-weight: 600; }
+QLabel[role="readout"][level="poor"] { color: $poor; font-weight: 600; }
 QLabel[role="heading"] { font-weight: 600; font-size: 9pt; }
 QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius: 9px; padding: 2px 10px; }
 QLabel[role="instruction"] { font-size: 14pt; }
@@ -116,6 +120,7 @@ QPushButton[role="stop"] { background: $stop; color: #ffffff; border: 2px solid 
     font-weight: 600; padding: 8px; }
 QPushButton[role="stop"]:hover { background: $stop_hover; border-color: $stop_hover; }
 QPushButton[role="stop"]:focus { border: 2px solid $text; padding: 8px; }
+QCheckBox::indicator:unchecked { width: 11px; height: 11px; border: 1px solid $edge; background: $field; }
 QProgressBar { background: $line; border: none; border-radius: 3px; max-height: 6px; min-height: 6px; }
 QProgressBar::chunk { background: $accent; border-radius: 3px; }
 QTabWidget::pane { border: none; }

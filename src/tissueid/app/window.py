@@ -11,7 +11,6 @@ from PySide6.QtCore import QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
-from tissueid.app.words import in_words
 
 _HOUSEKEEPING_MS = 500
 
@@ -58,7 +57,7 @@ def run() -> int:
 
     def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.__excepthook__(kind, error, trace)
-        window.ui.notice.say(in_words(error), problem=True)
+        window.meet_defect(error)
 
     previous = {number: signal.signal(number, close) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.excepthook = tell

@@ -1,0 +1,260 @@
+"""A calibration from the window: runs in a thread that alone touches the instrument, and asks the person in front."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import platformdirs
+
+from tissueid.acquisition import SessionRecorder
+from tissueid.acquisition.waiting import meanwhile
+from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.emergency import EmergencyStop
+from tissueid.audit import Trail
+from tissueid.calibration import StaticPlan, calibrate_static, write_calibration
+from tissueid.calibration.coil import Spring
+from tissueid.calibration.file import Calibration
+from tissueid.calibration.in_force import go_by_static, put_in_force
+from tissueid.calibration.moved_by_hand import Standing, wait_until_there
+from tissueid.calibration.store import LOCAL, calibration_folder, stored_calibrations
+from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
+from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
+from tissueid.calibration.sweep_file import as_calibration
+from tissueid.calibration.words import notes_of
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.instrument import Instrument
+
+Kind = Literal["static", "sweep"]
+_WAIT_S = 0.1
+BRING_WORDS = "Move the spring so that the probe stands at {0:.1f} mm, and let go. It goes on by itself."
+STANDS_WORDS = "The probe stands at {0:.1f} mm."
+
+
+@dataclass(frozen=True)
+class CalibrationPlan:
+    """Which calibration of which instrument; ``ambient_c`` is the room's temperature where somebody read it.
+
+    With ``push_only`` the probe is not fixed to the spring and no more than leans on it.
+    """
+
+    url: str
+    kind: Kind
+    folder: Path
+    ambient_c: float | None = None
+    push_only: bool = False
+
+    def check(self) -> None:
+        """Refuse what can be seen to be wrong before an instrument is touched.
+
+        Raises:
+            UnusableInputError: no instrument is chosen.
+        """
+        if not self.url:
+            raise UnusableInputError("choose an instrument, or type its address")
+
+
+@dataclass(frozen=True)
+class CalibrationOutcome:
+    """What came of it. ``remarks`` is what else is worth saying, ``state`` how the instrument is calibrated now."""
+
+    calibration: Calibration
+    path: Path
+    report: Path
+    remarks: tuple[str, ...]
+    state: CalibrationState = field(default_factory=CalibrationState)
+
+
+@dataclass(frozen=True)
+class Talk:
+    """A calibration at one moment: its step, how much of it is done, what a person is wanted for.
+
+    ``answer`` is whether the person has to say that it is done; otherwise it is seen.
+    """
+
+    step: str = ""
+    fraction: float = 0.0
+    wanted: str = ""
+    answer: bool = False
+
+
+class Conversation:
+    """Between the thread that calibrates and the window: progress one way, questions and answers both ways."""
+
+    def __init__(self, stop: EmergencyStop) -> None:
+        self._stop = stop
+        self._talk = Talk()
+        self._done = threading.Event()
+
+    def show(self, step: str, fraction: float) -> None:
+        """How far a step is."""
+        self._talk = Talk(step, fraction)
+
+    def ask(self, words: str) -> None:
+        """Have the person do something; returns when it is done, or when everything is stopped."""
+        self._done.clear()
+        self._talk = replace(self._talk, wanted=words, answer=True)
+        while not self._done.wait(_WAIT_S) and not self._stop.is_set():
+            pass
+        self.want("")
+
+    def want(self, words: str, step: str | None = None) -> None:
+        """Have the person do something that is seen when it is done; no words: nothing is wanted any more."""
+        shown = self._talk.step if step is None else step
+        self._talk = replace(self._talk, step=shown, wanted=words, answer=False)
+
+    def answer(self) -> None:
+        """The person says that it is done."""
+        self._done.set()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it is being stopped."""
+        return self._stop.is_set()
+
+    def look(self) -> Talk:
+        """What there is to see."""
+        return self._talk
+
+
+def calibrations_folder() -> Path:
+    """Where calibrations made in the window go: where those in force are looked for, made if there is none.
+
+    Raises:
+        UnusableInputError: the environment names a folder that is not there.
+        OSError: it cannot be made.
+    """
+    folder = calibration_folder() or platformdirs.user_data_path("tissueid") / LOCAL
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def calibrate(
+    plan: CalibrationPlan,
+    talk: Conversation,
+    stop: EmergencyStop,
+    opener: Callable[[str], Instrument],
+    trail: Trail,
+    now: Callable[[], datetime] = datetime.now,
+) -> CalibrationOutcome:
+    """Calibrate, and leave the calibration and its report in the folder; a failed one is kept too, and says so.
+
+    However it ends, the coil is released.
+
+    Raises:
+        CancelledError: it was stopped.
+        TissueIDError, OSError: it could not begin, or broke off; there is no calibration.
+    """
+    instrument = opener(plan.url)
+    try:
+        stop.check()
+        serial_number = instrument.device.serial_number
+        trail.record("calibration.begun", subject=serial_number, new=plan.kind)
+        path = free_name(plan.folder, serial_number, plan.kind, now())
+        try:
+            run = _static if plan.kind == "static" else _sweep
+            calibration, remarks, write_report = run(plan, path, instrument, talk, stop, trail)
+        except Exception as error:
+            what = "calibration.stopped" if isinstance(error, CancelledError) else "calibration.broken_off"
+            trail.note(what, subject=serial_number, new=str(error))
+            raise
+    finally:
+        instrument.close()
+    if trail.head:
+        calibration = calibration.model_copy(update={"conditions": calibration.conditions | {"audit_head": trail.head}})
+    write_calibration(path, calibration)
+    made = {"kind": plan.kind, "file": path.name, "verdict": calibration.verdict}
+    trail.note("calibration.made", subject=serial_number, new=made)
+    report = path.with_suffix(".html")
+    write_report(calibration, report)
+    if problem := trail.settle():
+        remarks = (*remarks, f"not in the audit log: {problem}")
+    state = calibration_state(put_in_force(instrument.nominal, stored_calibrations(plan.folder), datetime.now(UTC)))
+    return CalibrationOutcome(calibration, path, report, remarks, state)
+
+
+_Made = tuple[Calibration, tuple[str, ...], Callable[[Calibration, Path], None]]
+"""A calibration, remarks, and what writes its report."""
+
+
+def _static(
+    plan: CalibrationPlan, _path: Path, instrument: Instrument, talk: Conversation, stop: EmergencyStop, _trail: Trail
+) -> _Made:
+    from tissueid.reports.calibration_static import static_report
+
+    nominal = instrument.nominal
+    spring = Spring(nominal.calibration_spring_n_per_m, nominal.calibration_relative_uncertainty)
+    static = StaticPlan(spring=spring, ambient_c=plan.ambient_c, push_only=plan.push_only)
+    found = calibrate_static(instrument, static, ask=talk.ask, progress=talk.show, cancelled=stop.check)
+    return found.calibration, found.notes, lambda calibration, report: static_report(calibration).write(report)
+
+
+def _sweep(
+    plan: CalibrationPlan, path: Path, instrument: Instrument, talk: Conversation, stop: EmergencyStop, trail: Trail
+) -> _Made:
+    from tissueid.reports.calibration import sweep_report
+
+    def bring(position_m: float) -> None:
+        """Have the person move the spring: it goes on by itself when the probe stands there."""
+        words = BRING_WORDS.format(1e3 * position_m)
+
+        def tell(standing: Standing) -> None:
+            talk.want(words, STANDS_WORDS.format(1e3 * standing.position_m))
+
+        wait_until_there(instrument, position_m, tell, stop.check)
+        talk.want("")
+
+    conditions = go_by_static(instrument, plan.folder)
+    recorder = SessionRecorder(path.with_suffix(".h5"), instrument.device, trail=trail)
+    swept = SweepPlan()
+    sweep = Sweep(
+        instrument,
+        swept,
+        recorder,
+        bring=bring,
+        progress=lambda fraction: talk.show("identifying the spring along the stroke", fraction),
+        cancelled=stop.check,
+    )
+    try:
+        sweep.run()
+    except BaseException as error:
+        recorder.finish_or_discard(error)
+        raise
+
+    def analyse() -> Calibration:
+        session = recorder.finish()
+        device = session.instrument
+        spring = SweptSpring(device.calibration_spring_n_per_m, device.calibration_relative_uncertainty)
+        result = analyse_sweep(sweep_tests(session), device, spring, remarks=sweep.remarks)
+        return as_calibration(
+            result,
+            conditions=conditions
+            | {
+                "session_id": session.session_id,
+                "from_m": swept.from_m,
+                "to_m": swept.to_m,
+                "step_m": swept.step_m,
+                "seconds": swept.seconds,
+                "by": "motorised stage" if sweep.has_stage else "hand",
+            },
+        )
+
+    talk.show("working out what the sweep says", 1.0)
+    calibration = meanwhile(instrument, analyse)
+    return calibration, notes_of(calibration), lambda made, report: sweep_report(made).write(report)
+
+
+def free_name(folder: Path, serial_number: str, kind: Kind, moment: datetime) -> Path:
+    """A calibration's file, named by instrument, kind and time, that is not there yet."""
+    name = f"{re.sub(r'[^A-Za-z0-9-]+', '-', serial_number).strip('-') or 'unknown'}-{kind}-{moment:%Y-%m-%d_%H-%M-%S}"
+    number = 1
+    while True:
+        path = folder / (f"{name}.toml" if number == 1 else f"{name}_{number}.toml")
+        if not any(path.with_suffix(suffix).exists() for suffix in (".toml", ".html", ".h5")):
+            return path
+        number += 1

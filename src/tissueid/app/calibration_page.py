@@ -1,0 +1,241 @@
+"""The technician's page: what each calibration needs, its progress, its verdict and figures."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QDoubleSpinBox,
+    QFrame,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.buttons import BigButton
+from tissueid.app.calibrating import CalibrationOutcome, Kind, Talk
+from tissueid.app.words import sentence
+from tissueid.calibration.words import readable, verdict_of
+
+_KINDS: dict[Kind, tuple[str, str]] = {
+    "static": (
+        "Static calibration",
+        "Coil, force, position, range of motion, thermometer, accelerometer and supplies. Needs the "
+        "calibration spring; where there is no motorised stage, you are told what to put under the probe.",
+    ),
+    "sweep": (
+        "Dynamic sweep",
+        "The calibration spring, identified along the stroke: the force constant by position, and where the coil is "
+        "linear. Best after a static calibration.",
+    ),
+}
+_STEPS = 1000
+_ROW = 22
+
+
+class CalibrationPage(QWidget):
+    """``begun`` carries the kind of calibration that is wanted; ``answered`` says that a person did what was asked."""
+
+    begun = Signal(str)
+    answered = Signal()
+    report_wanted = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.begin: dict[Kind, QPushButton] = {}
+        self.step = QLabel()
+        self.step.setProperty("role", "muted")
+        self.bar = QProgressBar()
+        self.bar.setRange(0, _STEPS)
+        self.bar.setTextVisible(False)
+        self.bar.setAccessibleName("Progress of the calibration")
+        self.done = BigButton("Done, go on")
+        self.done.setProperty("role", "start")
+        self.done.setToolTip("Return does the same; Space and Escape stop")
+        self.done.clicked.connect(self.answered)
+        self.done.hide()
+        self.headline = QLabel()
+        self.headline.setProperty("role", "headline")
+        self.said = QLabel()
+        self.said.setWordWrap(True)
+        self.said.setMinimumWidth(1)
+        self.said.setTextFormat(Qt.TextFormat.PlainText)
+        self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.report = QPushButton("Open its report")
+        self.report.clicked.connect(self.report_wanted)
+        self.figures = QTableWidget(0, 3)
+        self.figures.setHorizontalHeaderLabels(["Figure", "Value", "Unit"])
+        self.figures.setAccessibleName("Figures of the calibration")
+        self.figures.verticalHeader().hide()
+        self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        self.figures.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
+        self.figures.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.figures.setShowGrid(False)
+        header = self.figures.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        self.figures.verticalHeader().setDefaultSectionSize(_ROW)
+        self.fixed = QCheckBox("Spring fixed to the probe")
+        self.fixed.setChecked(True)
+        self.fixed.setToolTip("Without it the probe only leans on the spring, and is pushed and never pulled")
+        self.room_known = QCheckBox("Room at")
+        self.room = QDoubleSpinBox()
+        self.room.setAccessibleName("Temperature of the room")
+        self.room.setSuffix(" °C")
+        self.room.setDecimals(1)
+        self.room.setRange(-10.0, 50.0)
+        self.room.setValue(22.0)
+        self.room.setEnabled(False)
+        self.room_known.toggled.connect(self.room.setEnabled)
+        self._result = self._make_result()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(8)
+        choices = QHBoxLayout()
+        choices.setSpacing(8)
+        for kind in _KINDS:
+            choices.addWidget(self._make_choice(kind), 1)
+        layout.addLayout(choices)
+        layout.addWidget(self._make_progress())
+        layout.addWidget(self._result, 1)
+        self._layout = layout
+        layout.addStretch()
+        self.rest()
+        self._show_result(False)
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """What the tab key visits, in order."""
+        first = [self.begin["static"], self.fixed, self.room_known, self.room]
+        return [*first, self.begin["sweep"], self.done, self.report]
+
+    @property
+    def ambient_c(self) -> float | None:
+        """The room's temperature, where it is known."""
+        return self.room.value() if self.room_known.isChecked() else None
+
+    def expect(self, kind: Kind) -> None:
+        """A calibration begins."""
+        self._show_result(False)
+        self.step.setText(f"{_KINDS[kind][0]}: connecting to the instrument.")
+        self.bar.setValue(0)
+
+    def rest(self) -> None:
+        """Nothing goes on."""
+        self.bar.setValue(0)
+        self.step.setText("No calibration is running.")
+        self.done.hide()
+
+    def settle(self, *, busy: bool) -> None:
+        """Enable what makes sense."""
+        for button in self.begin.values():
+            button.setEnabled(not busy)
+        self.fixed.setEnabled(not busy)
+        self.room_known.setEnabled(not busy)
+        self.room.setEnabled(not busy and self.room_known.isChecked())
+        self.report.setEnabled(not busy)
+
+    def show_talk(self, talk: Talk) -> None:
+        """Where a running calibration stands, and whether it waits for a person."""
+        if talk.step:
+            self.step.setText(sentence(talk.step))
+        self.bar.setValue(round(_STEPS * talk.fraction))
+        asked = talk.answer
+        if asked and self.done.isHidden():
+            self.done.show()
+            self.done.setFocus()
+        elif not asked:
+            self.done.hide()
+
+    def show_outcome(self, outcome: CalibrationOutcome) -> None:
+        """Verdict, figures, and what else is worth saying."""
+        self.rest()
+        calibration = outcome.calibration
+        self.headline.setText(sentence(f"{_KINDS[calibration.kind][0]} {verdict_of(calibration)}"))
+        level = "good" if calibration.verdict == "passed" else "poor"
+        for widget in (self._result, self.headline):
+            widget.setProperty("level", level)
+            widget.style().unpolish(widget)
+            widget.style().polish(widget)
+        lines = [sentence(line) for line in (*calibration.problems, *outcome.remarks)]
+        self.said.setText("\n".join([*lines, f"Saved in {outcome.path}."]))
+        self.figures.setRowCount(len(calibration.quantities))
+        for row, (name, quantity) in enumerate(calibration.quantities.items()):
+            for column, text in enumerate(readable(name, quantity)):
+                item = QTableWidgetItem(text)
+                if column == 1:
+                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                self.figures.setItem(row, column, item)
+        self._show_result(True)
+
+    def _show_result(self, there: bool) -> None:
+        """With a result it takes all the room that there is, without one that stays empty."""
+        self._result.setVisible(there)
+        self._layout.setStretch(self._layout.count() - 1, 0 if there else 1)
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _make_choice(self, kind: Kind) -> QFrame:
+        title, words = _KINDS[kind]
+        card = QFrame()
+        card.setProperty("role", "card")
+        card.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        heading = QLabel(title)
+        heading.setProperty("role", "headline")
+        about = QLabel(words)
+        about.setProperty("role", "muted")
+        about.setWordWrap(True)
+        about.setMinimumWidth(1)
+        about.setAlignment(Qt.AlignmentFlag.AlignTop)
+        button = QPushButton(f"Begin {title.lower()}")
+        button.clicked.connect(lambda: self.begun.emit(kind))
+        self.begin[kind] = button
+        options = QHBoxLayout()
+        if kind == "static":
+            for widget in (self.fixed, self.room_known, self.room):
+                options.addWidget(widget)
+        options.addStretch(1)
+        below = QHBoxLayout()
+        below.addWidget(button)
+        below.addStretch(1)
+        layout = QVBoxLayout(card)
+        layout.setContentsMargins(12, 8, 12, 10)
+        layout.addWidget(heading)
+        layout.addWidget(about, 1)
+        layout.addLayout(options)
+        layout.addLayout(below)
+        return card
+
+    def _make_progress(self) -> QFrame:
+        card = QFrame()
+        card.setProperty("role", "card")
+        card.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        words = QVBoxLayout()
+        words.addWidget(self.step)
+        words.addWidget(self.bar)
+        layout = QHBoxLayout(card)
+        layout.setContentsMargins(12, 8, 12, 10)
+        layout.addLayout(words, 1)
+        layout.addWidget(self.done)
+        return card
+
+    def _make_result(self) -> QFrame:
+        frame = QFrame()
+        frame.setProperty("role", "verdict")
+        top = QHBoxLayout()
+        top.addWidget(self.headline, 1)
+        top.addWidget(self.report)
+        layout = QVBoxLayout(frame)
+        layout.setContentsMargins(12, 6, 10, 8)
+        layout.addLayout(top)
+        layout.addWidget(self.said)
+        layout.addWidget(self.figures, 1)
+        return frame

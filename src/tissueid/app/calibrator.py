@@ -1,0 +1,96 @@
+"""What the window does about calibrations: begins one, shows it, asks the person, tells what came of it."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject
+
+from tissueid.app.calibrating import (
+    CalibrationOutcome,
+    CalibrationPlan,
+    Conversation,
+    Kind,
+    calibrate,
+    calibrations_folder,
+)
+from tissueid.app.words import in_words
+from tissueid.audit import Trail
+from tissueid.errors import TissueIDError
+
+if TYPE_CHECKING:
+    from tissueid.app.main_window import MainWindow
+
+
+class Calibrator(QObject):
+    """Stands beside the tests of the window: the same jobs, the same STOP, one at a time."""
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._window = window
+        self._page = window.ui.calibration
+        self._talk: Conversation | None = None
+        self._report: Path | None = None
+        self._url = ""
+        self._page.begun.connect(self.begin)
+        self._page.answered.connect(self._answer)
+        self._page.report_wanted.connect(self._open_report)
+
+    def begin(self, kind: Kind) -> None:
+        """Calibrate the chosen instrument."""
+        window, around = self._window, self._window.around
+        if window.busy:
+            return
+        try:
+            folder = around.calibrations or calibrations_folder()
+            plan = CalibrationPlan(
+                window.ui.form.instrument.url, kind, folder, self._page.ambient_c, not self._page.fixed.isChecked()
+            )
+            plan.check()
+        except (TissueIDError, OSError) as error:
+            window.ui.notice.say(in_words(error), problem=True)
+            return
+        self._url = plan.url
+        stop = window.energise(self._show)
+        self._talk = talk = Conversation(stop)
+        trail = Trail(around.audit, window.ui.role.role)
+        self._page.expect(kind)
+        window.ui.guidance.say("Calibrating. Keep hands and cables clear of the probe.")
+        work = functools.partial(calibrate, plan, talk, stop, around.opener, trail, around.now)
+        window.jobs.do(work, self._ended, self._failed)
+        window.ui.stop.setFocus()
+
+    def _show(self) -> None:
+        if self._talk is not None and not self._talk.stopped:
+            talk = self._talk.look()
+            self._page.show_talk(talk)
+            self._window.ui.guidance.say(talk.wanted or "Calibrating. Keep hands and cables clear of the probe.")
+
+    def _answer(self) -> None:
+        if self._talk is not None:
+            self._talk.answer()
+
+    def _ended(self, outcome: CalibrationOutcome) -> None:
+        self._close()
+        self._report = outcome.report
+        self._page.show_outcome(outcome)
+        # The same instrument may stand at another address too.
+        chooser = self._window.ui.form.instrument
+        chooser.forget_calibrations()
+        chooser.tell_calibration(self._url, outcome.state)
+
+    def _failed(self, words: str) -> None:
+        self._close()
+        self._page.rest()
+        self._window.ui.notice.say(words, problem=True)
+
+    def _close(self) -> None:
+        self._window.free()
+        self._talk = None
+        self._window.ui.guidance.rest()
+
+    def _open_report(self) -> None:
+        if self._report is not None:
+            self._window.show_report(self._report)

@@ -1,0 +1,105 @@
+"""The quality gate after a test: a light, what was seen in words, what to do about it, and the offer to run again."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QAccessible, QAccessibleEvent
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.acquisition.quality import Quality, Verdict
+
+_LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
+MOST_SHOWN = 3
+"""Findings that are shown at once; the others are counted, and shown when asked for."""
+UNJUDGED = "This test was not judged when it was made; 'tissueid quality' judges it."
+
+
+class QualityGate(QFrame):
+    """Hidden until a test is over. ``again`` is sent by the button that is there when the test should be repeated."""
+
+    again = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "verdict")
+        self._quality: Quality | None = None
+        self.light = QLabel("●")
+        self.light.setProperty("role", "headline")
+        self.headline = QLabel()
+        self.headline.setProperty("role", "headline")
+        self.more = QPushButton()
+        self.more.setCheckable(True)
+        self.more.setAccessibleName("All findings")
+        self.run_again = QPushButton("Run again")
+        self.run_again.setToolTip("The same test once more, into a file of its own")
+        top = QHBoxLayout()
+        top.setSpacing(8)
+        top.addWidget(self.light)
+        top.addWidget(self.headline, 1)
+        top.addWidget(self.more)
+        top.addWidget(self.run_again)
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(12)
+        self._grid.setVerticalSpacing(2)
+        self._grid.setColumnStretch(0, 1)
+        self._grid.setColumnStretch(1, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(12, 5, 10, 5)
+        layout.setSpacing(3)
+        layout.addLayout(top)
+        layout.addLayout(self._grid)
+        self.more.toggled.connect(self._fill)
+        self.run_again.clicked.connect(self.again)
+        self.hide()
+
+    def show_quality(self, quality: Quality | None, *, can_repeat: bool) -> None:
+        """Show what the gate said; None where it was never asked. ``can_repeat`` is whether a test can be run now."""
+        self._quality = quality
+        verdict: Verdict | None = None if quality is None else quality.verdict
+        level = "" if verdict is None else _LEVELS[verdict]
+        for widget in (self, self.light, self.headline):
+            widget.setProperty("level", level)
+            widget.style().unpolish(widget)
+            widget.style().polish(widget)
+        self.headline.setText("Not judged" if quality is None else quality.headline)
+        self.run_again.setVisible(verdict == "repeat" and can_repeat)
+        self.more.setChecked(False)
+        self._fill()
+        self.setAccessibleName(" ".join(["Quality gate:", self.headline.text() + ".", *self.words]))
+        self.show()
+        if verdict in ("look", "repeat"):
+            QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Everything that it says, those findings included that are not shown at once."""
+        return (UNJUDGED,) if self._quality is None else self._quality.lines
+
+    def _fill(self) -> None:
+        while (item := self._grid.takeAt(0)) is not None:
+            if (widget := item.widget()) is not None:
+                widget.hide()
+                widget.deleteLater()
+        if self._quality is None:
+            self._grid.addWidget(_text(UNJUDGED, "muted"), 0, 0, 1, 2)
+            self.more.hide()
+            return
+        findings = self._quality.findings
+        hidden = len(findings) - MOST_SHOWN
+        self.more.setVisible(hidden > 0)
+        self.more.setText("Fewer" if self.more.isChecked() else f"{hidden} more")
+        shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
+        for row, finding in enumerate(shown):
+            self._grid.addWidget(_text(finding.words, ""), row, 0)
+            self._grid.addWidget(_text(finding.advice, "muted"), row, 1)
+
+
+def _text(text: str, role: str) -> QLabel:
+    label = QLabel(text)
+    label.setProperty("role", role)
+    label.setWordWrap(True)
+    label.setMinimumWidth(1)
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label

@@ -1,0 +1,52 @@
+"""Finding instruments for the form, and telling how each is calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.instrument import Found, Instrument
+from tissueid.instrument.discovery import IN_PROCESS
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was found, and the calibrations of what answered, by address."""
+
+    found: Sequence[Found]
+    calibrations: dict[str, CalibrationState] = field(default_factory=dict)
+
+    @property
+    def words(self) -> str:
+        """How many instruments answer."""
+        answering = sum(item.answers is True and not item.url.startswith(IN_PROCESS) for item in self.found)
+        what = {0: "No instrument answers", 1: "One instrument answers"}.get(
+            answering, f"{answering} instruments answer"
+        )
+        return f"{what}; simulations in this program can always be chosen."
+
+
+def survey(
+    finder: Callable[..., list[Found]],
+    opener: Callable[[str], Instrument],
+    calibrate: Callable[[Instrument], object],
+) -> Survey:
+    """Ask every port; whatever answers is asked, while it is open, how it is calibrated.
+
+    Raises:
+        TissueIDError, OSError: the ports cannot be listed.
+    """
+    calibrations: dict[str, CalibrationState] = {}
+
+    def open_and_ask(url: str) -> Instrument:
+        instrument = opener(url)
+        try:
+            calibrate(instrument)
+        except BaseException:
+            instrument.close()
+            raise
+        calibrations[url] = calibration_state(instrument.device)
+        return instrument
+
+    return Survey(finder(probe=True, opener=open_and_ask), calibrations)

@@ -1,0 +1,105 @@
+"""Small read-outs beside STOP: force, coil temperature, contact, and whether the keys reach this window."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
+
+from tissueid.app.safety import Safety
+from tissueid.wording import MISSING, fixed
+
+_EVERY = 8
+"""Frames between two changes of a number: four a second can be read."""
+_NEAR = 0.9
+_WARM_SHARE = 0.8
+KEYS_REACH = "Esc or Space stops"
+KEYS_LOST = "Keys do not reach this window: click it"
+
+
+class SafetyReadouts(QFrame):
+    """Quiet while all is well: the colour changes where something comes near its limit, and nothing blinks."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self._frame = 0
+        self.force, self.coil, self.contact, self.keys = (QLabel() for _ in range(4))
+        grid = QGridLayout(self)
+        grid.setContentsMargins(10, 6, 10, 6)
+        grid.setHorizontalSpacing(8)
+        grid.setVerticalSpacing(1)
+        rows = (("Force", self.force), ("Coil", self.coil), ("Probe", self.contact))
+        for row, (name, value) in enumerate(rows):
+            label = QLabel(name)
+            label.setProperty("role", "field")
+            grid.addWidget(label, row, 0)
+            grid.addWidget(value, row, 1)
+        grid.addWidget(self.keys, len(rows), 0, 1, 2)
+        grid.setColumnStretch(1, 1)
+        for value in (self.force, self.coil, self.contact, self.keys):
+            value.setProperty("role", "readout")
+            value.setTextFormat(Qt.TextFormat.PlainText)
+            value.setMinimumWidth(1)
+        self.rest()
+
+    def rest(self) -> None:
+        """No test runs: nothing is known."""
+        self._frame = 0
+        for label in (self.force, self.coil, self.contact):
+            _say(label, MISSING)
+        _say(self.keys, "The coil is free")
+
+    def expect(self) -> None:
+        """A test begins."""
+        self.rest()
+        _say(self.keys, KEYS_REACH)
+
+    def tell_keys(self, *, reach: bool) -> None:
+        """Whether the keys that stop come to this window."""
+        _say(self.keys, KEYS_REACH if reach else KEYS_LOST, "" if reach else "check")
+
+    def show_safety(self, safety: Safety | None) -> None:
+        """Show how things stand; called with every frame."""
+        if safety is None:
+            return
+        _say(self.contact, *_contact(safety))
+        self._frame += 1
+        if self._frame % _EVERY == 1:
+            _say(self.force, *_force(safety))
+            _say(self.coil, *_coil(safety))
+
+
+def _force(safety: Safety) -> tuple[str, str]:
+    if safety.force_n is None:
+        return MISSING, ""
+    most = safety.limits.max_force_n
+    return f"{fixed(safety.force_n, 1)} N of {most:g} N", "check" if safety.force_n > _NEAR * most else ""
+
+
+def _coil(safety: Safety) -> tuple[str, str]:
+    most = safety.limits.max_temperature_c
+    known = [value for value in (safety.temperature_c, safety.model_c) if value is not None]
+    if not known:
+        return "temperature not known", "check"
+    words = [MISSING if safety.temperature_c is None else f"{fixed(safety.temperature_c, 0)} °C"]
+    if safety.model_c is not None:
+        words.append(f"model {fixed(safety.model_c, 0)} °C")
+    return f"{', '.join(words)} of {most:g} °C", "check" if max(known) > _WARM_SHARE * most else ""
+
+
+def _contact(safety: Safety) -> tuple[str, str]:
+    where = " · outside linear region" if safety.left_region else ""
+    level = "check" if safety.left_region else ""
+    if safety.contact is None:
+        return f"finding the skin{where}", level
+    return (f"on the skin{where}", level) if safety.contact else (f"off the skin{where}", "check")
+
+
+def _say(label: QLabel, text: str, level: str = "") -> None:
+    if label.text() != text:
+        label.setText(text)
+        label.setAccessibleName(text)
+    if label.property("level") != level:
+        label.setProperty("level", level)
+        label.style().unpolish(label)
+        label.style().polish(label)

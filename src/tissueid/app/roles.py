@@ -1,0 +1,42 @@
+"""Who sits in front of the window: what is logged says in which role it was done, and some roles see more."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+
+from tissueid.audit import ROLES, Role
+
+
+class RoleChooser(QWidget):
+    """A small chooser; ``changed`` carries the role that was left and the one that was taken on."""
+
+    changed = Signal(str, str)
+
+    def __init__(self, role: Role, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._role: Role = role
+        self.choice = QComboBox()
+        self.choice.setAccessibleName("Role")
+        self.choice.setToolTip("What is done is logged in this role; a technician can calibrate")
+        for name in ROLES:
+            self.choice.addItem(name.capitalize(), name)
+        self.choice.setCurrentIndex(self.choice.findData(role))
+        label = QLabel("Role")
+        label.setProperty("role", "muted")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(6)
+        row.addWidget(label)
+        row.addWidget(self.choice)
+        self.choice.currentIndexChanged.connect(self._change)
+
+    @property
+    def role(self) -> Role:
+        """The role that is taken on."""
+        return self._role
+
+    def _change(self) -> None:
+        before, self._role = self._role, self.choice.currentData()
+        if before != self._role:
+            self.changed.emit(before, self._role)

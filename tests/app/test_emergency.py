@@ -1,0 +1,323 @@
+"""Every way in which a test in the window is stopped: by whom, how soon, and that it needs no living window."""
+
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+from app.benches import WAIT_MS, Clock, Gate
+from app.test_window import idle, only_session, press, type_site, wait_for_result
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtWidgets import QDialog, QLineEdit, QVBoxLayout
+from support import connect
+
+from tissueid.app.emergency import NO_ANSWER, EmergencyStop, seconds_since_boot
+from tissueid.app.findings import find
+from tissueid.audit import AuditLog, last_lines
+from tissueid.errors import CancelledError
+from tissueid.instrument import CLINICAL, SimulatedInstrument
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+@pytest.fixture(scope="module")
+def some_findings(saved):
+    return find(saved)
+
+
+@pytest.fixture(autouse=True)
+def _identified_at_once(some_findings, monkeypatch):
+    """What comes after the stop is not what these tests are about: nothing is fitted."""
+
+    def find_at_once(path, session, number):
+        return dataclasses.replace(some_findings, path=path, session=session, test=session.test(number))
+
+    monkeypatch.setattr("tissueid.app.main_window.find", find_at_once)
+
+
+# -- the switch itself ----------------------------------------------------------------------------------------
+
+
+def test_the_first_reason_stays():
+    stop = EmergencyStop()
+    assert not stop.check()
+    stop.press("stopped by key")
+    stop.press("the window was closed")
+    assert stop.is_set()
+    assert stop.reason == "stopped by key"
+    with pytest.raises(CancelledError, match="stopped by key; the coil is released"):
+        stop.check()
+
+
+@pytest.mark.parametrize(("late_s", "stopped"), [(0.99, False), (1.01, True), (36_000.0, True)])
+@pytest.mark.parametrize("beat_again", [False, True])
+def test_a_window_that_misses_its_beat_has_stopped_the_test_even_when_it_comes_back(late_s, stopped, beat_again):
+    clock = Clock()
+    stop = EmergencyStop(clock.read)
+    clock.now += 100.0  # nobody beats yet: nothing is watched
+    assert not stop.is_set()
+    stop.beat()
+    clock.now += late_s
+    if beat_again:
+        stop.beat()
+    assert stop.is_set() is stopped
+    if stopped:
+        with pytest.raises(CancelledError, match=f"^{NO_ANSWER}$"):
+            stop.check()
+
+
+def test_beats_in_time_go_on_for_ever():
+    clock = Clock()
+    stop = EmergencyStop(clock.read)
+    for _ in range(1000):
+        stop.beat()
+        clock.now += 0.9
+        assert not stop.check()
+
+
+def test_waiting_ends_when_it_is_stopped():
+    stop = EmergencyStop()
+    threading.Thread(target=lambda: stop.press("stopped by key")).start()
+    stop.wait(WAIT_MS / 1000)
+    assert stop.is_set()
+
+
+def test_its_clock_goes_on():
+    before = seconds_since_boot()
+    assert seconds_since_boot() >= before > 0.0
+
+
+# -- in the window --------------------------------------------------------------------------------------------
+
+
+class Watched(SimulatedInstrument):
+    """A simulation that tells when its coil is released."""
+
+    def __init__(self):
+        super().__init__("forearm", seed=3)
+        self.released = threading.Event()
+        self.played = 0
+
+    def poll(self, timeout_s):
+        self.played += self._energised
+        return super().poll(timeout_s)
+
+    def release(self):
+        super().release()
+        if self.played:
+            self.released.set()
+
+
+def begin(qtbot, window, gate):
+    """A test that is held in the middle of its stimulus."""
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: gate.reached.is_set() or idle(window), timeout=WAIT_MS)
+    assert gate.reached.is_set(), window.ui.notice.text.text()
+
+
+@pytest.mark.parametrize("key", [Qt.Key.Key_Escape, Qt.Key.Key_Space])
+@pytest.mark.parametrize("focus", ["tabs", "dismiss", "dialog"])
+def test_the_keys_stop_whatever_has_the_focus(qtbot, open_window, bench, tmp_path, key, focus):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    dialog = QDialog(window)
+    field = QLineEdit(dialog)
+    QVBoxLayout(dialog).addWidget(field)
+    if focus == "dialog":
+        dialog.open()
+        field.setFocus()
+        target = field
+    else:
+        window.ui.notice.say("something")
+        target = window.ui.pages.tabBar() if focus == "tabs" else window.ui.notice.dismiss
+        target.setFocus()
+    qtbot.keyClick(target, key)
+    assert window._stop.is_set()
+    assert "Stopping" in window.ui.guidance.instruction.text()
+    if focus == "dialog":
+        assert dialog.isVisible()
+        assert field.text() == ""
+        dialog.close()
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    test = only_session(tmp_path)[1].test()
+    assert test.status == "aborted"
+    assert test.notes["reason"].startswith("stopped by key; ")
+    assert bench.opened[0]._run is None
+    # Afterwards the keys belong to the fields again, and hammering on them begins nothing.
+    for _ in range(3):
+        qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Space)
+    assert not window.testing
+    window.ui.form.subject.setFocus()
+    qtbot.keyClick(window.ui.form.subject, Qt.Key.Key_Space)
+    assert window.ui.form.subject.text().endswith(" ")
+
+
+def test_a_window_that_hangs_does_not_keep_the_coil_energised(qtbot, open_window, clock, tmp_path):
+    instrument = Watched()
+    gate = Gate(passed=300)
+    window = open_window(opener=lambda _: instrument, wait=gate.wait)
+    begin(qtbot, window, gate)
+    seen = []
+
+    def hang():
+        """The event loop is in here, and gets out only after the coil is free."""
+        seen.append(window.testing)
+        clock.now += 1.2
+        gate.opened.set()
+        seen.append(instrument.released.wait(WAIT_MS / 1000))
+
+    QTimer.singleShot(0, hang)
+    wait_for_result(qtbot, window)
+    assert seen == [True, True]
+    assert window.ui.notice.text.text().startswith("The window did not answer; the coil was released. ")
+    test = only_session(tmp_path)[1].test()
+    assert (test.status, test.notes["reason"]) == ("aborted", NO_ANSWER)
+    assert test.samples < 6000
+
+
+def test_a_computer_that_slept_ends_the_test(qtbot, open_window, clock, bench, tmp_path):
+    """All threads stand still together; the window may be the first to wake."""
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    clock.now += 3600.0
+    qtbot.waitUntil(window._stop.is_set, timeout=WAIT_MS)
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    assert only_session(tmp_path)[1].test().notes["reason"] == NO_ANSWER
+    assert bench.opened[0]._run is None
+
+
+def test_frames_that_cannot_be_drawn_are_no_beats(qtbot, open_window, clock, tmp_path, monkeypatch):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    drawn = threading.Event()
+
+    def fail(_glance):
+        drawn.set()
+        raise ZeroDivisionError
+
+    with qtbot.captureExceptions() as caught:
+        monkeypatch.setattr(window.ui.signals, "show_live", fail)
+        qtbot.waitUntil(drawn.is_set, timeout=WAIT_MS)
+        monkeypatch.undo()
+        # Nobody is there who would meet the defect (the application's hook does): the beat alone has to do.
+        clock.now += 1.2
+        gate.opened.set()
+        wait_for_result(qtbot, window)
+    assert caught
+    assert only_session(tmp_path)[1].test().notes["reason"] == NO_ANSWER
+
+
+def test_a_defect_in_the_window_releases_the_coil(qtbot, open_window, bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    window.meet_defect(ZeroDivisionError())
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    assert only_session(tmp_path)[1].test().notes["reason"].startswith("a defect in the window; ")
+    assert bench.opened[0]._run is None
+    assert (tmp_path / "last-defect.txt").exists()
+
+
+def test_the_button_on_the_instrument(qtbot, open_window, tmp_path):
+    links = []
+
+    def opener(_url):
+        instrument = connect()
+        link = instrument._link
+        links.append(link)
+
+        def press_later(data):
+            link.firmware.bench.button = link.now > 4.0
+            return data
+
+        link.to_host = press_later
+        return instrument
+
+    window = open_window(opener=opener)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    wait_for_result(qtbot, window)
+    assert window.ui.notice.text.text().startswith("Stopped by the button on the instrument, and the coil is released.")
+    assert not links[0].firmware.energised
+    test = only_session(tmp_path)[1].test()
+    assert test.status == "aborted"
+    assert "button was pressed" in test.notes["reason"]
+
+
+def test_a_process_that_dies_in_mid_test_leaves_the_coil_to_the_watchdog():
+    """A crash of the window's thread takes the thread that measures with it: nothing of this program is left."""
+    instrument = connect()
+    link = instrument._link
+    instrument.load(np.full(20_000, 1.0))
+    instrument.arm(CLINICAL)
+    instrument.start()
+    for _ in range(20):
+        instrument.poll(0.05)
+    assert link.firmware.energised
+    link.run_for(0.5)
+    assert not link.firmware.energised
+
+
+def test_what_could_not_be_saved_or_logged_is_said_beside_the_stop(qtbot, open_window, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    press(qtbot, window.ui.stop)
+    monkeypatch.setattr("tissueid.acquisition.recorder.session_into", full)
+    monkeypatch.setattr(AuditLog, "record", full)
+    gate.opened.set()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    words = window.ui.notice.text.text()
+    assert words.startswith("Stopped, and the coil is released. ")
+    assert "No space left on device" in words
+    assert "Nothing was recorded" not in words
+    assert "Not in the audit log: " in words
+    assert list(tmp_path.glob("*.journal"))
+
+
+def test_a_test_that_cannot_be_logged_does_not_begin(qtbot, open_window, bench, tmp_path):
+    window = open_window(audit=AuditLog(tmp_path))
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "audit log" in window.ui.notice.text.text()
+    assert not bench.opened[0]._energised
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_happened_is_in_the_audit_log(qtbot, open_window, tmp_path, audit_file):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait, audit=AuditLog(audit_file))
+    begin(qtbot, window, gate)
+    press(qtbot, window.ui.stop)
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    lines = {line.what: line for line in last_lines(audit_file, 100)}
+    assert {line.role for line in lines.values() if not line.what.startswith("audit.")} == {"clinician"}
+    assert lines["test.stopped"].new["reason"] == "stopped in the window; the coil is released"
+    assert {"session.begun", "test.begun", "session.written"} <= set(lines)
+
+
+def test_stopping_twice_and_stopping_late_does_no_harm(qtbot, open_window, tmp_path):
+    gate = Gate(passed=300)
+    window = open_window(wait=gate.wait)
+    begin(qtbot, window, gate)
+    for _ in range(3):
+        press(qtbot, window.ui.stop)
+    gate.opened.set()
+    wait_for_result(qtbot, window)
+    words = window.ui.notice.text.text()
+    assert words.startswith("Stopped, and the coil is released.")
+    assert only_session(tmp_path)[1].test().notes["reason"].startswith("stopped in the window; ")
+    assert idle(window)
