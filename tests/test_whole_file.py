@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tissueid.whole_file import whole_file
+from tissueid.whole_file import sync_folder, whole_file, write_all
 
 
 def names(folder: Path) -> list[str]:
@@ -91,3 +91,34 @@ def test_only_what_is_to_be_synced_is_synced(tmp_path: Path, monkeypatch: pytest
     with whole_file(tmp_path / "a.json", synced=True) as partial:
         partial.write_text("new")
     assert synced
+
+
+@pytest.mark.parametrize(("number", "told"), [(errno.EINVAL, False), (errno.EACCES, False), (errno.EIO, True)])
+def test_a_folder_that_cannot_be_synced_is_told_where_that_is_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, told: bool
+):
+    def fails(_: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fails)
+    if told:
+        with pytest.raises(OSError, match=os.strerror(number)):
+            sync_folder(tmp_path)
+    else:
+        sync_folder(tmp_path)
+
+
+def test_what_cannot_be_removed_does_not_hide_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def fails(_: Path) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "unlink", fails)
+    with pytest.raises(ValueError, match="a defect"), whole_file(tmp_path / "a.json"):
+        raise ValueError("a defect")
+
+
+def test_a_write_that_takes_nothing_is_not_tried_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with (tmp_path / "a").open("wb") as file:
+        monkeypatch.setattr(os, "write", lambda *_: 0)
+        with pytest.raises(OSError, match="nothing more is taken"):
+            write_all(file.fileno(), b"x")

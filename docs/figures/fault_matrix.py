@@ -1,0 +1,106 @@
+"""Runs every fault in every state and shows what came of it, as the table of docs/safety.md.
+
+Without options it prints the table; ``--write`` puts it into the document between its marks. Status 1 when a cell
+fails.
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import logging
+import re
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from faults.cells import ORDEALS, STATES, Outcome, run_cell  # noqa: E402
+
+SAFETY = ROOT / "docs" / "safety.md"
+PLACE = re.compile(r"(<!-- matrix -->).*?(<!-- end -->)", re.DOTALL)
+LONGEST_CELL_S = 120.0
+"""By the clock on the wall: a cell that takes longer hangs, and says where."""
+
+INTRODUCTION = (
+    "",
+    "A number: the test broke off, and for so long was the coil still energised from when the fault began. `goes on`:",
+    "the test was completed; samples that were lost are marked as not received. In every cell the coil stayed within",
+    "its limits, all that was recorded is in the session as it was measured, the message is one line that says what",
+    "to do, and once the fault was over the same program opened the instrument again and completed a test. There is",
+    "no cell that cannot be.",
+    "",
+    "A fault that lasts and begins while nothing is played shows in the test that comes next, and the number counts",
+    "from when that begins. Under a steady force nothing moves, and a sensor that is stuck tells the same as one that",
+    "is not: in `preload`, `checking` and `calibrating` it shows when the force changes. A temperature that is stuck",
+    "goes on under the thermal models of either side. Where the host hears nothing, its own patience of 1 s is what",
+    "ends the test, since the device still hears its heartbeat and holds the limits.",
+    "",
+)
+
+
+def outcome(cell: tuple[str, str]) -> Outcome:
+    """What came of one cell, in a process of its own."""
+    logging.disable(logging.CRITICAL)
+    faulthandler.dump_traceback_later(LONGEST_CELL_S, exit=True)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return run_cell(*cell, Path(folder))
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def shown(found: Outcome) -> str:
+    """A cell of the table."""
+    if found.problems:
+        return "**failed**"
+    if found.message is not None:
+        milliseconds = 1e3 * found.energised_s
+        return f"{milliseconds:.1f} ms" if 0.0 < milliseconds < 10.0 else f"{milliseconds:.0f} ms"
+    return f"goes on, {found.lost_samples} lost" if found.lost_samples else "goes on"
+
+
+def table(found: dict[tuple[str, str], Outcome]) -> str:
+    """All cells as Markdown, and what the messages said."""
+    lines = [*INTRODUCTION, f"| | {' | '.join(STATES)} |", f"| --- |{' --- |' * len(STATES)}"]
+    lines += [f"| {name} | {' | '.join(shown(found[name, state]) for state in STATES)} |" for name in ORDEALS]
+    lines += ["", "| state | |", "| --- | --- |"]
+    lines += [f"| {name} | {standing.what} |" for name, standing in STATES.items()]
+    lines += ["", "| fault | what is said |", "| --- | --- |"]
+    for name in ORDEALS:
+        said = dict.fromkeys(item.message for state in STATES if (item := found[name, state]).message is not None)
+        if said:
+            lines.append(f"| {name} | {'<br>'.join(said).replace('loopback', 'PORT')} |")
+    worst = max(item.wait_s for item in found.values())
+    lines += ["", f"The longest that the host waited without getting anywhere or giving up: {worst:.2f} s."]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run, print or write; 1 when a cell fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="put the table into docs/safety.md")
+    parser.add_argument("--processes", type=int, default=1, help="how many cells at a time")
+    options = parser.parse_args()
+    cells = [(name, state) for name in ORDEALS for state in STATES]
+    with ProcessPoolExecutor(options.processes) as pool:
+        found = dict(zip(cells, pool.map(outcome, cells), strict=True))
+    failed = [(cell, problem) for cell, item in found.items() for problem in item.problems]
+    for (name, state), problem in failed:
+        print(f"{name}, {state}: {problem}", file=sys.stderr)
+    text = table(found)
+    if not options.write:
+        print(text)
+    else:
+        page = SAFETY.read_text(encoding="utf-8") if SAFETY.exists() else "# Safety\n"
+        if not PLACE.search(page):
+            page += "\n<!-- matrix -->\n<!-- end -->\n"
+        SAFETY.write_text(PLACE.sub(lambda marks: f"{marks[1]}\n{text}\n{marks[2]}", page), encoding="utf-8")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

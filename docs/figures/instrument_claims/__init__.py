@@ -1,0 +1,1 @@
+"""What docs/instrument.md claims, measured: one module a topic, each with ``claims()``."""

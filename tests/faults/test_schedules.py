@@ -1,0 +1,40 @@
+"""Random schedules of faults: nothing acknowledged is lost, the coil stays within its limits, nothing hangs."""
+
+import pytest
+from faults.schedules import SECONDS, run_schedule, schedule
+
+SHORT_S = 5.0
+BLOCK = 10
+
+
+def check(seed, seconds, folder):
+    report = run_schedule(seed, folder, seconds)
+    told = "\n".join(f"  {fault.model_dump(exclude_defaults=True)}" for fault in schedule(seed, seconds))
+    assert report.problems == [], f"seed {seed}, {seconds:g} s:\n{told}\n" + "\n".join(report.problems)
+    return report
+
+
+def test_ten_short_schedules(tmp_path):
+    reports = []
+    for seed in range(10):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        reports.append(check(seed, SHORT_S, folder))
+    assert sum(report.happened for report in reports) > 10
+    assert sum(report.completed for report in reports) > 5
+    assert sum(report.broken_off for report in reports) > 5
+
+
+def test_a_schedule_plays_the_same_way_again(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+    assert run_schedule(3, tmp_path / "first", 3.0) == run_schedule(3, tmp_path / "second", 3.0)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("first", range(0, 500, BLOCK))
+def test_five_hundred_schedules_of_half_a_minute(tmp_path, first):
+    for seed in range(first, first + BLOCK):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        check(seed, SECONDS, folder)

@@ -1,0 +1,79 @@
+"""Configurations and probes: what goes together, and what is refused."""
+
+import pytest
+from pydantic import ValidationError
+
+from tissueid.configuration import CONFIGURATIONS, PROBES, Configuration, Probe, has_depth, spring_of, travel_word
+from tissueid.device import DESKTOP, HANDHELD, angle_deg
+from tissueid.errors import UnusableInputError
+
+
+def test_each_configuration_has_a_probe_of_its_own():
+    for name in CONFIGURATIONS:
+        spring = 500.0 if name == "surface" else 0.0
+        chosen = Configuration.of(name, external_spring_n_per_m=spring)
+        assert chosen.name == chosen.probe.configuration == name
+        assert chosen.as_notes()["external_spring_n_per_m"] == spring
+        assert chosen.as_notes()["probe_name"] in PROBES
+
+
+def test_the_probes_of_the_thesis():
+    assert (PROBES["indenter-4.4mm"].diameter_m, PROBES["indenter-4.4mm"].thickness_m) == (4.4e-3, 1e-3)
+    assert (PROBES["indenter-4.3mm"].diameter_m, PROBES["indenter-4.3mm"].corner_radius_m) == (4.3e-3, 0.4e-3)
+    assert (PROBES["indenter-5mm"].diameter_m, PROBES["indenter-5mm"].corner_radius_m) == (5e-3, 1.3e-3)
+    extension = PROBES["extension-5x16mm"]
+    assert (extension.width_m, extension.length_m, extension.corner_radius_m) == (5e-3, 16e-3, 2e-3)
+    assert extension.words == "5 mm by 16 mm, corner radius 2 mm"
+    assert all(probe.source for probe in PROBES.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "probe", "spring", "words"),
+    [
+        ("poking", None, 0.0, "a configuration is indentation, extension, surface, not 'poking'"),
+        ("indentation", "thumb", 0.0, "no probe 'thumb' is known; there are: indenter-4.4mm"),
+        ("extension", "indenter-5mm", 0.0, "made for indentation; for extension: extension-5x16mm"),
+        ("surface", None, 0.0, "needs an external spring: give its stiffness in N/m"),
+        ("indentation", None, 800.0, "belongs to the configuration surface, not to indentation"),
+        ("surface", None, -1.0, "the external spring: .*greater than or equal to 0"),
+        ("surface", None, float("nan"), "the external spring: .*finite"),
+        ("surface", None, 1e6, "the external spring: .*less than or equal to 20000"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_a_line(name, probe, spring, words):
+    with pytest.raises(UnusableInputError, match=words) as refusal:
+        Configuration.of(name, probe, spring)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_probe_has_one_shape():
+    with pytest.raises(ValidationError, match="either a diameter, or a width and a length"):
+        Probe(name="both", diameter_m=4e-3, width_m=5e-3, length_m=16e-3)
+    with pytest.raises(ValidationError, match="either a diameter, or a width and a length"):
+        Probe(name="none")
+
+
+def test_only_indentation_has_depth():
+    assert [has_depth(name) for name in CONFIGURATIONS] == [True, False, False]
+    assert travel_word("surface") == "displacement"
+
+
+def test_a_spring_in_a_file_is_a_number_or_none():
+    assert spring_of({"external_spring_n_per_m": 800.0}) == 800.0
+    for nonsense in ("800", -5.0, float("nan"), 1e9):
+        assert spring_of({"external_spring_n_per_m": nonsense}) == 0.0
+    assert spring_of({}) == 0.0
+
+
+def test_the_handheld_is_lighter_and_weaker():
+    assert (HANDHELD.coil_resistance_ohm, HANDHELD.moving_mass_kg, HANDHELD.stroke_m) == (9.5, 0.0395, 0.032)
+    ratio = HANDHELD.force_constant_n_per_a / DESKTOP.force_constant_n_per_a
+    assert ratio == pytest.approx(0.35 / 0.53 * 9.5 / 12.0)
+    assert DESKTOP.weight_n() == pytest.approx(0.588, abs=1e-3)
+    assert DESKTOP.weight_n(0.0) == 0.0
+
+
+def test_angles():
+    assert angle_deg((1.0, 0.0), (0.0, 2.0)) == pytest.approx(90.0)
+    assert angle_deg((9.8, 0.0), (9.8, 0.0)) == 0.0
+    assert angle_deg((0.0, 0.0), (1.0, 0.0)) == 0.0
