@@ -148,7 +148,7 @@ def _deviations() -> Iterator[Claim]:
     rig = Rig(resistance=12.4, inductance=1.15e-3, force_constant=2.87, mass=0.0712, damping=4.1)
     within: dict[str, list[bool]] = {"flux": [], "spring": [], "mass": [], "damping": []}
     for seed in range(SEEDS):
-        tests = swept(rig, PLACES, 2.0, seed)
+        tests = swept(rig, PLACES, 1.5, seed)
         basis = SplineBasis.covering([test.position for test in tests], 2e-3)
         flux = fit_flux(tests, basis)
         balance = fit_balance(tests, flux, rig.stiffness)
