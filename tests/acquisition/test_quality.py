@@ -14,6 +14,7 @@ from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_g
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Session, Test, read_session
+from tissueid.sessions.quality import worst_first
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -321,6 +322,32 @@ def test_a_defect_of_the_gate_costs_no_test(good, monkeypatch):
     quality = QualityGate(DEVICE).judge(good)
     assert [f.code for f in quality.findings] == ["not_judged"]
     assert quality.verdict == "look"
+
+
+def test_a_session_whose_figures_make_no_sense_is_told_so(good):
+    senseless = replace(DEVICE, force_constant_n_per_a=0.0, coil_resistance_ohm=0.0)
+    slow = replace(good, sample_rate_hz=0.5)
+    for session in (Session(senseless, tests=(good,)), Session(DEVICE, tests=(slow,))):
+        ((_, quality),) = judge_session(session)
+        json.dumps(quality.as_dict(), allow_nan=False)
+        assert quality.verdict != "good"
+
+
+def test_figures_that_are_no_numbers_are_left_out():
+    quality = worst_first(
+        [QualityFinding("a", "note", "A.", "B.", float("inf")), QualityFinding("b", "look", "A.", "B.")]
+    )
+    assert [finding.value for finding in quality.findings] == [None, None]
+    assert quality.as_notes()
+
+
+def test_a_coil_that_opens_in_mid_test_is_open(good):
+    current = good.signals["current"].copy()
+    current[5500:] = 0.0
+    spoilt = replace(
+        good, signals=good.signals | {"current": current, "force": current * DEVICE.force_constant_n_per_a}
+    )
+    assert found(spoilt)["coil_open"].severity == "repeat"
 
 
 def test_a_gate_remembers_no_more_than_it_should(good, monkeypatch):

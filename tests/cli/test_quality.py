@@ -27,6 +27,14 @@ def test_a_test_ends_with_its_verdict(session):
     assert set(told["tests"][0]["quality"][0]) == {"code", "severity", "words", "advice", "value"}
 
 
+def test_a_site_that_looks_like_markup_is_shown_as_it_is(session, tmp_path, capsys):
+    one = read_session(session[0])
+    odd = replace(one, tests=tuple(replace(test, site="[/b] arm [left]") for test in one.tests))
+    write_session(tmp_path / "odd.h5", odd)
+    assert main(["quality", str(tmp_path / "odd.h5")]) == 0
+    assert "[/b] arm [left]" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_saved_session_is_judged_anew(session, tmp_path, capsys):
     path, _ = session
     answer = tmp_path / "q.json"

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -108,10 +109,18 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
         yield show
 
 
-def table(title: str, *columns: str) -> Table:
+class PlainTable(Table):
+    """A table whose texts are shown as they are: names from files and people may look like markup."""
+
+    def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
+        """Add a row, nothing in it taken for markup."""
+        super().add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in cells), **options)
+
+
+def table(title: str, *columns: str) -> PlainTable:
     """An empty table in the house style: first column left, the others right."""
-    result = Table(
-        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0)
+    result = PlainTable(
+        title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0)
     )
     for number, column in enumerate(columns):
         result.add_column(column, justify="left" if number == 0 else "right")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from math import isfinite
 from typing import Any, Literal, get_args
 
 from tissueid.sessions.model import Test
@@ -74,7 +75,10 @@ class Quality:
 
 def worst_first(findings: list[QualityFinding]) -> Quality:
     """Findings in order of severity; of the same one as they were found."""
-    return Quality(tuple(sorted(findings, key=lambda finding: -SEVERITIES.index(finding.severity))))
+    told = [
+        replace(item, value=None) if item.value is not None and not isfinite(item.value) else item for item in findings
+    ]
+    return Quality(tuple(sorted(told, key=lambda finding: -SEVERITIES.index(finding.severity))))
 
 
 def quality_of(test: Test) -> Quality | None:

@@ -24,6 +24,7 @@ _STUCK_DRIVE_N = 0.3
 GAIN_OFF = 0.10
 RESISTANCE_OFF = 0.25
 _OPEN = 5.0
+_WINDOW_S = 0.2
 
 OUTSIDE_SHARE = 0.01
 WARM_C, HOT_C = 50.0, 65.0
@@ -188,12 +189,12 @@ def driven(evidence: Evidence) -> Iterator[QualityFinding]:
             "Check the power supply; the force is measured and can be used, but was not the one that was designed.",
             gain,
         )
-    conductance = _slope(voltage, current) * device.coil_resistance_ohm
+    conductance = _least_slope(voltage, current, round(_WINDOW_S * evidence.rate)) * device.coil_resistance_ohm
     if conductance < 1.0 / _OPEN:
         yield QualityFinding(
             "coil_open",
             "repeat",
-            "Hardly any current flowed through the coil.",
+            "Hardly any current flowed through the coil, for some of the test or for all of it.",
             "Check that the coil is connected, then run 'tissueid calibrate static'.",
             conductance,
         )
@@ -211,6 +212,16 @@ def driven(evidence: Evidence) -> Iterator[QualityFinding]:
 def _slope(x: np.ndarray, y: np.ndarray) -> float:
     deviations = x - x.mean()
     return float(deviations @ (y - y.mean()) / (deviations @ deviations))
+
+
+def _least_slope(x: np.ndarray, y: np.ndarray, window: int) -> float:
+    """The least slope of y against x in any window of so many samples in which x moves as it does throughout."""
+    moving, slopes = 0.5 * float(x.std()), [_slope(x, y)]
+    for first in range(0, x.size - window + 1, max(2, window)):
+        part = slice(first, first + window)
+        if window >= 2 and float(x[part].std()) > moving:
+            slopes.append(_slope(x[part], y[part]))
+    return min(slopes)
 
 
 def _resting_ratio(voltage: np.ndarray, current: np.ndarray) -> float:

@@ -58,6 +58,19 @@ def judge(test: Test, device: DeviceDescription, earlier: Sequence[Test] = ()) -
     return worst_first(found)
 
 
+NOT_JUDGED = Quality(
+    (
+        QualityFinding(
+            "not_judged",
+            "look",
+            "The quality gate failed on this test: it was not judged.",
+            "Look at its signals before you use it.",
+        ),
+    )
+)
+"""A defect of the gate, or a file whose figures make no sense, never costs a test that was recorded."""
+
+
 class QualityGate:
     """Judges the tests of one sitting as they end. Of those before it keeps what later ones are compared with."""
 
@@ -66,13 +79,10 @@ class QualityGate:
         self._earlier: list[Test] = []
 
     def judge(self, test: Test) -> Quality:
-        """Judge the newest test. A defect of the gate never costs a test that was recorded: it is its finding."""
-        try:
-            found = judge(test, self._device, self._earlier)
-        except Exception as error:
-            log.exception("the quality gate failed on test %d", test.number)
-            words = f"The quality gate failed on this test ({type(error).__name__}): it was not judged."
-            return Quality((QualityFinding("not_judged", "look", words, "Look at its signals before you use it."),))
+        """Judge the newest test."""
+        found = _judged(test, self._device, self._earlier)
+        if found is None:
+            return NOT_JUDGED
         kept = {name: values for name, values in test.signals.items() if name in COMPARED_SIGNALS}
         self._earlier.append(replace(test, signals=kept))
         while sum(other.samples for other in self._earlier) > MOST_SAMPLES:
@@ -83,4 +93,13 @@ class QualityGate:
 def judge_session(session: Session) -> Iterator[tuple[Test, Quality]]:
     """Judge the tests of a session anew, each against those before it."""
     for place, test in enumerate(session.tests):
-        yield test, judge(test, session.instrument, session.tests[:place])
+        yield test, _judged(test, session.instrument, session.tests[:place]) or NOT_JUDGED
+
+
+def _judged(test: Test, device: DeviceDescription, earlier: Sequence[Test]) -> Quality | None:
+    """Judge a test, whatever it holds; None where the gate could not."""
+    try:
+        return judge(test, device, earlier)
+    except Exception:
+        log.exception("the quality gate failed on test %d", test.number)
+        return None
