@@ -1,18 +1,16 @@
 """Which calibration is in force: what is used, what is flagged, what is refused, and what it does to a measurement."""
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from known_calibrations import DEVICE, NOW, made
 from static_rig import ERRORS, TRUTH, rig
 
 from firmware_sim.converters import ChannelError
 from tissueid.acquisition.guided import play
 from tissueid.calibration import (
-    Calibration,
-    Quantity,
     StaticPlan,
     Stored,
     calibrate_static,
@@ -22,37 +20,10 @@ from tissueid.calibration import (
     stored_calibrations,
     write_calibration,
 )
-from tissueid.calibration.file import utc_date
 from tissueid.calibration.in_force import corrections, judged, warnings_of
 from tissueid.calibration.store import VARIABLE
-from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument
-
-NOW = datetime(2026, 6, 1, 12, 0, tzinfo=UTC)
-DEVICE = DeviceDescription(serial_number="A-1")
-
-
-def quantities(**figures):
-    return {name: Quantity(value=value, std=abs(value) * 1e-3) for name, value in figures.items()}
-
-
-def made(days_ago=10.0, kind="static", **changes):
-    figures = (
-        {"coil_resistance_ohm": 12.3, "force_constant_n_per_a": 2.9, "current_offset_a": 0.01}
-        if kind == "static"
-        else {"moving_mass_kg": 0.066, "linear_region_min_m": 0.004, "linear_region_max_m": 0.0275}
-    )
-    content = {
-        "kind": kind,
-        "model": DEVICE.model,
-        "serial_number": DEVICE.serial_number,
-        "date": utc_date(NOW - timedelta(days=days_ago)),
-        "software": "tissueid 0",
-        "verdict": "passed",
-        "quantities": quantities(**figures | changes.pop("figures", {})),
-    }
-    return Stored(Path(f"{kind}-{days_ago:g}.toml"), Calibration(**content | changes))
 
 
 def test_calibrated_figures_lie_over_the_nominal_ones():
@@ -158,7 +129,7 @@ def test_under_a_calibration_force_is_measured_right(tmp_path):
     in_force = calibrated(instrument, tmp_path)
     assert in_force.state == "valid"
     assert "calibrated today, linear region not known" in in_force.words
-    assert "there is no sweep" not in "".join(in_force.warnings)
+    assert in_force.warnings == ("the linear region is not known: run 'tissueid calibrate sweep'",)
 
     bench = instrument._link.firmware.bench
     assert instrument.move_stage(0.016)

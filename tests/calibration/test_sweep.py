@@ -40,6 +40,14 @@ TRUE = SPRING.model_copy(
 SHORT = SweepPlan(from_m=0.014, to_m=0.018, step_m=4e-3, seconds=1.0)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _long_ticks():
+    """The virtual clock goes on in larger steps: nothing here depends on how fine they are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("support.TICK_S", 0.02)
+        yield
+
+
 class Rehearsed:
     """A sweep on a simulated instrument, its session in a folder."""
 
@@ -58,7 +66,7 @@ class Rehearsed:
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
     """A whole sweep of a device that is not what it says of itself."""
-    plan = SweepPlan(from_m=0.0013, to_m=0.0313, step_m=3e-3, seconds=1.5)
+    plan = SweepPlan(from_m=0.0013, to_m=0.0313, step_m=3e-3, seconds=1.0)
     rehearsed = Rehearsed(tmp_path_factory.mktemp("sweep"), plan, TRUE)
     rehearsed.result = analyse_sweep(rehearsed.tests(), rehearsed.instrument.device, remarks=rehearsed.sweep.remarks)
     return rehearsed

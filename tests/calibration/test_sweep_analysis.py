@@ -12,10 +12,14 @@ from tissueid.calibration.force_balance import fit_balance
 from tissueid.calibration.force_profile import linear_region
 from tissueid.calibration.spline_basis import SplineBasis
 from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
+from tissueid.calibration.sweep_file import as_calibration
+from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.records import Record
+from tissueid.reports.calibration import sweep_report
+from tissueid.sessions import Test
 
 NOMINAL = DeviceDescription()
 TRUE = Rig(resistance=12.4, inductance=1.15e-3, force_constant=2.87, mass=0.0712, damping=4.1)
@@ -196,6 +200,180 @@ def test_a_coil_far_from_nominal_is_not_put_in_force():
     found = result_of(Rig(force_constant=2.2), tuple(FEW))
     assert not found.passed
     assert "should be near 3.00 N/A" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("rig", "spring", "words"),
+    [
+        (Rig(), SweptSpring(1000.0, 0.003, 0.200), "moving_mass_kg is -0.000"),
+        (Rig(inductance=2e-3), GOOD_SPRING, "coil_inductance_h is 0.002"),
+        (Rig(damping=8.0), GOOD_SPRING, "more than 50 % from the nominal 3.5"),
+        (Rig(resistance=18.0), GOOD_SPRING, "the resistance is 18.0 ohm and should be near 12.0 ohm"),
+        (Rig(force_constant=-3.0), GOOD_SPRING, "the force constant is -3.00 N/A"),
+        (Rig(position_gain=-1.0), GOOD_SPRING, "for each millimetre that the stage moves, the position reads -1.00 mm"),
+    ],
+    ids=["mass", "inductance", "damping", "resistance", "coil reversed", "position reversed"],
+)
+def test_figures_that_cannot_be_fail_the_verdict_in_words(rig, spring, words):
+    made = as_calibration(analyse_sweep(swept(rig, FEW, 1.0), NOMINAL, spring))
+    assert made.verdict == "failed"
+    assert any(words in problem for problem in made.problems)
+    assert sweep_report(made).level == "poor"
+
+
+def test_figures_are_held_against_what_the_device_says_of_itself_and_not_against_a_calibration():
+    device = replace(NOMINAL, moving_mass_kg=0.08, calibration={"nominal_moving_mass_kg": 0.06})
+    assert analyse_sweep(recorded(Rig(), tuple(FEW)), device, GOOD_SPRING).passed
+    assert not analyse_sweep(recorded(Rig(), tuple(FEW)), replace(device, calibration={}), GOOD_SPRING).passed
+
+
+@pytest.mark.parametrize("reversed_one", ["current_gain", "voltage_gain"])
+def test_a_current_that_goes_against_the_voltage_is_refused(reversed_one):
+    with pytest.raises(UnusableInputError, match="the current channel the right way round"):
+        analyse_sweep(swept(Rig(**{reversed_one: -1.0}), FEW, 1.0), NOMINAL)
+
+
+def test_tests_at_different_rates_are_refused():
+    tests = [*recorded(Rig(), tuple(FEW))[:4], *swept(Rig(rate=4000.0), FEW[4:], 1.0)]
+    with pytest.raises(UnusableInputError, match="recorded at 2000 to 4000 samples a second"):
+        analyse_sweep(tests, NOMINAL)
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ({"coil_resistance_ohm": 0.0}, "coil_resistance_ohm is 0: that cannot be"),
+        ({"coil_resistance_ohm": np.nan}, "coil_resistance_ohm is nan: that cannot be"),
+        ({"moving_mass_kg": np.inf}, "moving_mass_kg is inf: that cannot be"),
+        ({"calibration": {"nominal_coil_inductance_h": "none"}}, "coil_inductance_h is nan: that cannot be"),
+        ({"model": ""}, "the instrument's model is ''"),
+        ({"serial_number": "D-7\nD-8"}, "the instrument's serial number is"),
+        ({"serial_number": 201 * "7"}, "a line of 1 to 200 characters"),
+    ],
+)
+def test_a_device_that_cannot_be_is_refused(device, words):
+    with pytest.raises(UnusableInputError, match=words):
+        analyse_sweep(recorded(Rig(), tuple(FEW)), replace(NOMINAL, **device))
+
+
+def test_tests_that_tell_nothing_are_refused():
+    still = 1e-3 * np.array([8, 12, 16, 20, 24])
+    flicker = 1e-9 * np.array([1.0, -1.0])  # of the last digit: enough to be a change, not to be a motion
+    tests = [
+        replace(test, position=place + np.resize(flicker, test.position.size))
+        for test, place in zip(recorded(Rig(), tuple(FEW)), still, strict=True)
+    ]
+    with pytest.raises(UnusableInputError, match="see that the spring"):
+        analyse_sweep(tests, NOMINAL)
+
+
+def test_what_cannot_be_solved_is_said(monkeypatch):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("tissueid.calibration.sweep_analysis.fit_flux", singular)
+    with pytest.raises(UnusableInputError, match="do not tell what the coil is"):
+        analyse_sweep(recorded(Rig(), tuple(FEW)), NOMINAL)
+
+
+GOOD_SIGNALS = {
+    "voltage": 3.0 * np.sin(np.arange(2000.0)),
+    "current": 0.2 * np.sin(np.arange(2000.0)),
+    "position": 0.016 + 1e-3 * np.sin(np.arange(2000.0)),
+}
+
+
+def kept_test(rate=2000.0, notes=None, preload_s=0.0, **signals):
+    signals = {name: values for name, values in (GOOD_SIGNALS | signals).items() if values is not None}
+    return Test(7, "spring", signals, rate, preload_s=preload_s, notes=notes or {})
+
+
+def test_a_test_is_taken_from_a_session_with_what_is_not_known():
+    lost = GOOD_SIGNALS["current"].copy()
+    lost[100] = np.inf
+    test = SweepTest.of_session(kept_test(current=lost, notes={"stage_m": "by hand", "sweep": 3.0}, preload_s=0.1))
+    assert test.position.size == 1800
+    assert test.sweep == 3
+    assert np.isnan(test.stage_m)
+    assert np.isfinite(test.current).all()  # the one that is not lay within the preload
+    assert np.isnan(SweepTest.of_session(kept_test(current=lost)).current[100])
+
+
+@pytest.mark.parametrize(
+    ("kept", "words"),
+    [
+        (kept_test(voltage=None), "test 7 has no voltage"),
+        (kept_test(notes={"sweep": np.nan}), "test 7 says that it is of sweep nan"),
+        (kept_test(notes={"sweep": np.inf}), "of sweep inf"),
+        (kept_test(notes={"sweep": 1.5}), "of sweep 1.5"),
+        (kept_test(notes={"sweep": "first"}), "of sweep first"),
+        (kept_test(rate=1e9), "test 7: a sweep is recorded at 1000 to 20000 samples a second, not at 1e"),
+        (kept_test(rate=100.0), "not at 100"),
+        (kept_test(rate=np.nan), "not at nan"),
+        (kept_test(preload_s=1e300), "lasts 0.5 to 60 s, not 0 s"),
+        (kept_test(current=np.full(2000, 1e200)), "the current goes to 1e.200: no instrument measures that"),
+        (kept_test(position=1e3 * GOOD_SIGNALS["position"]), "check the units"),
+        (kept_test(current=np.zeros(2000)), "the current does not change"),
+        (kept_test(voltage=np.full(2000, 5.0)), "the voltage does not change"),
+        (kept_test(position=np.full(2000, np.inf)), "most samples of a test were lost"),
+    ],
+)
+def test_a_test_that_no_sweep_leaves_is_refused(kept, words):
+    with pytest.raises(UnusableInputError, match=words):
+        SweepTest.of_session(kept)
+
+
+def test_samples_lost_in_between_everywhere_are_refused():
+    tests = list(recorded(Rig(), tuple(FEW)))
+    tests[1] = replace(tests[1], current=np.where(np.arange(tests[1].current.size) % 3, tests[1].current, np.nan))
+    tests[1] = replace(tests[1], voltage=np.where(np.arange(tests[1].current.size) % 3, tests[1].voltage, np.nan))
+    with pytest.raises(UnusableInputError, match="too many samples of a test were lost"):
+        analyse_sweep(tests, NOMINAL)
+
+
+def test_a_weak_repeat_is_said_and_counts_with_the_others():
+    tests = [*recorded(TRUE, tuple(FEW)), *(replace(test, sweep=1) for test in swept(TRUE, FEW[:3], 1.0, 3))]
+    tests += [replace(test, sweep=2) for test in swept(TRUE, FEW, 1.0, 4)]
+    found = analyse_sweep(tests, NOMINAL, remarks=("one before",))
+    assert found.passed
+    assert [run.runs for run in found.repeats] == [(1,), (3,)]
+    assert found.remarks[0] == "one before"
+    assert "run 2 is too little by itself" in found.remarks[1]
+    made = as_calibration(found)
+    assert made.conditions["repeats"] == 3.0
+    assert made.tables["repeats"]["run"] == (1.0, 3.0)
+
+
+def test_what_cannot_be_kept_of_a_sweep_is_said():
+    with pytest.raises(UnusableInputError, match=r"cannot be kept: 'conditions\.session_id'"):
+        as_calibration(result_of(Rig(), tuple(FEW)), conditions={"session_id": 1000 * "x"})
+
+
+def test_deviations_are_neither_too_small_nor_too_large():
+    """Errors over deviations, root mean square: a third where they are three times too large, three where so small."""
+    rig, off = Rig(), {}
+    places = np.linspace(9e-3, 23e-3, 8)
+    for seed in range(12):
+        flux, balance = both_halves(swept(rig, FEW, 1.0, 50 + seed))
+        values = flux.basis.values(places)
+        for name, half in (("flux", flux), ("spring", balance)):
+            std = np.sqrt(np.einsum("ij,jk,ik->i", values, half.covariance, values))
+            off.setdefault(name, []).extend((values @ half.coefficients - rig.k(places)) / std)
+        off.setdefault("resistance", []).extend((found.value - 12.0) / found.std for found in flux.resistance_ohm)
+        off.setdefault("lag", []).append((flux.lag.seconds - 1e-3 / 12.0) / flux.lag.noise_s)
+        for name, found, true in (
+            ("mass", balance.mass_kg, rig.mass),
+            ("damping", balance.damping_n_s_per_m, rig.damping),
+        ):
+            off.setdefault(name, []).append((found.value - true) / found.std)
+    sizes = {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in off.items()}
+    assert {name: size for name, size in sizes.items() if not 0.6 < size < 2.0} == {}
+
+
+def test_both_scales_are_within_the_deviation_of_all_together():
+    plateau = result_of(Rig(), tuple(FEW), GOOD_SPRING).region.plateau_n_per_a
+    together = 1.0 / np.hypot(1.0 / 0.003, 1.0 / 0.005)  # of spring and of voltage over position
+    assert plateau.std / plateau.value == pytest.approx(together, rel=0.2)
 
 
 @pytest.mark.soak

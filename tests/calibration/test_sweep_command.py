@@ -1,8 +1,11 @@
 """``tissueid calibrate sweep`` as technicians and scripts meet it."""
 
 import json
+import time
 
+import numpy as np
 import pytest
+from spring_rig import Rig, swept
 from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
@@ -10,10 +13,20 @@ from tissueid.calibration import read_calibration
 from tissueid.calibration.moved_by_hand import Standing
 from tissueid.calibration.sweep import Sweep
 from tissueid.cli import main
-from tissueid.sessions import read_session
+from tissueid.device import DeviceDescription
+from tissueid.sessions import Session, Test, read_session, write_session
 
 SPRING = Scenario(preset="calibration-spring", coil="finite", seed=5)
 SHORT = ["--from", "8", "--to", "24", "--step", "4", "--seconds", "1"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quicker():
+    """Larger steps of the virtual clock and shorter gentle tests: nothing here depends on either."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("support.TICK_S", 0.02)
+        patch.setattr("tissueid.calibration.sweep_amplitude.GENTLE_S", 0.5)
+        yield
 
 
 @pytest.fixture
@@ -161,3 +174,77 @@ def test_another_file_is_not_written_over(device, tmp_path, capsys):
     out.write_text("mine", encoding="utf-8")
     assert "not written over" in complaint(capsys, "--device", "spring", "--out", out)
     assert out.read_text(encoding="utf-8") == "mine"
+
+
+def kept_elsewhere(path, device=None, **about):
+    """A session of a sweep, as others may have written it."""
+    recorded = swept(Rig(), 1e-3 * np.array([8, 12, 16, 20, 24]), 1.0)
+    tests = tuple(
+        Test(
+            number,
+            "spring",
+            {name: getattr(test, name) for name in ("voltage", "current", "position")},
+            2000.0,
+            surface_position_m=test.rest_m,
+            notes={"stage_m": test.stage_m},
+        )
+        for number, test in enumerate(recorded, start=1)
+    )
+    described = {"model": "desktop", "serial_number": "D-7"} | (device or {})
+    write_session(path, Session(DeviceDescription(**described), tests=tests, **about))
+    return path
+
+
+def test_a_kept_sweep_carries_its_time_as_utc_and_the_static_calibration_that_corrected_it(
+    tmp_path, monkeypatch, capsys
+):
+    known = {"static_file": "static.toml", "static_date": "2026-02-01T00:00:00Z", "force_constant_n_per_a": 2.9}
+    kept = kept_elsewhere(tmp_path / "kept.h5", {"calibration": known}, created="2026-03-01T12:00:00")
+    out = tmp_path / "sweep.toml"
+    try:
+        monkeypatch.setenv("TZ", "America/New_York")
+        time.tzset()
+        assert sweep("--kept", kept, "--out", out) == 0
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    made = read_calibration(out)
+    assert made.date == "2026-03-01T12:00:00Z"
+    assert made.verdict == "passed"
+    assert made.conditions["static_file"] == "static.toml"
+    assert made.conditions["static_date"] == "2026-02-01T00:00:00Z"
+
+
+@pytest.mark.parametrize(
+    ("about", "device", "words"),
+    [
+        ({"created": "yesterday"}, {}, "'yesterday': that is no time"),
+        ({"created": ""}, {}, "that is no time"),
+        ({"created": "0001-01-01T00:00:00+14:00"}, {}, "that is no time"),
+        ({"created": "0001-01-01T00:00:00Z"}, {}, "there was no such instrument then"),
+        ({"session_id": 1000 * "x"}, {}, "the sweep cannot be kept: 'conditions.session_id'"),
+        ({}, {"serial_number": "D-7\nD-8"}, "it must be a line of 1 to 200 characters"),
+        ({}, {"coil_resistance_ohm": 0.0}, "coil_resistance_ohm is 0: that cannot be"),
+    ],
+)
+def test_a_foreign_session_that_cannot_be_used_is_said_in_a_line(tmp_path, capsys, about, device, words):
+    kept, out = kept_elsewhere(tmp_path / "kept.h5", device, **about), tmp_path / "sweep.toml"
+    assert words in complaint(capsys, "--kept", kept, "--out", out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--json", "sweep.toml"],
+        ["--report", "sweep.toml"],
+        ["--session", "sweep.toml"],
+        ["--session", "a.h5", "--json", "../{0}/a.h5"],
+    ],
+)
+def test_one_file_for_two_things_is_refused_before_anything_is_done(device, tmp_path, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(tmp_path)
+    named = [argument.format(tmp_path.name) for argument in arguments]
+    assert "is named for two things" in complaint(capsys, "--device", "spring", "--out", "sweep.toml", *named)
+    assert len(device) == 1
+    assert not list(tmp_path.iterdir())

@@ -70,7 +70,7 @@ def test_list_tells_the_state_of_each(kept, tmp_path, capsys):
     (tmp_path / "broken.toml").write_text("[")
     assert main(["calibrate", "list", "--calibrations", str(tmp_path), "--json", "-"]) == 0
     listed = {
-        row["file"].rsplit("/", 1)[-1]: (row["state"], row["in_force"])
+        row["file"].rsplit("/", 1)[-1]: (row["state"], row["newest_that_passed"])
         for row in json.loads(capsys.readouterr().out)["calibrations"]
     }
     assert listed == {
@@ -84,6 +84,10 @@ def test_list_tells_the_state_of_each(kept, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "too noisy" in out
     assert "new.toml" not in out
+    assert main(["calibrate", "list", "--calibrations", str(tmp_path)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "newest that passed" in out
+    assert "in force" not in out
 
 
 def test_an_empty_folder_is_said(tmp_path, capsys):
@@ -98,6 +102,9 @@ def test_refusals_say_what_to_give(tmp_path, capsys):
     assert "--push-only" in complaint(capsys, *static, *out, "--steps", "electrical")
     assert "need a person on a terminal" in complaint(capsys, *static, *out, "--weight", 50)
     assert "--in-place asks nobody" in complaint(capsys, *static, *out, "--in-place", "--gauge", 5)
+    for other in ("--json", "--report"):
+        assert "named for two things" in complaint(capsys, *static, *out, other, tmp_path / "." / "a.toml")
+    assert "0 to 200 mm high" in complaint(capsys, *static, *out, "--gauge", 0, "--gauge", 5, "--gauge", "nan")
     assert "no folder" in complaint(capsys, *static, "--out", tmp_path / "b" / "a.toml")
     (tmp_path / "notes.toml").write_text("title = 'mine'\n")
     assert "not written over" in complaint(capsys, *static, "--out", tmp_path / "notes.toml")

@@ -110,6 +110,19 @@ def test_a_failed_one_says_why():
     assert "the channels' scales disagree" in checked(report.html()).text
 
 
+def test_a_coil_the_wrong_way_round_gets_a_page_as_well():
+    whole = made(verdict="failed", response=True)
+    turned = {
+        table: {
+            name: tuple(-value for value in values) if name.endswith(("n_per_a", "n_per_m", "_kg")) else values
+            for name, values in columns.items()
+        }
+        for table, columns in whole.tables.items()
+    }
+    page = checked(sweep_report(whole.model_copy(update={"tables": turned})).html())
+    assert len(page.named("svg")) == 2
+
+
 def test_without_responses_the_other_figures_are_there():
     page = checked(sweep_report(made(response=True)).html())
     assert "the calibration holds no responses" in page.text

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from tissueid.calibration.findings import Findings, column, quantity
 from tissueid.calibration.levels import Levels, mean, noise_of_mean
 from tissueid.calibration.line import Line, straight_line
-from tissueid.device import DeviceDescription
+from tissueid.calibration.plausible import IMPLAUSIBLE
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 
-IMPLAUSIBLE = 0.20
-"""Further than this from what the device says of itself, a figure is not believed."""
 MOST_BENT = 0.01
 """A line whose points lie further off than this share of what they span is none."""
 MOST_HYSTERESIS = 0.01
@@ -24,7 +23,6 @@ MOST_OUTLIERS = 0.25
 MOST_LEAK_A = 0.01
 UNKNOWN_GAIN = 0.01
 """Relative deviation of the position scale where it was not calibrated."""
-STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,7 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
     problems = [
         *_bent(line, levels.current_a, "current against voltage"),
         *_bent(gain, levels.voltage_v, "voltage against the command"),
+        *_short(gain, levels),
         *_implausible("the coil's resistance", resistance.value, device.coil_resistance_ohm, "ohm"),
         *_implausible("the voltage for one volt of command", gain.slope.value, device.amplifier_gain, "V"),
     ]
@@ -79,7 +78,7 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
             }
         },
         problems=tuple(problems),
-        notes=tuple(_outliers(line, "current against voltage")),
+        notes=(*_outliers(line, "current against voltage"), *_outliers(gain, "voltage against the command")),
     )
 
 
@@ -87,9 +86,13 @@ def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
     """The coil's resistance from current against voltage.
 
     Raises:
-        UnusableInputError: no current flows.
+        UnusableInputError: no current flows, or against the voltage.
     """
     conductance = line.slope
+    if conductance.value * device.coil_resistance_ohm < -0.1:
+        raise UnusableInputError(
+            "the current reads against the voltage: one of the two channels is the wrong way round"
+        )
     if conductance.value * device.coil_resistance_ohm < 0.1:
         raise UnusableInputError("no current flows through the coil: check that it is connected")
     return Estimate(1.0 / conductance.value, (conductance.std or 0.0) / conductance.value**2)
@@ -105,9 +108,17 @@ def spring_line(levels: Levels, zero_a: float) -> Line:
 
 
 def force_by_spring(
-    levels: Levels, device: DeviceDescription, spring: Spring, position_gain: Estimate | None, zero_a: float
+    levels: Levels,
+    device: DeviceDescription,
+    spring: Spring,
+    position_gain: Estimate | None,
+    zero_a: float,
+    *,
+    known: bool = True,
 ) -> Findings:
     """The force constant, in newtons for what the current channel calls an ampere, against a spring.
+
+    With ``known`` false the spring only holds the probe, and the force constant that follows from it is not judged.
 
     The spring's length follows the current in a straight line of slope gain * force constant / stiffness, where the
     gain is that of the position channel. Every level but the outermost was come to from either side: their difference
@@ -127,7 +138,7 @@ def force_by_spring(
     swing = float(np.ptp(levels.position_m))
     problems = [
         *_bent(line, levels.position_m, "position against current"),
-        *_implausible("the force constant", value, device.force_constant_n_per_a, "N/A"),
+        *(_implausible("the force constant", value, device.force_constant_n_per_a, "N/A") if known else ()),
     ]
     if hysteresis > MOST_HYSTERESIS * swing:
         problems.append(
@@ -155,6 +166,10 @@ def force_by_spring(
         },
         problems=tuple(problems),
         notes=tuple(_outliers(line, "position against current")),
+        shared={
+            "force_constant_n_per_a": 0.0 if position_gain is not None else abs(value) * scale,
+            "spring_n_per_m": spring.relative_std * spring.stiffness_n_per_m,
+        },
     )
 
 
@@ -174,7 +189,7 @@ def force_by_weights(
     lines = [spring_line(one, zero_a) for one in series]
     slope = float(np.mean([line.slope.value for line in lines]))
     carried = np.array([(line.intercept.value - lines[0].intercept.value) / slope for line in lines])  # A
-    newtons = np.asarray(weights_kg) * STANDARD_GRAVITY * along
+    newtons = np.asarray(weights_kg) * GRAVITY_M_S2 * along
     noise = series[0].noise["current"]
     constant = float(newtons @ carried / (carried @ carried)) if np.any(carried) else 0.0
     off = newtons - constant * carried
@@ -214,6 +229,19 @@ def _bent(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
     if np.mean(line.outliers) > MOST_OUTLIERS:
         found.append(f"{what}: {np.count_nonzero(line.outliers)} of {line.outliers.size} points lie off the line")
     return found
+
+
+def _short(gain: Line, levels: Levels) -> list[str]:
+    """Where the greatest command of either sign gives less voltage than the others promise."""
+    for number in (int(np.argmax(levels.command_v)), int(np.argmin(levels.command_v))):
+        command, voltage = levels.command_v[number], levels.voltage_v[number]
+        promised = gain.at(float(command))
+        if abs(command) > 0 and np.sign(command) * (promised - voltage) > MOST_BENT * abs(promised):
+            return [
+                f"the amplifier gives {voltage:.2f} V where {promised:.2f} V were to be expected: "
+                "check its supply, the voltage is clipped"
+            ]
+    return []
 
 
 def _outliers(line: Line, what: str) -> list[str]:

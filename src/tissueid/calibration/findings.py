@@ -15,12 +15,17 @@ from tissueid.records import Estimate
 
 @dataclass(frozen=True)
 class Findings:
-    """What one step found. ``problems`` make the verdict a failure; ``notes`` do not."""
+    """What one step found. ``problems`` make the verdict a failure; ``notes`` do not.
+
+    ``shared`` is the part of a figure's deviation that every repeat has alike, in the figure's unit: what the spring is
+    known to, and the like.
+    """
 
     quantities: dict[str, Quantity] = field(default_factory=dict)
     tables: dict[str, dict[str, tuple[float, ...]]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    shared: dict[str, float] = field(default_factory=dict)
 
     def value(self, name: str) -> float:
         """A figure that a step before has found.
@@ -38,27 +43,31 @@ class Findings:
             self.tables | other.tables,
             self.problems + other.problems,
             self.notes + other.notes,
+            {name: std for name, std in self.shared.items() if name not in other.quantities} | other.shared,
         )
 
 
 def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> Quantity:
-    """A figure with its deviation, as a calibration keeps it; a deviation that is not finite is none."""
+    """A figure with its deviation, as a calibration keeps it; a deviation that is not finite is none.
+
+    Deviations that were scaled by a figure of the wrong sign, from a channel the wrong way round, are made positive.
+    """
     found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
-    known = None if found.std is None or not np.isfinite(found.std) else float(found.std)
+    known = None if found.std is None or not np.isfinite(found.std) else abs(float(found.std))
     return Quantity(value=float(found.value), std=known, unit=unit)
 
 
 def column(values: ArrayLike) -> tuple[float, ...]:
-    """A column of a table."""
-    return tuple(float(value) for value in np.asarray(values, np.float64))
+    """A column of a table, to as many digits as anybody reads."""
+    return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
 
 
 def repeated(runs: Sequence[Findings]) -> Findings:
     """One finding from several runs of the same steps: means, and how far they lie apart.
 
-    The deviation of a mean is the larger of what each run says of itself and what they scatter by, over the root of
-    their number; what is wrong with one of them is wrong. The table ``repeats`` holds every run's figures; other tables
-    are the first run's.
+    The random part of a mean's deviation is the larger of what each run says of itself and what they scatter by, over
+    the root of their number; what all runs share stays as it is. What is wrong with one of them is wrong. The table
+    ``repeats`` holds every run's figures; other tables are the first run's.
     """
     first = runs[0]
     if len(runs) == 1:
@@ -70,9 +79,9 @@ def repeated(runs: Sequence[Findings]) -> Findings:
         stds = [run.quantities[name].std for run in runs]
         own = float(np.mean([std for std in stds if std is not None])) if None not in stds else 0.0
         scatter = float(np.std(values, ddof=1))
-        quantities[name] = quantity(
-            float(values.mean()), first.quantities[name].unit, max(own, scatter) / len(runs) ** 0.5
-        )
+        shared = float(np.mean([run.shared.get(name, 0.0) for run in runs]))
+        random = max(float(np.sqrt(max(0.0, own**2 - shared**2))), scatter) / len(runs) ** 0.5
+        quantities[name] = quantity(float(values.mean()), first.quantities[name].unit, float(np.hypot(shared, random)))
     repeats = {"run": column(np.arange(1, len(runs) + 1))} | {
         name: column([run.quantities[name].value for run in runs]) for name in names
     }
@@ -81,4 +90,5 @@ def repeated(runs: Sequence[Findings]) -> Findings:
         first.tables | {"repeats": dict(list(repeats.items())[:50])},
         tuple(dict.fromkeys(problem for run in runs for problem in run.problems)),
         tuple(dict.fromkeys(note for run in runs for note in run.notes)),
+        first.shared,
     )

@@ -21,6 +21,7 @@ from tissueid.calibration.coil_answer import FILTER_S, Lag, find_lag, held_equiv
 from tissueid.calibration.spline_basis import Array, SplineBasis
 from tissueid.calibration.spline_regression import covariance_of, solved
 from tissueid.calibration.sweep_test import SweepTest
+from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 
 STENCIL_S = 0.5e-3
@@ -28,6 +29,10 @@ STENCIL_S = 0.5e-3
 _MEMORY_S = 1.5e-3
 """After this long nothing is left of a step in the current."""
 _ROUNDS = 3
+_LEAST_CONDUCTANCE = 1e-4
+"""A/V; with less than this the coil's wire is broken."""
+_LEAST_ROWS = 400
+"""Without so many samples whose neighbours were received a test tells too little of its coil."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +68,11 @@ class _Part:
 
 
 def fit_flux(tests: Sequence[SweepTest], basis: SplineBasis) -> FluxFit:
-    """Fit resistance, inductance and force constant to all tests at once."""
+    """Fit resistance, inductance and force constant to all tests at once.
+
+    Raises:
+        UnusableInputError: too many samples are lacking, or the current does not follow the voltage.
+    """
     parts = [_part(test, basis) for test in tests]
     lag, resistance = Lag(0.0, 0.0, 0.0), np.array([_resistance(part, part.current) for part in parts])
     coefficients = np.zeros(basis.size)
@@ -74,7 +83,7 @@ def fit_flux(tests: Sequence[SweepTest], basis: SplineBasis) -> FluxFit:
             for part, r in zip(parts, resistance, strict=True)
         ]
         answers = [_answer(part, rest) for part, rest in zip(parts, rests, strict=True)]
-        resistance = np.array([1.0 / answer[:-1].sum() for answer in answers])
+        resistance = np.array([_ohms(answer) for answer in answers])
         lag = find_lag([answer[:-1] for answer in answers], tests[0].sample_rate_hz)
     design, target = _separated(parts, resistance, lag.seconds)
     coefficients, inverse = solved(design, target, basis)
@@ -105,6 +114,8 @@ def _part(test: SweepTest, basis: SplineBasis) -> _Part:
     drive = np.stack([*voltages, np.ones(test.voltage.size)], axis=1)
     whole = np.isfinite(drive).all(axis=1) & np.isfinite(velocity).all(axis=1) & np.isfinite(test.current)
     rows = np.flatnonzero(whole)
+    if rows.size < _LEAST_ROWS:
+        raise UnusableInputError("too many samples of a test were lost; check the link and repeat the sweep")
     return _Part(rows.astype(np.float64), test.current[rows], drive[rows], velocity[rows], bend[rows])
 
 
@@ -145,7 +156,22 @@ def _gram(columns: Array) -> Array:
 
 
 def _resistance(part: _Part, current: Array) -> float:
-    return float(1.0 / _answer(part, current)[:-1].sum())
+    return _ohms(_answer(part, current))
+
+
+def _ohms(answer: Array) -> float:
+    """Resistance from an answer, shape (lags + 1,), the last of which is the offset.
+
+    Raises:
+        UnusableInputError: the current goes against the voltage, or hardly with it.
+    """
+    conductance = float(answer[:-1].sum())
+    if not conductance > _LEAST_CONDUCTANCE:
+        raise UnusableInputError(
+            f"for each volt the current changes by {conductance:.2g} A: see that the coil is connected, and the "
+            "current channel the right way round"
+        )
+    return 1.0 / conductance
 
 
 def _separated(parts: Sequence[_Part], resistance: Array, lag: float) -> tuple[Array, Array]:

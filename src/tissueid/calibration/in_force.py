@@ -11,34 +11,15 @@ from typing import Literal
 import numpy as np
 
 from tissueid.calibration.file import Calibration
+from tissueid.calibration.plausible import BOUNDS, LAID_OVER, implausible
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from tissueid.calibration.words import label_of
 from tissueid.device import DeviceDescription
 from tissueid.instrument import Correction, Instrument
 
 State = Literal["valid", "stale", "foreign", "failed", "implausible", "damaged"]
 """Of one calibration: ``valid`` and ``stale`` ones are used, the latter with a warning; the others are refused."""
 
-IMPLAUSIBLE = 0.20
-"""Relative distance from the nominal figure beyond which a calibrated one is not believed."""
-_LAID_OVER = {
-    "coil_resistance_ohm": IMPLAUSIBLE,
-    "force_constant_n_per_a": IMPLAUSIBLE,
-    "moving_mass_kg": IMPLAUSIBLE,
-    "coil_inductance_h": 0.5,
-    "bearing_damping_n_s_per_m": 0.5,
-}
-"""Figures of the device that a calibration measures, and how far each may be from the nominal one."""
-_BOUNDS = {
-    "current_offset_a": (-0.3, 0.3),
-    "voltage_offset_v": (-1.0, 1.0),
-    "voltage_gain": (0.8, 1.2),
-    "position_gain": (0.8, 1.2),
-    "position_offset_m": (-3e-3, 3e-3),
-    "temperature_offset_c": (-10.0, 10.0),
-    "acceleration_gain": (0.8, 1.2),
-    "acceleration_offset_m_s2": (-2.0, 2.0),
-    "calibration_relative_uncertainty": (0.0, 0.5),
-}
 _CHANNELS = {
     "current": (None, "current_offset_a"),
     "voltage": (None, "voltage_offset_v"),
@@ -47,12 +28,25 @@ _CHANNELS = {
     "acceleration_x": ("acceleration_gain", "acceleration_offset_m_s2"),
 }
 """What each recorded channel is corrected by. Gains of current and voltage are within force constant and resistance."""
+_POSITION = ("position_gain", "position_offset_m")
+_NOT_FOR_A_SWEEP = (
+    "force_constant_n_per_a",
+    "force_constant_n_per_a_std",
+    "calibration_relative_uncertainty",
+    "warnings",
+)
+"""What a sweep goes by only after it: it must not know the force constant that it looks for."""
 _CLOCK_DAYS = 1.0
 """By so much may the clock of the computer that calibrated be ahead."""
 DISAGREE = 0.03
 """Static calibration and sweep find the same force constant within this, or it is said."""
+NEEDED = ("coil_resistance_ohm", "force_constant_n_per_a", "current_offset_a")
+"""Without these a static calibration does not turn readings into newtons."""
+MOST_SHIFT_M = 0.1e-3
+"""By so much may the position scale move under a sweep before its linear region is said to be off."""
 _BETWEEN = "; "
 """Stands between two warnings, and in none."""
+NO_REGION = "the linear region is not known: run 'tissueid calibrate sweep'"
 NOT_CALIBRATED = "not calibrated: the nominal figures are used"
 
 
@@ -107,31 +101,66 @@ def go_by_static(
         if item.calibration is not None and item.calibration.kind == "static"
     ]
     known = put_in_force(nominal, stored, now or datetime.now(UTC))
-    instrument.use_calibration(replace(nominal, coil_resistance_ohm=known.coil_resistance_ohm), corrections(known))
-    return {name: known.calibration[name] for name in ("static_file", "static_date") if name in known.calibration}
+    kept = {name: value for name, value in known.calibration.items() if not name.endswith(_NOT_FOR_A_SWEEP)}
+    if warnings := [line for line in warnings_of(known) if line != NO_REGION]:
+        kept["warnings"] = _joined(warnings)
+    device = replace(nominal, coil_resistance_ohm=known.coil_resistance_ohm, calibration=kept)
+    instrument.use_calibration(device, corrections(device))
+    return static_conditions(device)
+
+
+def static_conditions(device: DeviceDescription) -> dict[str, float | str]:
+    """Under which static calibration something is measured: its file, its date, its scale of the position."""
+    known = device.calibration
+    return {name: known[name] for name in ("static_file", "static_date", *_POSITION) if name in known}
 
 
 def put_in_force(nominal: DeviceDescription, stored: Sequence[Stored], now: datetime) -> DeviceDescription:
     """The device with calibrated figures over the nominal ones; ``calibration`` says whose and since when.
 
-    Newest first, the first static calibration and the first sweep that can be used are. All that was refused on the way
-    and is this device's own is a warning. Where there is nothing at all, the device stays as it was.
+    The newest sweep that can be used is; of static calibrations each figure is that of the newest that holds it, good
+    ones before stale ones, so that one of a few steps does not undo a whole one. All that was refused on the way and is
+    this device's own, and all that is older than the newest, is a warning. Where there is nothing at all, the device
+    stays as it was.
     """
-    chosen: dict[str, Stored] = {}
+    used: dict[str, list[_Used]] = {"static": [], "sweep": []}
     warnings: list[str] = []
-    for item in sorted(stored, key=lambda item: item.made, reverse=True):
+    for item in sorted(stored, key=lambda item: (item.made, item.path.name), reverse=True):
         state, reason = judged(item, nominal, now)
+        calibration = item.calibration
         if state == "damaged":
             warnings.append(reason)
-        if item.calibration is None or item.calibration.serial_number != nominal.serial_number:
+        if calibration is None or calibration.serial_number != nominal.serial_number:
             continue
-        if item.calibration.kind in chosen:
-            continue
+        before = used[calibration.kind]
         if state in ("valid", "stale"):
-            chosen[item.calibration.kind] = item
-        if state != "valid":
+            if before and before[0].made == calibration.made and before[0].differs(calibration):
+                warnings.append(
+                    f"{before[0].file} and {item.path.name} are of the same time and differ: the former is used; "
+                    "take the wrong one away"
+                )
+            before.append(_Used(item.path.name, calibration, state, reason))
+        elif not before:
             warnings.append(f"{item.path.name}: {reason}")
-    return _laid_over(nominal, chosen.get("static"), chosen.get("sweep"), warnings, now)
+    return _laid_over(nominal, used["static"], used["sweep"][:1], warnings)
+
+
+@dataclass(frozen=True)
+class _Used:
+    """A calibration that may be used; ``words`` says why it is stale."""
+
+    file: str
+    calibration: Calibration
+    state: State
+    words: str
+
+    @property
+    def made(self) -> datetime:
+        return self.calibration.made
+
+    def differs(self, other: Calibration) -> bool:
+        """Whether another would put other figures in force."""
+        return self.calibration.quantities != other.quantities
 
 
 @dataclass(frozen=True)
@@ -185,27 +214,6 @@ def _passed_in_time(calibration: Calibration, now: datetime) -> tuple[State, str
     return "valid", ""
 
 
-def implausible(calibration: Calibration, nominal: DeviceDescription) -> str:
-    """What cannot be true of a calibration of this device, in words; "" where nothing is."""
-    for name, most in _LAID_OVER.items():
-        if (found := calibration.quantities.get(name)) is not None:
-            usual = getattr(nominal, name)
-            if abs(found.value / usual - 1.0) > most:
-                return f"{name} is {found.value:.4g}, more than {100 * most:.0f} % from the nominal {usual:.4g}"
-    for name, (least, most) in _BOUNDS.items():
-        if (found := calibration.quantities.get(name)) is not None and not least <= found.value <= most:
-            return f"{name} is {found.value:.4g}, which is not between {least:g} and {most:g}"
-    for kind in ("linear_region", "stroke"):
-        low, high = (calibration.quantities.get(f"{kind}_{end}_m") for end in ("min", "max"))
-        if low is None or high is None:
-            continue
-        if not -2e-3 <= low.value < high.value <= nominal.stroke_m + 2e-3:
-            return (
-                f"{kind.replace('_', ' ')} from {1e3 * low.value:.1f} to {1e3 * high.value:.1f} mm is not on the stroke"
-            )
-    return ""
-
-
 def corrections(device: DeviceDescription) -> dict[str, Correction]:
     """By what the recorded channels are corrected under the calibration that a device carries."""
     known = device.calibration
@@ -250,38 +258,37 @@ def _number(known: Mapping[str, float | str], name: str | None, default: float) 
 
 
 def _laid_over(
-    nominal: DeviceDescription, static: Stored | None, sweep: Stored | None, warnings: list[str], now: datetime
+    nominal: DeviceDescription, statics: Sequence[_Used], sweeps: Sequence[_Used], warnings: list[str]
 ) -> DeviceDescription:
-    """Figures of a static calibration before those of a sweep, and both before the nominal ones."""
-    used = [item for item in (sweep, static) if item is not None and item.calibration is not None]
-    if not used:
+    """Figures of static calibrations, newest first, before those of a sweep, and all before the nominal ones."""
+    if not statics and not sweeps:
         refused: dict[str, float | str] = {"state": "none", "verdict": "none", "warnings": _joined(warnings)}
         return replace(nominal, calibration=refused) if warnings else nominal
-    stale = any(judged(item, nominal, now)[0] == "stale" for item in used)
-    known: dict[str, float | str] = {"state": "stale" if stale else "valid", "verdict": "passed"}
-    constants: dict[str, float] = {}
-    for item in used:
-        calibration = item.calibration
-        assert calibration is not None
-        known |= {f"{calibration.kind}_file": item.path.name, f"{calibration.kind}_date": calibration.date}
-        for name, found in calibration.quantities.items():
-            if name in _LAID_OVER:
-                known[name] = found.value
-                known[f"nominal_{name}"] = getattr(nominal, name)
-                if found.std is not None:
-                    known[f"{name}_std"] = found.std
-                if name == "force_constant_n_per_a":
-                    constants[calibration.kind] = found.value
-            elif name in _BOUNDS or name.startswith(("linear_region_", "stroke_m")):
-                known[name] = found.value
-    if len(constants) == 2 and abs(constants["sweep"] / constants["static"] - 1.0) > DISAGREE:
-        warnings.append(
-            f"static calibration and sweep disagree on the force constant: {constants['static']:.3f} and "
-            f"{constants['sweep']:.3f} N/A; repeat both"
-        )
+    known: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
+    found = _sources(statics)
+    base = _base(statics, found)
+    for item in sweeps:
+        known |= {"sweep_file": item.file, "sweep_date": item.calibration.date}
+        for name in _figures(item.calibration):
+            found.setdefault(name, item)
+    if base is not None:
+        known |= {"static_file": base.file, "static_date": base.calibration.date}
+        warnings += _patchwork(base, found)
+    for item in (*([base] if base is not None else []), *sweeps):
+        if item.state == "stale":
+            known["state"] = "stale"
+            warnings.append(f"{item.file}: {item.words}")
+    for name, item in found.items():
+        figure = item.calibration.quantities[name]
+        known[name] = figure.value
+        if name in LAID_OVER:
+            known[f"nominal_{name}"] = getattr(nominal, name)
+            if figure.std is not None:
+                known[f"{name}_std"] = figure.std
+    warnings += _disagreements(found, sweeps, known)
     if "linear_region_min_m" not in known:
-        warnings.append("the linear region is not known: run 'tissueid calibrate sweep'")
-    if static is None:
+        warnings.append(NO_REGION)
+    if base is None:
         warnings.append("there is no static calibration: run 'tissueid calibrate static'")
     if warnings:
         known["warnings"] = _joined(warnings)
@@ -297,3 +304,97 @@ def _laid_over(
         calibration_relative_uncertainty=uncertainty,
         calibration=known,
     )
+
+
+def _figures(calibration: Calibration) -> tuple[str, ...]:
+    """The figures of a calibration that are put in force."""
+    return tuple(
+        name
+        for name in calibration.quantities
+        if name in LAID_OVER or name in BOUNDS or name.startswith(("linear_region_", "stroke_m"))
+    )
+
+
+def _sources(statics: Sequence[_Used]) -> dict[str, _Used]:
+    """Where each figure is taken from: the newest good calibration that holds it, else the newest stale one."""
+    found: dict[str, _Used] = {}
+    for item in sorted(statics, key=lambda item: item.state == "stale"):
+        for name in _figures(item.calibration):
+            found.setdefault(name, item)
+    return found
+
+
+def _base(statics: Sequence[_Used], found: Mapping[str, _Used]) -> _Used | None:
+    """The static calibration that others only complete: the oldest of those that give what is needed for newtons."""
+    giving = [found[name] for name in NEEDED if name in found]
+    return min(giving, key=lambda item: item.made) if giving else next(iter(statics), None)
+
+
+def _patchwork(base: _Used, found: Mapping[str, _Used]) -> list[str]:
+    """What is to be said where static calibrations of a few steps stand beside each other."""
+    lines = []
+    files = {item.file: item for item in found.values() if item.calibration.kind == "static"}
+    if len(files) > 1:
+        newest = max(files.values(), key=lambda item: (item.made, item.file))
+        for item in files.values():
+            names = ", ".join(_label(name) for name, source in found.items() if source is item)
+            if item is not newest:
+                old = f", and {item.words}" if item.state == "stale" and item is not base else ""
+                lines.append(f"{newest.file} does not hold all: {names} are those of {item.file}{old}")
+    if missing := [_label(name) for name in NEEDED if name not in found]:
+        lines.append(
+            f"no static calibration holds {', '.join(missing)}: what the instrument says of itself is used; "
+            "run 'tissueid calibrate static'"
+        )
+    return lines
+
+
+def _label(name: str) -> str:
+    label = label_of(name)
+    return label[:1].lower() + label[1:]
+
+
+def _disagreements(found: Mapping[str, _Used], sweeps: Sequence[_Used], known: Mapping[str, float | str]) -> list[str]:
+    """Where a sweep does not agree with the static calibration in force, or was made under another one."""
+    lines = []
+    for item in sweeps:
+        swept = item.calibration.quantities.get("force_constant_n_per_a")
+        static = found.get("force_constant_n_per_a")
+        if swept is not None and static is not None and static is not item:
+            value = static.calibration.quantities["force_constant_n_per_a"].value
+            if abs(swept.value / value - 1.0) > DISAGREE:
+                lines.append(
+                    f"static calibration and sweep disagree on the force constant: {value:.3f} and "
+                    f"{swept.value:.3f} N/A; repeat both"
+                )
+        made_under = item.calibration.conditions
+        off_m = _shift_m(made_under, known)
+        if off_m > MOST_SHIFT_M:
+            under = made_under.get("static_file", "no static calibration")
+            lines.append(
+                f"{item.file} was made under {under}, by whose scale positions differ by {1e3 * off_m:.2f} mm from "
+                "those now: its linear region is off by as much; repeat the sweep"
+            )
+        elif not np.isfinite(off_m):
+            lines.append(
+                f"{item.file} was made under another static calibration ({made_under['static_file']}), and does not "
+                "say by what scale: its linear region may be off; repeat the sweep"
+            )
+    return lines
+
+
+def _shift_m(made_under: Mapping[str, float | str], known: Mapping[str, float | str]) -> float:
+    """By how much the ends of a linear region lie elsewhere than when it was found, m; NaN where nobody knows."""
+    dates = made_under.get("static_date"), known.get("static_date")
+    if dates[0] is not None and dates[0] != dates[1] and not any(name in made_under for name in _POSITION):
+        return float("nan")
+    if dates[0] is not None and dates[0] == dates[1] and not any(name in made_under for name in _POSITION):
+        return 0.0
+    ends = [_number(known, f"linear_region_{end}_m", np.nan) for end in ("min", "max")]
+    readings = np.array([end for end in ends if np.isfinite(end)])
+    if not readings.size:
+        return 0.0
+    readings = readings * _number(made_under, _POSITION[0], 1.0) + _number(made_under, _POSITION[1], 0.0)
+    now = (readings - _number(known, _POSITION[1], 0.0)) / _number(known, _POSITION[0], 1.0)
+    before = (readings - _number(made_under, _POSITION[1], 0.0)) / _number(made_under, _POSITION[0], 1.0)
+    return float(np.abs(now - before).max())

@@ -14,7 +14,6 @@ from tissueid.calibration.findings import Findings
 from tissueid.calibration.levels import Levels, at_rest, hold_levels, mean
 from tissueid.calibration.line import Line
 from tissueid.calibration.sensors import (
-    STANDARD_GRAVITY,
     acceleration_findings,
     position_findings,
     position_line,
@@ -22,6 +21,7 @@ from tissueid.calibration.sensors import (
     temperature_findings,
 )
 from tissueid.calibration.stroke import Crossing, carrying_current, move_gently, range_findings
+from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, Limits
 from tissueid.records import Estimate
@@ -39,6 +39,7 @@ WEIGHT_STD = 0.1
 """Relative deviation of the moving part's nominal weight, where it was not found."""
 STEPS = ("electrical", "force", "position", "range", "temperature", "acceleration", "supply")
 _MOST_GRAVITY = 10.5
+_MOST_GAUGE_M = 0.2
 _RELEASED_S = 0.05
 _ROOM_M = 4.0e-3
 """What the spring gives under the greatest voltage, and some more."""
@@ -93,8 +94,10 @@ class StaticPlan:
             raise UnusableInputError("a spring has 10 to 100000 N/m, known to better than 50 %")
         if any(not 0.001 <= mass <= 0.3 for mass in self.weights_kg) or len(self.weights_kg) > 20:
             raise UnusableInputError("weights are 1 to 300 g, 20 of them at most")
-        if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50 or min(self.gauges_m) < 0):
+        if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
             raise UnusableInputError("gauge blocks are 3 to 50 different heights")
+        if not all(0.0 <= height <= _MOST_GAUGE_M for height in self.gauges_m):
+            raise UnusableInputError(f"gauge blocks are 0 to {1e3 * _MOST_GAUGE_M:g} mm high")
         if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
             raise UnusableInputError("the room's temperature is -10 to 50 °C")
 
@@ -136,7 +139,7 @@ class Procedure:
         if "acceleration" in wanted:
             found += acceleration
         if abs(gravity) > _MOST_GRAVITY:
-            gravity = STANDARD_GRAVITY
+            gravity = GRAVITY_M_S2
         weighed = [levels, *self._weighed()] if "force" in wanted and plan.weights_kg else []
         places, line = self._places() if "position" in wanted else (np.zeros(0), None)
         crossings = self._crossings(gravity) if "range" in wanted else ()
@@ -145,14 +148,16 @@ class Procedure:
         offset = None
         gain = None if line is None else line.slope
         if line is not None:
-            offset = self._offset(line, crossings, slope, gravity, zero_a)
+            offset, shared = self._offset(line, crossings, slope, gravity, zero_a)
             found += position_findings(places, line, offset)
-        force = force_by_spring(levels, self._device, plan.spring, gain, zero_a)
+            found += Findings(shared={"position_offset_m": shared})
+        force = force_by_spring(levels, self._device, plan.spring, gain, zero_a, known=not weighed)
         if weighed:
-            along = gravity / STANDARD_GRAVITY
+            along = gravity / GRAVITY_M_S2
             force += force_by_weights(weighed, (0.0, *plan.weights_kg), self._device, along, zero_a)
         if "force" in wanted:
-            found += force
+            zero = Findings({"current_offset_a": electrical.quantities["current_offset_a"]})  # k was found with it
+            found += force + zero
         if crossings:
             found += range_findings(
                 crossings,
@@ -163,11 +168,13 @@ class Procedure:
                 zero_a=zero_a,
             )
         if "supply" in wanted:
-            if crossings or line is not None:
+            put_back = bool(crossings) or line is not None
+            if put_back:
                 self._spring()
             again = self._rest("at rest again")
             last = electrical_findings(self._levels("voltage to current again"), again, self._device)
-            found += supply_findings(electrical, last, rest, again, self._device)
+            same_place = self.has_stage or not put_back
+            found += supply_findings(electrical, last, rest, again, self._device, same_place=same_place)
         self.see_off()
         return found
 
@@ -185,6 +192,7 @@ class Procedure:
         """
         self.see_off()
         if self.has_stage and self._instrument.move_stage(position_m):
+            self._instrument.poll(0.0)  # what came while the stage was moving
             return
         self.has_stage = False
         if not self._plan.in_place:
@@ -284,18 +292,23 @@ class Procedure:
 
     def _offset(
         self, line: Line, crossings: Sequence[Crossing], slope_m_per_a: float, gravity: float, zero_a: float
-    ) -> Estimate | None:
-        """What the position channel reads at nothing: the coil's weight, which lengthens the spring, taken off."""
+    ) -> tuple[Estimate | None, float]:
+        """What the position channel reads at nothing: the coil's weight, which lengthens the spring, taken off.
+
+        Then the part of its deviation, m, that every repeat has alike.
+        """
+        shared = 0.0
         if not self.has_stage:
-            return None
+            return None, shared
         if crossings:
             carrying = carrying_current(tuple(crossings))
             current, current_std = carrying.value - zero_a, carrying.std or 0.0
         else:
             current = -self._device.moving_mass_kg * gravity / self._device.force_constant_n_per_a
             current_std = WEIGHT_STD * abs(current)
+            shared = abs(slope_m_per_a) * current_std
         std = float(np.hypot(line.intercept.std or 0.0, slope_m_per_a * current_std))
-        return Estimate(line.intercept.value + slope_m_per_a * current, std)
+        return Estimate(line.intercept.value + slope_m_per_a * current, std), shared
 
     def _skipped(self, line: Line | None, crossings: Sequence[Crossing]) -> Findings:
         """What was asked for and could not be done."""

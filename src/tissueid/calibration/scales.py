@@ -62,11 +62,6 @@ class Agreement:
     cause: Cause | None
 
     @property
-    def agrees(self) -> bool:
-        """Whether the two are one."""
-        return self.cause is None and self.same_shape
-
-    @property
     def words(self) -> str:
         """The comparison in a sentence."""
         percent = 100.0 * (self.ratio.value - 1.0)
@@ -120,6 +115,8 @@ def _stage(points: Sequence[SpringPoint]) -> Estimate | None:
 
 def _cause(ratio: float, resistance: float, stage: Estimate | None) -> Cause:
     """Which single scale would leave the marks that are there."""
+    if min(ratio, resistance, 1.0 if stage is None else stage.value) <= 0.0:
+        return "unknown"  # one of them goes the wrong way round, which no scale explains
     size = abs(np.log(ratio))
     marks: dict[Cause, tuple[float, float, float]] = {
         "current": (np.log(ratio), np.log(ratio), 0.0),

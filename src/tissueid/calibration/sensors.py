@@ -10,22 +10,25 @@ from numpy.typing import NDArray
 from tissueid.calibration.findings import Findings, column, quantity
 from tissueid.calibration.levels import Levels, mean, noise_of_mean
 from tissueid.calibration.line import Line, straight_line
-from tissueid.device import DeviceDescription
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
+from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 
-STANDARD_GRAVITY = 9.80665
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
 _MAINS_CHANCE = 1e-6
 """Noise alone shows mains as clearly as this once in so many channels and lines."""
 
 MOST_NONLINEAR = 0.01
 """Share of the span by which one position may be off the line."""
+_LEAST_GAIN = 0.1
 MOST_TEMPERATURE_JUMP_C = 2.0
 JUMP_S = 0.1
 _HEATING_SEEN_J = 20.0
 _LEAST_RISE_C_PER_J = 0.005
 MOST_ACCELERATION_ERROR = 0.15
 MOST_SUPPLY_DRIFT = 0.005
+MOST_POSITION_DRIFT_M = 20e-6
+"""By so much, and four deviations, may the same place read differently at the end."""
 NOISE_BOUNDS = {"voltage": 0.05, "current": 0.10, "position": 20e-6, "temperature": 1.0, "acceleration_x": 1.0}
 """Noise of a sample beyond which a channel is not fit for use, SI: some five to twenty times the ordinary."""
 _UNITS = {"voltage": "V", "current": "A", "position": "m", "temperature": "degC", "acceleration_x": "m/s^2"}
@@ -36,11 +39,14 @@ def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]
     """Readings at rest, samples for each place, against known places, shape (n,).
 
     Raises:
-        UnusableInputError: fewer than three places, or they agree on no line.
+        UnusableInputError: fewer than three places, or they agree on no line, or all read the same.
     """
     readings = np.array([mean(rest, "position") for rest in rests])
     noise = max(noise_of_mean(rest, "position") for rest in rests)
-    return straight_line(truth_m, readings, noise)
+    line = straight_line(truth_m, readings, noise)
+    if abs(line.slope.value) < _LEAST_GAIN:
+        raise UnusableInputError("the position reads the same at every place: check its sensor, and the fixture")
+    return line
 
 
 def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estimate | None) -> Findings:
@@ -129,15 +135,15 @@ def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | Non
     noise = noise_of_mean(rest, "acceleration_x")
     quantities, notes, problems = {}, [], []
     if turned is None:
-        gain, std = float(np.hypot(along, across)) / STANDARD_GRAVITY, noise / STANDARD_GRAVITY
+        gain, std = float(np.hypot(along, across)) / GRAVITY_M_S2, noise / GRAVITY_M_S2
         notes.append("the accelerometer's zero is taken for right: the instrument was not turned over")
         offset = 0.0
     else:
         other = mean(turned, "acceleration_x")
         far = Estimate(0.5 * (along + other), noise)
         cosine = float(np.cos(np.arctan2(across, along - far.value)))
-        gain = abs(0.5 * (along - other) / (STANDARD_GRAVITY * (abs(cosine) or 1.0)))
-        std, offset = noise / STANDARD_GRAVITY, far.value
+        gain = abs(0.5 * (along - other) / (GRAVITY_M_S2 * (abs(cosine) or 1.0)))
+        std, offset = noise / GRAVITY_M_S2, far.value
         quantities["acceleration_offset_m_s2"] = quantity(far, "m/s^2")
     if abs(gain - 1.0) > MOST_ACCELERATION_ERROR:
         problems.append(
@@ -150,17 +156,29 @@ def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | Non
 
 
 def supply_findings(
-    first: Findings, last: Findings, rest: NDArray[np.void], again: NDArray[np.void], device: DeviceDescription
+    first: Findings,
+    last: Findings,
+    rest: NDArray[np.void],
+    again: NDArray[np.void],
+    device: DeviceDescription,
+    *,
+    same_place: bool = True,
 ) -> Findings:
     """What the supplies changed between the beginning and the end, how noisy the channels are, and the mains in them.
 
     ``first`` and ``last`` are the electrical steps, ``rest`` and ``again`` what was read before each, the coil free.
+    With ``same_place`` false the spring was put back by hand meanwhile, and where it stands says nothing.
     """
     quantities, problems, notes = {}, [], []
-    moved = mean(again, "position") - mean(rest, "position")
-    quantities["supply_position_drift_m"] = quantity(
-        moved, "m", float(np.hypot(noise_of_mean(rest, "position"), noise_of_mean(again, "position")))
-    )
+    if same_place:
+        moved = mean(again, "position") - mean(rest, "position")
+        moved_std = float(np.hypot(noise_of_mean(rest, "position"), noise_of_mean(again, "position")))
+        quantities["supply_position_drift_m"] = quantity(moved, "m", moved_std)
+        if abs(moved) > MOST_POSITION_DRIFT_M + 4.0 * moved_std:
+            problems.append(
+                f"position at rest changed by {1e6 * moved:+.0f} um within the calibration: see whether the spring is "
+                "seated, and let the supplies warm up"
+            )
     for name, what, scale in (
         ("coil_resistance_ohm", "resistance", device.coil_resistance_ohm),
         ("voltage_gain", "voltage", device.amplifier_gain),

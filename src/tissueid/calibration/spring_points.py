@@ -71,6 +71,11 @@ def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) 
     return Record(held_from[whole], last[whole], sample_rate_hz / every, "held", "position", unit, "m")
 
 
+def _apart(found: Estimate) -> Estimate:
+    """The figure with a deviation that is none below nil, which those of a coil the wrong way round would have."""
+    return found if found.std is None else Estimate(found.value, abs(found.std))
+
+
 def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescription) -> SpringPoint:
     """Identify one test; ``mean_current`` (n,) is that over the interval before each reading.
 
@@ -97,9 +102,9 @@ def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescripti
         peak_to_peak_m=float(np.nanmax(test.position) - np.nanmin(test.position)),
         vaf_percent=model.report.vaf_percent,
         vaf_parametric_percent=model.second_order.vaf_percent,
-        mass_kg=found["mass_kg"],
-        damping_n_s_per_m=found["damping_n_s_per_m"],
-        stiffness_n_per_m=found["stiffness_n_per_m"],
+        mass_kg=_apart(found["mass_kg"]),
+        damping_n_s_per_m=_apart(found["damping_n_s_per_m"]),
+        stiffness_n_per_m=_apart(found["stiffness_n_per_m"]),
         frequency_hz=frequency,
         response_m_per_n=turned @ model.impulse_response / rate,
     )

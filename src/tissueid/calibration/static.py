@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from tissueid import __version__
 from tissueid.calibration.file import Calibration, utc_date
 from tissueid.calibration.findings import repeated
+from tissueid.calibration.plausible import implausible
 from tissueid.calibration.procedure import Ask, Procedure, Show, StaticPlan
 from tissueid.instrument import Instrument
 
@@ -77,4 +78,7 @@ def calibrate_static(
         quantities=found.quantities,
         tables=found.tables,
     )
+    if calibration.verdict == "passed" and (strange := implausible(calibration, instrument.nominal)):
+        problem = f"{strange}: that is not believed; check the fixture and the wiring"
+        calibration = calibration.model_copy(update={"verdict": "failed", "problems": (problem,)})
     return StaticCalibration(calibration, found.notes, time.perf_counter() - begin)

@@ -6,22 +6,18 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import ArrayLike
+from pydantic import ValidationError
 
 from tissueid import __version__
-from tissueid.calibration.file import Calibration, Quantity, utc_date
-from tissueid.calibration.findings import quantity
+from tissueid.calibration.file import Calibration, utc_date
+from tissueid.calibration.findings import column
 from tissueid.calibration.force_profile import ForceConstant
-from tissueid.calibration.sweep_analysis import SweepResult
+from tissueid.calibration.sweep_analysis import SweepResult, quantities_of
+from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 
 GRID_M = 0.5e-3
 """Spacing of the force constant in the file: a straight line between two of its points is off by less than 0.1 %."""
-
-
-def column(values: ArrayLike) -> tuple[float, ...]:
-    """A column of a table, to as many digits as anybody reads."""
-    return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
 
 
 def as_calibration(
@@ -31,7 +27,11 @@ def as_calibration(
     valid_days: int = 90,
     now: datetime | None = None,
 ) -> Calibration:
-    """The calibration that a sweep makes; ``conditions`` are how it was made."""
+    """The calibration that a sweep makes; ``conditions`` are how it was made.
+
+    Raises:
+        UnusableInputError: something about it, such as a condition, cannot be kept; says what.
+    """
     device = result.device
     notes = (*(() if result.agreement.cause else (result.agreement.words,)), *result.remarks)
     made = {
@@ -40,44 +40,29 @@ def as_calibration(
         "spring_mass_kg": result.spring.mass_kg,
         "believed_force_constant_n_per_a": device.force_constant_n_per_a,
         "positions": float(len(result.points)),
-        "repeats": float(max(1, len(result.repeats))),
+        "repeats": float(len(result.runs)),
         **(conditions or {}),
         **{f"note_{number}": note[:500] for number, note in enumerate(notes[:50], start=1)},
     }
-    return Calibration(
-        kind="sweep",
-        model=device.model,
-        serial_number=device.serial_number,
-        firmware_version=device.firmware_version,
-        date=utc_date(now or datetime.now(UTC)),
-        valid_days=valid_days,
-        software=f"tissueid {__version__}",
-        conditions=made,
-        verdict="passed" if result.passed else "failed",
-        problems=tuple(problem[:500] for problem in result.problems),
-        quantities=_quantities(result),
-        tables=_tables(result),
-    )
-
-
-def _quantities(result: SweepResult) -> dict[str, Quantity]:
-    region, agreement = result.region, result.agreement
-    resistances = np.array([found.value for found in result.flux.resistance_ohm])
-    found = {
-        "force_constant_n_per_a": quantity(region.plateau_n_per_a, "N/A"),
-        "linear_region_min_m": quantity(region.min_m, "m"),
-        "linear_region_max_m": quantity(region.max_m, "m"),
-        "moving_mass_kg": quantity(result.moving_mass_kg, "kg"),
-        "bearing_damping_n_s_per_m": quantity(result.bearing_damping_n_s_per_m, "N s/m"),
-        "coil_inductance_h": quantity(result.flux.inductance_h, "H"),
-        "resistance_in_the_sweep_ohm": quantity(float(resistances.mean()), "ohm", float(resistances.std())),
-        "spring_over_flux": quantity(agreement.ratio, ""),
-        "least_vaf_percent": quantity(min(point.vaf_percent for point in result.points), "%"),
-        "noise_current_a": quantity(result.flux.noise_a, "A"),
-    }
-    if agreement.stage is not None:
-        found["position_over_stage"] = quantity(agreement.stage, "")
-    return found
+    try:
+        return Calibration(
+            kind="sweep",
+            model=device.model,
+            serial_number=device.serial_number,
+            firmware_version=device.firmware_version,
+            date=utc_date(now or datetime.now(UTC)),
+            valid_days=valid_days,
+            software=f"tissueid {__version__}",
+            conditions=made,
+            verdict="passed" if result.passed else "failed",
+            problems=tuple(problem[:500] for problem in result.problems),
+            quantities=quantities_of(result),
+            tables=_tables(result),
+        )
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"][:2])
+        raise UnusableInputError(f"the sweep cannot be kept: {where[:80]!r}: {first['msg'][:200]}") from error
 
 
 def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
@@ -129,7 +114,7 @@ def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
     if result.repeats:
         runs = result.repeats
         tables["repeats"] = {
-            "run": column(range(1, len(runs) + 1)),
+            "run": column([run.runs[0] for run in runs]),
             "force_constant_n_per_a": column([run.region.plateau_n_per_a.value for run in runs]),
             "linear_region_min_m": column([run.region.min_m.value for run in runs]),
             "linear_region_max_m": column([run.region.max_m.value for run in runs]),

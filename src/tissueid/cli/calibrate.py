@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-calibrate = typer.Typer(help="Calibrate an instrument, and see which calibrations are in force.", no_args_is_help=True)
+calibrate = typer.Typer(help="Calibrate an instrument, and see which calibrations there are.", no_args_is_help=True)
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[str, typer.Option("--device", metavar="URL", help="see 'tissueid devices'")]
@@ -131,7 +131,7 @@ def list_known(
     serial: Annotated[str | None, typer.Option("--serial", metavar="TEXT", help="only of this instrument")] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """List the calibrations there are, newest first, and which of them are in force."""
+    """List the calibrations there are, newest first, and which of them are the newest that passed."""
     from tissueid.cli.calibrate_known import list_calibrations
 
     list_calibrations(folder, serial, json_file)

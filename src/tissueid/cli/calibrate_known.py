@@ -12,7 +12,10 @@ from tissueid.cli.output import check_json, check_output, people_read, table, wr
 
 
 def list_calibrations(folder: Path | None, serial: str | None, json_file: Path | None) -> None:
-    """All calibrations of a folder, newest first, with their state in words."""
+    """All calibrations of a folder, newest first, with their state in words.
+
+    Which are in force only their instrument can tell: by its nominal figures some may be refused.
+    """
     check_json(json_file)
     chosen = calibration_folder(folder)
     now = datetime.now(UTC)
@@ -28,10 +31,10 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
             continue
         age = age_of(item, now)
         key = ("", "") if found is None else (found.serial_number, found.kind)
-        in_force = age.usable and key not in newest
-        if in_force:
+        is_newest = age.usable and key not in newest
+        if is_newest:
             newest.add(key)
-        words = f"{age.words}; in force" if in_force else age.words
+        words = f"{age.words}; the newest that passed" if is_newest else age.words
         rows.add_row(
             item.path.name,
             found.serial_number if found else "",
@@ -39,7 +42,7 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
             found.date[:10] if found else "",
             words,
         )
-        answers.append(_listed(item.path, found, age, in_force))
+        answers.append(_listed(item.path, found, age, is_newest))
     if chosen is None:
         people.print("there is no folder of calibrations yet: name one with --calibrations DIR", markup=False)
     elif not answers:
@@ -50,7 +53,7 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
         write_json(json_file, {"folder": None if chosen is None else str(chosen), "calibrations": answers})
 
 
-def _listed(path: Path, found: Calibration | None, age: Age, in_force: bool) -> dict[str, object]:
+def _listed(path: Path, found: Calibration | None, age: Age, is_newest: bool) -> dict[str, object]:
     return {
         "file": str(path),
         "serial_number": found.serial_number if found else None,
@@ -60,7 +63,7 @@ def _listed(path: Path, found: Calibration | None, age: Age, in_force: bool) -> 
         "verdict": found.verdict if found else None,
         "state": age.state,
         "words": age.words,
-        "in_force": in_force,
+        "newest_that_passed": is_newest,
     }
 
 

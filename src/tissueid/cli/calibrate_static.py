@@ -13,8 +13,17 @@ from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import check_writable
 from tissueid.calibration.procedure import STEPS, Ask
 from tissueid.calibration.words import readable, verdict_of
-from tissueid.cli.logged import logged, noted
-from tissueid.cli.output import check_json, check_output, console, people_read, progress_bars, table, write_json
+from tissueid.cli.logged import end_noted, logged, noted
+from tissueid.cli.output import (
+    check_different,
+    check_json,
+    check_output,
+    console,
+    people_read,
+    progress_bars,
+    table,
+    write_json,
+)
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import open_instrument
@@ -70,6 +79,7 @@ class StaticOptions:
 def run_static(url: str, out: Path, report: Path | None, json_file: Path | None, options: StaticOptions) -> None:
     """Calibrate, keep it, and tell it. A failed calibration is kept as well, and says so."""
     options.plan(_DEFAULT)  # what is wrong with the options is said before anything moves
+    check_different(out, report, json_file)
     check_writable(out)
     check_output(report, ("<!DOCTYPE html",))
     check_json(json_file)
@@ -79,7 +89,8 @@ def run_static(url: str, out: Path, report: Path | None, json_file: Path | None,
     instrument = open_instrument(url)
     try:
         head = logged("technician", "calibration.begun", subject=instrument.device.serial_number, new="static")
-        with progress_bars() as show:
+        ended = end_noted("technician", "calibration", subject=instrument.device.serial_number)
+        with progress_bars() as show, ended:
             found = calibrate_static(instrument, options.plan(instrument.device), ask=ask, progress=show)
     finally:
         instrument.close()

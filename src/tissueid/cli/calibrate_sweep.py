@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +18,32 @@ from rich.text import Text
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import Calibration, write_calibration
 from tissueid.calibration.file import check_writable
-from tissueid.calibration.in_force import go_by_static
+from tissueid.calibration.in_force import go_by_static, static_conditions
 from tissueid.calibration.moved_by_hand import Standing, wait_until_there
 from tissueid.calibration.sweep import Bring, Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.words import notes_of, verdict_of
-from tissueid.cli.logged import logged, noted, trail
-from tissueid.cli.output import check_json, check_output, console, people_read, progress_bars, table, write_json
+from tissueid.cli.logged import end_noted, logged, noted, trail
+from tissueid.cli.output import (
+    check_different,
+    check_json,
+    check_output,
+    console,
+    people_read,
+    progress_bars,
+    table,
+    write_json,
+)
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, open_instrument
 from tissueid.records import Estimate
 from tissueid.sessions import Session, read_session
 from tissueid.wording import fixed, plus_minus
+
+_FIRST_YEAR = 2000
+"""No session is older than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +106,7 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
         raise UnusableInputError("name the instrument with --device, or a sweep that was kept with --kept; not both")
     if options.kept is not None and options.session is not None:
         raise UnusableInputError("--session keeps what is recorded now; it does not go with --kept")
+    check_different(out, report, json_file, options.session, options.kept)
     check_writable(out)
     check_output(report, ("<!DOCTYPE html",))
     check_json(json_file)
@@ -101,9 +114,12 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
     head = ""
     remarks: tuple[str, ...] = ()
     conditions: dict[str, float | str] = {}
+    made: datetime | None = None
     if url is None:
         assert options.kept is not None
         session = read_session(options.kept)
+        made = _made(session)
+        conditions = static_conditions(session.instrument)
     else:
         with _session_file(options.session) as path:
             session, head, remarks, conditions = _recorded(url, plan, options, path)
@@ -116,7 +132,7 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
         result,
         conditions=conditions | ({"audit_head": head} if head else {}) | {"session_id": session.session_id},
         valid_days=options.valid_days,
-        now=None if url is not None else datetime.fromisoformat(session.created),
+        now=made,
     )
     write_calibration(out, calibration)
     noted(
@@ -133,6 +149,24 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
     if json_file is not None:
         seconds = {"seconds": time.perf_counter() - begin, "measuring_seconds": measured - begin}
         write_json(json_file, answer(calibration, out) | seconds)
+
+
+def _made(session: Session) -> datetime:
+    """When a session was recorded; a time without its zone is UTC, as sessions have it.
+
+    Raises:
+        UnusableInputError: it does not say, or says what cannot be.
+    """
+    try:
+        made = datetime.fromisoformat(session.created)
+        made = made.replace(tzinfo=UTC) if made.tzinfo is None else made.astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise UnusableInputError(
+            f"the session says that it was made {session.created[:40]!r}: that is no time"
+        ) from error
+    if made.year < _FIRST_YEAR:
+        raise UnusableInputError(f"the session says that it was made in {made.year}: there was no such instrument then")
+    return made
 
 
 @contextmanager
@@ -154,7 +188,8 @@ def _recorded(
         conditions = go_by_static(instrument, options.folder)
         head = logged("technician", "calibration.begun", subject=instrument.device.serial_number, new="sweep")
         recorder = SessionRecorder(path, instrument.device, trail=trail("technician"))
-        with progress_bars() as show:
+        ended = end_noted("technician", "calibration", subject=instrument.device.serial_number)
+        with progress_bars() as show, ended:
             sweep = Sweep(
                 instrument,
                 plan,

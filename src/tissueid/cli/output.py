@@ -48,6 +48,17 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
             raise UnusableInputError(f"{target} is there already and holds something else; it is not written over")
 
 
+def check_different(*targets: Path | None) -> None:
+    """Refuse, before any work, one file that is named for two things.
+
+    Raises:
+        UnusableInputError: names it.
+    """
+    named = [target.resolve() for target in targets if target is not None and str(target) != "-"]
+    if twice := [target for number, target in enumerate(named) if target in named[:number]]:
+        raise UnusableInputError(f"{twice[0]} is named for two things: each needs a file of its own")
+
+
 def check_json(target: Path | None) -> None:
     """As ``check_output``, for an answer in JSON."""
     check_output(target, ("{", "["))

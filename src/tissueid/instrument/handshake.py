@@ -49,6 +49,24 @@ class Introduction:
         return data
 
 
+_POSITIVE = (
+    "coil_resistance_ohm",
+    "force_constant_n_per_a",
+    "moving_mass_kg",
+    "amplifier_gain",
+    "amplifier_limit_v",
+    "stroke_m",
+    "calibration_spring_n_per_m",
+)
+_NOT_NEGATIVE = ("coil_inductance_h", "bearing_damping_n_s_per_m", "calibration_relative_uncertainty")
+
+
+def _possible(device: DeviceDescription) -> bool:
+    """Whether all figures of a device are numbers, of the sign that they must have; calibrations are held to them."""
+    figures = np.array([getattr(device, name) for name in (*_POSITIVE, *_NOT_NEGATIVE)])
+    return bool(np.all(np.isfinite(figures)) and np.all(figures >= 0) and np.all(figures[: len(_POSITIVE)] > 0))
+
+
 def read_hello(payload: bytes, name: str) -> Introduction:
     """A HELLO_ACK from the port called ``name``.
 
@@ -75,7 +93,7 @@ def read_hello(payload: bytes, name: str) -> Introduction:
     figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
     figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
     device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
-    if not 100 <= device.sample_rate_hz <= 100_000 or min(device.coil_resistance_ohm, device.stroke_m) <= 0:
+    if not 100 <= device.sample_rate_hz <= 100_000 or not _possible(device):
         raise InstrumentError(f"{name} reports impossible figures of itself")
     furthest = fields["max_force_n"], fields["max_temperature_c"]
     if not (np.all(np.isfinite(furthest)) and min(furthest) > 0):

@@ -50,7 +50,8 @@ def sweep_report(calibration: Calibration) -> StimulusReport:
             raise UnusableInputError(f"the calibration lacks {missing[0]} in its table {name}: repeat the sweep")
     region = _region(calibration)
     tables = {
-        name: {key: np.array(values) for key, values in columns.items()} for name, columns in calibration.tables.items()
+        name: {key: np.abs(values) if "_std_" in key else np.array(values) for key, values in columns.items()}
+        for name, columns in calibration.tables.items()
     }
     return StimulusReport(
         title=f"Dynamic sweep of {calibration.model}, {calibration.serial_number}",

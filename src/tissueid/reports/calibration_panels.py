@@ -131,7 +131,8 @@ def draw_force_constant(figure: FigureBase, profile: Columns, sweep: Columns, re
         at, points = 1e3 * sweep["position_m"], sweep["force_constant_n_per_a"]
         reach = CONFIDENCE * sweep["force_constant_std_n_per_a"]
         here = np.interp(at, position, value)
-        for axes, values, bars in ((above, points, reach), (below, 100 * (points / here - 1), 100 * reach / here)):
+        off = 100 * reach / np.abs(here)
+        for axes, values, bars in ((above, points, reach), (below, 100 * (points / here - 1), off)):
             axes.errorbar(at, values, bars, color=GREEN, linestyle="none", linewidth=1.0)
             markers(axes, at, values, label="by the stiffness at each position", colour=GREEN, marker="s")
     above.plot(position, value, color=INK, linewidth=0.9, linestyle=DASHES[3], label="all together")
