@@ -115,8 +115,7 @@ def _stall(it: Happening) -> None:
 
 def _brown_out(it: Happening) -> None:
     bench = it.firmware.bench
-    bench.supply_share = SAGGED_SUPPLY
-    it.firmware.brown_out()
+    bench.supply_share = SAGGED_SUPPLY  # the firmware sees it by itself
     it.undo = lambda: setattr(bench, "supply_share", 1.0)
 
 

@@ -26,6 +26,12 @@ FRAME_S = 0.01
 """How much of the stream a DATA frame carries."""
 
 WATCHDOG_S = 0.5
+ALWAYS_OBEYED = (MessageType.STOP, MessageType.RELEASE, MessageType.FINISH)
+"""What frees the coil is done for anybody, in any state, whatever was agreed on before."""
+
+LEAST_SUPPLY_SHARE = 0.4
+"""Below this share of its supply the amplifier is off."""
+
 HOST_SILENCE_S = 2.0
 """A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
 
@@ -143,7 +149,7 @@ class Firmware:
 
     def _answer(self, frame: Frame, now_s: float) -> bytes:
         result, detail = Result.BAD_STATE, 0
-        if self._greeted:
+        if self._greeted or frame.type in ALWAYS_OBEYED:
             try:
                 result, detail = self._obey(frame, now_s)
             except wire.PayloadError:
@@ -158,6 +164,8 @@ class Firmware:
         except wire.PayloadError:
             return
         self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
+        if not self._greeted:
+            self._release(forget=False)  # nobody is left whom the run could belong to
         answer = self.identity.hello_ack(
             self.bench.nominal,
             self._channels,
@@ -288,6 +296,8 @@ class Firmware:
 
     def _move_stage(self, payload: bytes) -> Answer:
         request, _ = wire.unpack(wire.STAGE, payload)
+        if self.state is State.FAULT:
+            return Result.FAULT_LATCHED, int(self.faults)
         if self.state in (State.ARMED, State.RUNNING):
             return Result.BAD_STATE, 0
         position_m = None if isnan(request["position_m"]) else request["position_m"]
@@ -330,14 +340,14 @@ class Firmware:
 
     def _sample(self, count: int) -> int:
         """Play and sample up to ``count`` samples; fewer where the stimulus ends or a limit trips."""
+        if self.bench.supply_share < LEAST_SUPPLY_SHARE and Fault.BROWN_OUT not in self.faults:
+            self.brown_out()
         command, flags = self._command(count)
         before = self.bench.snapshot()
         block = self.bench.block(command, self.energised)
         first, fault = 0, Fault.NONE
         if self._armed is not None and self.energised:
-            # The release at the end is not counted against the samples that were agreed.
-            counted = self._player.cursor - self._player.ramp_samples
-            first, fault = self._guard.judge(block, self._armed, counted)
+            first, fault = self._guard.judge(block, self._armed, self._player.cursor)
         if fault and first + 1 < command.size:
             # The trip acts on the very next sample, so what came after it never happened.
             self.bench.restore(before)

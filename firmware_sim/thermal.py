@@ -1,13 +1,17 @@
 """The winding's temperature by calculation: what the sensor beside it would say if it neither lagged nor broke.
 
-One heat capacity and one way out, all figures on the hot side of the coil's own (docs/safety.md says by how much). It
-runs from reset to reset, whatever the state, and nothing that a host says turns it back.
+One heat capacity and one way out, all figures on the hot side of the coil's own (docs/safety.md says by how much). They
+are the desktop coil's; another coil of the same wire has as much copper and surface as it has resistance. It runs from
+reset to reset, whatever the state, and nothing that a host says turns it back.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
+COIL_OHM = 12.0
+"""The coil's resistance that the next two figures belong to."""
 
 HEAT_CAPACITY_J_PER_K = 16.5
 THERMAL_RESISTANCE_K_PER_W = 9.0
@@ -23,10 +27,16 @@ SENSOR_RANGE_C = (20.0, 150.0)
 
 
 class WindingModel:
-    """Integrates the heat of the measured current. ``temperature_c`` is NaN until the first samples after a reset."""
+    """Integrates the heat of the measured current. ``temperature_c`` is NaN until the first samples after a reset.
+
+    ``resistance_ohm`` is the coil's nominal one, by which its length of wire is known.
+    """
 
     def __init__(self, resistance_ohm: float, sample_rate_hz: float) -> None:
         self._resistance_ohm = resistance_ohm
+        wire = resistance_ohm / COIL_OHM
+        self._heat_capacity = HEAT_CAPACITY_J_PER_K * wire
+        self._thermal_resistance = THERMAL_RESISTANCE_K_PER_W / wire
         self._interval_s = 1.0 / sample_rate_hz
         self.temperature_c = float("nan")
 
@@ -39,6 +49,6 @@ class WindingModel:
             self.temperature_c = sensor + RESTART_MARGIN_K
         resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
         heat_w = resistance * float(np.mean(current_a**2))
-        lost_w = (self.temperature_c - AMBIENT_C) / THERMAL_RESISTANCE_K_PER_W
-        self.temperature_c += (heat_w - lost_w) * current_a.size * self._interval_s / HEAT_CAPACITY_J_PER_K
+        lost_w = (self.temperature_c - AMBIENT_C) / self._thermal_resistance
+        self.temperature_c += (heat_w - lost_w) * current_a.size * self._interval_s / self._heat_capacity
         self.temperature_c = max(self.temperature_c, sensor)

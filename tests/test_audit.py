@@ -36,7 +36,7 @@ from tissueid.audit import log as audit_log
 from tissueid.audit.line import fields_of, make_line
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
-from tissueid.errors import UnusableInputError
+from tissueid.errors import FirmwareFaultError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import Session, write_session
 
@@ -509,6 +509,21 @@ def test_a_program_that_holds_the_log_is_not_waited_for_for_ever(path, monkeypat
         AuditLog(path).record("clinician", "test.begun")
 
 
+def test_a_log_that_is_moved_away_while_it_is_waited_for_gets_no_line(path, monkeypatch):
+    """It was opened under its name and held under another: what is added belongs to the log of this year."""
+    moved, before, sound = path.with_name("2025.jsonl"), path.read_bytes(), audit_log._lock
+
+    def lock(descriptor: int) -> bool:
+        if not moved.exists():
+            path.rename(moved)
+        return sound(descriptor)
+
+    monkeypatch.setattr(audit_log, "_lock", lock)
+    AuditLog(path).record("clinician", "test.begun")
+    assert moved.read_bytes() == before
+    assert [line.what for line in last_lines(path, 9)] == ["audit.started", "test.begun"]
+
+
 def test_programs_and_threads_add_to_one_log_in_turn(tmp_path):
     path = tmp_path / "a.jsonl"
     program = (
@@ -689,6 +704,30 @@ def test_a_recovery_is_logged_and_never_refused(audit_file, tmp_path, monkeypatc
     assert main(["recover", str(tmp_path / "t.h5")]) == 0
     assert (tmp_path / "t.h5").exists()
     assert "not in the audit log: the last line of the audit log" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("error", "what", "why"),
+    [
+        (KeyboardInterrupt(), "calibration.stopped", "KeyboardInterrupt"),
+        (FirmwareFaultError("the button"), "calibration.broken_off", "the button"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["static", "sweep"])
+def test_a_calibration_from_the_shell_that_broke_off_has_an_end_in_the_log(
+    audit_file, tmp_path, monkeypatch, capsys, kind, error, what, why
+):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr("tissueid.cli.calibrate_static.calibrate_static", fails)
+    monkeypatch.setattr("tissueid.cli.calibrate_sweep.Sweep.run", fails)
+    assert main(["calibrate", kind, "--device", "simulated://forearm", "--out", str(tmp_path / "c.toml")]) != 0
+    lines = [line for line in last_lines(audit_file, 100) if line.what.startswith("calibration.")]
+    assert [line.what for line in lines] == ["calibration.begun", what]
+    assert (lines[0].new, lines[1].new) == (kind, why)
+    assert lines[0].subject == lines[1].subject != ""
+    assert {line.role for line in lines} == {"technician"}
 
 
 @pytest.mark.soak

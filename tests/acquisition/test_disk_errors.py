@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections import namedtuple
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +33,7 @@ from tissueid.acquisition import recorder as recording
 from tissueid.acquisition.journal import Journal
 from tissueid.audit import AuditError, AuditLog, Trail, last_lines, verify
 from tissueid.device import DeviceDescription
-from tissueid.errors import FirmwareFaultError, LinkLostError, SessionFormatError
+from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError, SessionFormatError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import read_session, read_session_head, write_session
 
@@ -182,6 +184,66 @@ def test_thirty_seconds_of_samples_may_wait(tmp_path):
     recorder.abandon()
 
 
+# -- a thread that dies ---------------------------------------------------------------------------------------
+
+
+def twenty_then(recorder: SessionRecorder, broken: Callable[[], None]) -> None:
+    recorder.begin_test(Run(0, 1000), **ATTRIBUTES)
+    recorder.add(batch(0, 20))
+    recorder._journal.sync()
+    broken()
+    with contextlib.suppress(JournalError):
+        for first in range(20, 1000, 20):
+            recorder.add(batch(first, 20))
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ValueError("it cannot be")])
+def test_whatever_fails_the_thread_that_writes_is_told(tmp_path, monkeypatch, error):
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), sync_s=0.0)
+
+    def fails(*_):
+        raise error
+
+    with monkeypatch.context() as patch:
+        twenty_then(recorder, lambda: patch.setattr(Journal, "_write", fails))
+        with pytest.raises(JournalError, match=str(error) or type(error).__name__) as told:
+            recorder.finish()
+    told_in_one_line(told.value, "is kept in it", "'tissueid recover'")
+    assert recorder.samples_acknowledged == 20
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
+    assert recover(tmp_path / "s.h5")[1].test().samples == 20
+
+
+def test_a_thread_that_is_gone_is_told_at_once(tmp_path, monkeypatch):
+    """Not where it works but where it waits: whatever ends it, the journal is let go of and nobody waits for it."""
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), sync_s=0.0)
+    thread = recorder._journal._thread
+
+    def fails(*_):
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        twenty_then(recorder, lambda: patch.setattr(Journal, "_next", fails))
+        thread.join()
+        with pytest.raises(JournalError, match="MemoryError"):
+            recorder.finish()
+    recorder.abandon()
+    assert recover(tmp_path / "s.h5")[1].test().samples >= 20
+
+
+def test_a_thread_that_ended_without_a_word_is_not_taken_for_one_that_has_done_its_work(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "_write_all", lambda _: None)
+        journal = Journal(tmp_path / "j")
+    journal._thread.join()
+    journal.append(b"entry")
+    for wait in (journal.sync, journal.close):
+        with pytest.raises(JournalError, match="ended before its time") as told:
+            wait()
+    told_in_one_line(told.value, "is kept in it", "'tissueid recover'")
+    journal._file.close()
+
+
 # -- a disk that goes away ------------------------------------------------------------------------------------
 
 
@@ -291,7 +353,7 @@ def test_a_journal_that_cannot_be_removed_does_not_cost_the_session(tmp_path, mo
 def test_a_journal_that_cannot_be_read_back_is_not_removed(tmp_path, monkeypatch):
     recorder = a_sitting(tmp_path / "s.h5")
 
-    def fails(_):
+    def fails(*_):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
         yield
 
@@ -445,6 +507,57 @@ def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
     assert lines[3].new["samples"] > 0
     assert lines[5].new["samples"] == 0
     assert lines[6].new == "cannot write the session: No space left on device"
+
+
+class Late:
+    """A step of the preparation that waits, in the thread that was given up, until it is let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, owner: type, name: str, only: str = "") -> None:
+        self.reached, self.go_on, self.gone = threading.Event(), threading.Event(), threading.Event()
+        sound = getattr(owner, name)
+
+        def step(*arguments, **more):
+            late = threading.current_thread() is not threading.main_thread() and (not only or only in arguments)
+            if late:
+                self.reached.set()
+                self.go_on.wait()
+            try:
+                return sound(*arguments, **more)
+            finally:
+                if late:
+                    self.gone.set()
+
+        monkeypatch.setattr(owner, name, step)
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "only", "told"),
+    [
+        (SessionRecorder, "_check_room", "", []),
+        (AuditLog, "record", "test.begun", ["test.begun", "test.stopped"]),
+    ],
+)
+def test_a_test_that_is_cancelled_while_it_is_prepared_has_an_end_in_the_log_or_no_beginning(
+    tmp_path, monkeypatch, owner, name, only, told
+):
+    log = AuditLog(tmp_path / "audit.jsonl")
+    instrument = connect()
+    trail = Trail(log, "clinician")
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device, trail=trail)
+    late = Late(monkeypatch, owner, name, only)
+    monkeypatch.setattr("tissueid.audit.trail.SETTLE_S", 0.01)
+    with pytest.raises(CancelledError) as cancelled:
+        run_guided_test(instrument, guided(), recorder, surface_m=0.01, cancelled=late.reached.is_set)
+    trail.note("session.broken_off", new=str(cancelled.value))
+    late.go_on.set()
+    late.gone.wait()
+    for thread in threading.enumerate():
+        if thread.name in ("work beside the instrument", "audit"):
+            thread.join()
+    trail.settle()
+    whats = [line.what for line in last_lines(log.path, 100)]
+    assert whats == ["audit.started", "session.begun", *told, "session.broken_off"]
+    recorder.abandon()
 
 
 def test_limits_other_than_the_default_are_logged(tmp_path):

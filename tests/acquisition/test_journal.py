@@ -1,5 +1,6 @@
 """The journal: every prefix recovers every complete batch, and no kill loses what was acknowledged."""
 
+import json
 import os
 import subprocess
 import sys
@@ -8,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover
-from tissueid.acquisition.journal import MAGIC, Entry, Journal, encode_entry, encode_json, read_entries
-from tissueid.acquisition.recovery import session_from_entries
+from tissueid.acquisition import JournalError, SessionRecorder, entries, journal_path, recover
+from tissueid.acquisition.journal import MAGIC, Damage, Entry, Journal, encode_entry, encode_json, read_entries
+from tissueid.acquisition.recovery import session_from_entries, session_into
+from tissueid.audit import last_lines
+from tissueid.cli import main
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run
@@ -76,14 +79,184 @@ def test_every_prefix_recovers_every_complete_batch(tmp_path):
             np.testing.assert_array_equal(session.tests[0].signals["position"], 1030.0 + np.arange(complete))
 
 
-def test_a_flipped_bit_ends_the_journal_there(tmp_path):
+def entries_of(journal: Path) -> list[tuple[int, int, Entry]]:
+    """Begin, end and kind of every entry of a whole journal."""
+    found, offset = [], len(MAGIC)
+    for kind, payload in read_entries(journal):
+        end = offset + len(encode_entry(kind, payload))
+        found.append((offset, end, kind))
+        offset = end
+    return found
+
+
+def spoil(journal: Path, place: int) -> None:
+    raw = bytearray(journal.read_bytes())
+    raw[place] ^= 4
+    journal.write_bytes(raw)
+
+
+def test_a_flipped_bit_costs_the_batch_it_is_in_and_no_other(tmp_path):
     path = tmp_path / "s.h5"
     record(path, 10, finish=False)
-    raw = bytearray(journal_path(path).read_bytes())
-    raw[-400] ^= 4
-    journal_path(path).write_bytes(raw)
-    session = session_from_entries(read_entries(journal_path(path)))
-    assert 0 < session.tests[0].samples < 50
+    journal = journal_path(path)
+    whole = journal.read_bytes()
+    batches = [(begin, end) for begin, end, kind in entries_of(journal) if kind is Entry.SAMPLES]
+    ends = {place for begin, end, _ in entries_of(journal) for place in (*range(begin, begin + 6), end - 1)}
+    for place in sorted(ends | set(range(len(MAGIC), len(whole), 101))):
+        spoil(journal, place)
+        damage = Damage()
+        session = session_from_entries(read_entries(journal, damage))
+        position = 1030.0 + np.arange(50)
+        hit = next((number for number, (begin, end) in enumerate(batches) if begin <= place < end), None)
+        if hit is not None:
+            position[hit * BATCH : (hit + 1) * BATCH] = np.nan
+        if hit == len(batches) - 1:
+            position = position[:-BATCH]  # a test without an end is as long as what was received
+            length = place - batches[-1][0] in range(1, 5)  # may as well be cut off: its length says so
+            assert damage.places == 1 or length
+        else:
+            assert damage.places == 1
+        np.testing.assert_array_equal(session.tests[0].signals["position"], position)
+        journal.write_bytes(whole)
+
+
+def test_a_journal_whose_first_bytes_are_damaged_is_still_one(tmp_path):
+    record(tmp_path / "s.h5", 4, finish=False)
+    spoil(journal_path(tmp_path / "s.h5"), 2)
+    assert recover(tmp_path / "s.h5")[1].test().samples == 20
+    assert (tmp_path / "s.h5.journal.damaged").exists()
+
+
+@pytest.mark.parametrize("left", [b"", b"\x03", b"\x03\x10\x00\x00\x00abc", bytes(3), bytes(5000)])
+def test_an_end_that_was_cut_off_is_no_damage(tmp_path, left):
+    record(tmp_path / "s.h5", 4, finish=False)
+    journal = journal_path(tmp_path / "s.h5")
+    journal.write_bytes(journal.read_bytes() + left)
+    damage = Damage()
+    assert len(list(read_entries(journal, damage))) == 8
+    assert damage == Damage()
+    told: list[str] = []
+    assert recover(tmp_path / "s.h5", told=told.append)[1].test().samples == 20
+    assert told == []
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
+
+
+def test_rubbish_at_the_end_that_was_not_cut_off_is_damage(tmp_path):
+    record(tmp_path / "s.h5", 4, finish=False)
+    journal = journal_path(tmp_path / "s.h5")
+    journal.write_bytes(journal.read_bytes() + b"\x03\x02\x00\x00\x00abcdefghi")
+    damage = Damage()
+    assert len(list(read_entries(journal, damage))) == 8
+    assert damage == Damage(1, 14)
+
+
+def test_the_search_after_a_damage_ends(tmp_path, monkeypatch):
+    """A file made so that everything in it may be an entry costs no more than its share of the time."""
+    path = tmp_path / "j"
+    path.write_bytes(MAGIC + encode_json(Entry.EVENT, {}) + b"\x03\xff\xff\x00\x00" * 50_000)
+    monkeypatch.setattr(entries, "MAX_CHECKED", 10_000_000)
+    calls = []
+    sound = entries._entry_at
+    monkeypatch.setattr(entries, "_entry_at", lambda *where: calls.append(1) or sound(*where))
+    damage = Damage()
+    assert len(list(read_entries(path, damage))) == 1
+    assert len(calls) < 200
+    assert damage.bytes == 250_000
+
+
+@pytest.fixture
+def spoiled(tmp_path):
+    """A sitting of 8000 samples, of which the disk turned one bit over before its end."""
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), Subject("P1"))
+    recorder.begin_test(Run(0, 8000), **ATTRIBUTES)
+    for number in range(400):
+        recorder.add(batch(20 * number, 20))
+    recorder.end_test("completed")
+    recorder._journal.sync()
+    journal = journal_path(tmp_path / "s.h5")
+    spoil(journal, [begin for begin, _, kind in entries_of(journal) if kind is Entry.SAMPLES][100] + 300)
+    return recorder
+
+
+def test_a_sitting_whose_journal_was_damaged_is_not_called_written(spoiled, tmp_path):
+    with pytest.raises(JournalError, match="damaged on its disk: 7980 of 8000 samples can be read again") as told:
+        spoiled.finish()
+    assert "\n" not in str(told.value)
+    assert "It is kept; 'tissueid recover'" in str(told.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
+
+
+def test_a_damaged_journal_is_recovered_around_its_hole_and_kept(spoiled, tmp_path, audit_file, capsys):
+    with pytest.raises(JournalError):
+        spoiled.finish()
+    kept = journal_path(tmp_path / "s.h5").read_bytes()
+    (tmp_path / "s.h5.journal.damaged").write_bytes(b"an earlier one")
+    assert main(["recover", str(tmp_path / "s.h5"), "--json", str(tmp_path / "a.json")]) == 0
+    said = capsys.readouterr().err
+    assert "the journal was damaged at 1 place, 1329 bytes in all" in said
+    assert f"kept as {tmp_path / 's.h5.journal.damaged2'}" in said
+    assert json.loads((tmp_path / "a.json").read_text())["warnings"] == [said.strip()]
+    assert (tmp_path / "s.h5.journal.damaged").read_bytes() == b"an earlier one"
+    assert (tmp_path / "s.h5.journal.damaged2").read_bytes() == kept
+    assert not journal_path(tmp_path / "s.h5").exists()
+    test = read_session(tmp_path / "s.h5").test()
+    position = 30.0 + np.arange(8000)
+    position[2000:2020] = np.nan
+    np.testing.assert_array_equal(test.signals["position"], position)
+    assert (test.status, test.notes["samples_lost"]) == ("completed", 20)
+    assert last_lines(audit_file, 1)[0].new == {"tests": 1, "samples": 8000, "damaged_bytes": 1329}
+
+
+def test_a_damaged_journal_that_cannot_be_renamed_stays(spoiled, tmp_path, monkeypatch):
+    spoiled.abandon()
+
+    def fails(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "rename", fails)
+    told: list[str] = []
+    recover(tmp_path / "s.h5", tmp_path / "out.h5", told=told.append)
+    assert told[0].endswith(f"kept as {tmp_path / 's.h5.journal'}")
+    assert journal_path(tmp_path / "s.h5").exists()
+
+
+def test_a_journal_that_lost_its_end_is_not_called_written(tmp_path):
+    """Nothing in it is damaged, but it holds less than went into it."""
+    recorder = record(tmp_path / "s.h5", 10, finish=False)
+    journal = journal_path(tmp_path / "s.h5")
+    os.truncate(journal, entries_of(journal)[-3][1])
+    with pytest.raises(JournalError, match="40 of 50 samples"):
+        session_into(tmp_path / "s.h5", journal, recorder.samples_appended)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
+
+
+def test_the_end_of_a_test_whose_beginning_is_lost_is_given_to_no_other(tmp_path):
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
+    for number, status in enumerate(("aborted", "completed")):
+        recorder.begin_test(Run(1000 * number, 100), **ATTRIBUTES)
+        recorder.add(batch(1000 * number, 40 + number))
+        recorder.event("gap", first_index=1000 * number, count=1)
+        recorder.end_test(status, None, reason=status)
+    recorder.abandon()
+    journal = journal_path(tmp_path / "s.h5")
+    for begin, _, _ in [entry for entry in entries_of(journal) if entry[2] is Entry.TEST][2:]:
+        spoil(journal, begin + 20)
+    told: list[str] = []
+    test = recover(tmp_path / "s.h5", told=told.append)[1].test()
+    assert (test.status, test.samples, test.notes["reason"]) == ("aborted", 40, "aborted")
+    assert test.notes["events"] == '[{"kind": "gap", "first_index": 0, "count": 1}]'
+    assert "damaged at 1 place" in told[0]
+
+
+def test_a_damaged_journal_of_which_nothing_can_be_made_is_left(tmp_path):
+    record(tmp_path / "s.h5", 3, finish=False)
+    journal = journal_path(tmp_path / "s.h5")
+    for begin, _, kind in entries_of(journal):
+        if kind is Entry.SITTING:
+            spoil(journal, begin + 20)
+    with pytest.raises(UnusableInputError, match="is damaged, and no session can be made of it"):
+        recover(tmp_path / "s.h5")
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
 
 
 def test_recover_finishes_what_a_dead_host_left(tmp_path):

@@ -79,7 +79,7 @@ def check(held):
 @pytest.mark.parametrize("cable", ["--pty", "--tcp=0"])
 def test_an_hour_of_tests_loses_nothing_and_does_not_grow(cable, tmp_path):
     hour = float(os.environ.get("HOUR", 3600))
-    with firmware_process(cable, "--speed", "60", "--preset", "linear-demo") as (url, _):
+    with firmware_process(cable, "--speed", "20", "--preset", "linear-demo") as (url, _):
         held, at_the_end = stream(url, tmp_path / "session.h5", hour)
     check(held)
     session = read_session(tmp_path / "session.h5")

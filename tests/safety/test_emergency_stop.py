@@ -8,7 +8,7 @@ from safety.rigs import WIDE, last_energised, rig, volts
 
 from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError
-from tissueid.wire import Fault, Flag, MessageType, State
+from tissueid.wire import Fault, Flag, MessageType, Result, State
 
 
 def running(instrument):
@@ -151,6 +151,78 @@ def test_a_brown_out_frees_the_coil_and_latches(state):
         instrument.load(volts(1.0, 0.1))
     instrument.clear_faults()
     instrument.load(volts(1.0, 0.1))
+
+
+@pytest.mark.parametrize("state", ["loaded", "armed", "running"])
+def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state):
+    instrument = rig()
+    instrument.load(volts(10.0, 5.0))
+    if state in ("armed", "running"):
+        instrument.arm(WIDE)
+    if state == "running":
+        instrument.start()
+        instrument.poll(0.3)
+    firmware, now = instrument._link.firmware, instrument._link.now
+    firmware.bench.supply_share = 0.41
+    firmware.advance(5, now)
+    assert firmware.faults == Fault.NONE
+    firmware.bench.supply_share = 0.39
+    firmware.advance(1, now)
+    assert firmware.state is State.FAULT
+    assert firmware.faults == Fault.BROWN_OUT
+    assert not firmware._samples["flags"][-1] & Flag.ENERGISED
+    instrument._error = None
+    instrument.clear_faults()
+    firmware.advance(1, instrument._link.now)
+    assert firmware.faults == Fault.BROWN_OUT, "as long as the supply sags"
+    firmware.bench.supply_share = 1.0
+    instrument.clear_faults()
+    instrument.load(volts(1.0, 0.1))
+
+
+# -- what frees the coil is never refused ------------------------------------------------------------------------------
+
+
+def another_version(link):
+    """A host that speaks version 9 alone says HELLO."""
+    hello = wire.pack(wire.HELLO, protocol_min=9, protocol_max=9, host=b"another")
+    link.firmware.receive(wire.encode_frame(wire.Frame(MessageType.HELLO, 0, payload=hello)), link.now)
+
+
+@pytest.mark.parametrize("state", ["armed", "running"])
+def test_a_host_of_another_version_frees_the_coil(state):
+    instrument = rig()
+    link = instrument._link
+    instrument.load(volts(10.0, 5.0))
+    instrument.arm(WIDE)
+    if state == "running":
+        instrument.start()
+        instrument.poll(0.3)
+    another_version(link)
+    assert link.firmware.state is State.LOADED
+    assert not link.firmware.energised
+    link.run_for(0.1)
+    assert link.firmware.faults == Fault.NONE
+
+
+@pytest.mark.parametrize(
+    ("kind", "after"),
+    [(MessageType.STOP, State.LOADED), (MessageType.RELEASE, State.IDLE), (MessageType.FINISH, State.LOADED)],
+)
+def test_stop_release_and_finish_are_obeyed_whatever_was_agreed_on(kind, after):
+    instrument = rig()
+    link = running(instrument)
+    firmware = link.firmware
+    firmware._greeted = False
+    firmware.transmit(link.now)
+    for number, request in enumerate((MessageType.CLEAR_FAULTS, kind)):
+        firmware.receive(wire.encode_frame(wire.Frame(request, 50_000 + number)), link.now)
+    acks = [frame for frame in wire.FrameDecoder().feed(firmware.transmit(link.now)) if frame.type == MessageType.ACK]
+    results = [wire.unpack(wire.ACK, frame.payload)[0]["result"] for frame in acks]
+    assert results == [Result.BAD_STATE, Result.OK]
+    firmware.advance(120, link.now)
+    assert firmware.state is after
+    assert not firmware.energised
 
 
 def test_a_reset_leaves_the_coil_free_and_everything_to_be_agreed_anew():

@@ -4,16 +4,17 @@ import itertools
 
 import numpy as np
 import pytest
-from safety.rigs import RATE, WIDE, rig, run_until_it_ends, volts, without_firmware, without_host
+from safety.rigs import RATE, WIDE, last_energised, rig, run_until_it_ends, volts, without_firmware, without_host
 from support import softly
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from firmware_sim.identity import Identity
+from tissueid import wire
 from tissueid.acquisition.guided import find_surface
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
 from tissueid.instrument import CLINICAL, Limits, SimulatedInstrument
-from tissueid.wire import Fault, Flag
+from tissueid.wire import Fault, Flag, MessageType, Result
 
 STEP_V = 60 / 32768
 GENTLE = Limits(max_force_n=2.0, min_position_m=-0.001, max_position_m=0.033)
@@ -148,6 +149,33 @@ def test_the_end_of_the_stroke_is_a_fault_where_the_probe_may_push_harder():
     assert instrument._link.firmware.faults == Fault.STROKE
 
 
+def turned_over_at_the_near_end():
+    """A device that points upwards, its probe on the near stop, and nothing to lift it."""
+    return rig(Bench("left-posterior-forearm", seed=1, tilt_deg=180.0))
+
+
+def test_the_firmware_alone_gives_the_probe_half_a_second_to_come_off_the_near_end(monkeypatch):
+    without_host(monkeypatch)
+    instrument = turned_over_at_the_near_end()
+    samples, _, error = run_until_it_ends(instrument, np.full(6000, 1.0), CLINICAL)  # 0.25 N: less than its weight
+    assert isinstance(error, FirmwareFaultError)
+    assert instrument._link.firmware.faults == Fault.STROKE
+    assert samples["position"][:1001].max() < CLINICAL.min_position_m
+    assert last_energised(samples) - samples["index"][0] == 0.5 * RATE, "the first sample at which the limit counts"
+
+
+def test_the_firmware_alone_counts_the_near_limit_at_once_where_the_probe_has_been_inside(monkeypatch):
+    without_host(monkeypatch)
+    instrument = turned_over_at_the_near_end()
+    command = np.concatenate([np.full(400, 8.0), np.full(3000, -2.0)])  # up, and back before half a second is over
+    samples, _, _ = run_until_it_ends(instrument, command, CLINICAL)
+    assert instrument._link.firmware.faults == Fault.STROKE
+    inside = samples["position"] >= CLINICAL.min_position_m
+    back = int(np.flatnonzero(inside)[-1]) + 1
+    assert back < 0.5 * RATE
+    assert last_energised(samples) - samples["index"][0] == back
+
+
 # -- the stage --------------------------------------------------------------------------------------------------------
 
 
@@ -189,6 +217,27 @@ def test_the_firmware_alone_keeps_the_stage_still_while_a_test_is_armed():
 def test_the_stage_does_not_go_beyond_the_stroke(opened, position_m):
     with pytest.raises(InstrumentError, match=r"did not understand|cannot go there"):
         opened().move_stage(position_m)
+
+
+@pytest.mark.parametrize("fault", [Fault.BUTTON, Fault.BROWN_OUT, Fault.WATCHDOG])
+def test_the_stage_stays_where_it_is_while_a_fault_is_latched(fault):
+    instrument = rig()
+    firmware = instrument._link.firmware
+    before = firmware.bench.tissue
+    firmware._trip(fault)
+    instrument._error = None
+    with pytest.raises(FirmwareFaultError):
+        instrument.move_stage(0.01)
+    request = wire.encode_frame(wire.Frame(MessageType.STAGE, 50_000, payload=wire.pack(wire.STAGE, position_m=0.01)))
+    firmware.transmit(instrument._link.now)
+    firmware.receive(request, instrument._link.now)
+    (answer,) = wire.FrameDecoder().feed(firmware.transmit(instrument._link.now))
+    result, _ = wire.unpack(wire.ACK, answer.payload)
+    assert (result["result"], result["detail"]) == (Result.FAULT_LATCHED, fault)
+    assert firmware.bench.tissue is before
+    instrument.clear_faults()
+    assert instrument.move_stage(0.01)
+    assert firmware.bench.tissue.surface_m == 0.01
 
 
 def test_a_device_without_a_stage_says_so():

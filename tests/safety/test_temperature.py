@@ -1,46 +1,124 @@
 """The winding's temperature by calculation, on either side, and a sensor that is not there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from safety.rigs import RATE, WIDE, rig, true_winding_c, volts
+from safety.rigs import RATE, WIDE, rig, true_winding_c, volts, without_firmware, without_host
+from support import LoopbackLink
 
+from firmware_sim import models
+from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS
+from firmware_sim.firmware import Firmware
+from firmware_sim.identity import Identity
+from firmware_sim.presets import preset_names
 from firmware_sim.thermal import WindingModel
 from tissueid import wire
-from tissueid.device import DeviceDescription
+from tissueid.acquisition.choice import NoiseChoice
+from tissueid.device import DESKTOP, HANDHELD, DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
-from tissueid.instrument import Limits
+from tissueid.instrument import Limits, SerialInstrument
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.thermal import Winding
 from tissueid.wire import Fault
 
 ROOM = np.full(200, 23.0)
+ORDINARY = NoiseChoice().stimulus(RATE)
 
 
-def warmth(kind, amperes, seconds, start_c=23.0):
+# What a coil has, by the wire it is wound with: ohm, J/K, K/W. 12 ohm of 28 gage are 56 m, 9.5 ohm are 44 m.
+COILS = {"desktop": (12.0, 18.0, 8.0), "handheld": (9.5, 18.0 * 9.5 / 12.0, 8.0 * 12.0 / 9.5)}
+DEVICES = {"desktop": DESKTOP, "handheld": HANDHELD}
+
+
+def warmth(kind, amperes, seconds, start_c=23.0, device="desktop"):
     """The temperature after so many seconds of a steady current, the sensor dead."""
     block = np.full(200, float(amperes))
     sensor = np.full(200, start_c)
-    model = WindingModel(12.0, RATE) if kind == "firmware" else Winding(DeviceDescription())
+    model = WindingModel(COILS[device][0], RATE) if kind == "firmware" else Winding(DEVICES[device])
     for _ in range(round(seconds * RATE / 200)):
         model.advance(block, sensor) if kind == "firmware" else model.take(block, sensor, 0.0)
     return model.temperature_c
 
 
-def coil(amperes, seconds, start_c=23.0, ambient_c=23.0):
-    """The coil itself, in closed form: 18 J/K and 8 K/W."""
-    steady = ambient_c + 12.0 * amperes**2 * 8.0
-    return steady + (start_c - steady) * np.exp(-seconds / 144.0)
+def coil(amperes, seconds, start_c=23.0, ambient_c=23.0, device="desktop"):
+    """The coil itself, in closed form."""
+    ohm, capacity, way_out = COILS[device]
+    steady = ambient_c + ohm * amperes**2 * way_out
+    return steady + (start_c - steady) * np.exp(-seconds / (capacity * way_out))
 
 
 each_side = pytest.mark.parametrize("side", ["firmware", "host"])
 
 
+each_device = pytest.mark.parametrize("device", ["desktop", "handheld"])
+
+
 @each_side
+@each_device
 @pytest.mark.parametrize(("amperes", "seconds"), [(0.3, 600), (0.7, 120), (1.0, 60), (2.0, 20), (4.0, 4)])
-def test_the_calculation_lies_on_the_hot_side_and_not_far(side, amperes, seconds):
-    true = coil(amperes, seconds)
-    assert true < warmth(side, amperes, seconds) < 28.0 + 1.5 * (true - 23.0) + 5.0
+def test_the_calculation_lies_on_the_hot_side_and_not_far(side, device, amperes, seconds):
+    true = coil(amperes, seconds, device=device)
+    assert true < warmth(side, amperes, seconds, device=device) < 28.0 + 1.5 * (true - 23.0) + 5.0
+
+
+def with_a_dead_sensor(name, room_c, watchdog_s):
+    """A driver on a device by its name, in a room of that temperature; its sensor says 23 degC from the beginning."""
+    model = models.MODELS[name]
+    truth = replace(model.plant, ambient_degc=room_c)
+    bench = Bench("linear-demo", seed=1, parameters=truth, nominal=model.plant, frame_mass_kg=model.frame_mass_kg)
+    bench.stuck.add("temperature")
+    bench._frozen["temperature"] = int(CHANNELS[4].encode(np.array([23.0]))[0][0])
+    identity = Identity(model=model.title, max_force_n=model.max_force_n)
+    link = LoopbackLink(Firmware(bench, identity, watchdog_s=watchdog_s))
+    return SerialInstrument(link, clock=link.clock)
+
+
+@each_side
+@each_device
+@pytest.mark.parametrize("room_c", [23.0, 30.0])
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_either_side_alone_keeps_either_device_below_its_limit_though_the_sensor_is_dead(
+    monkeypatch, side, device, room_c, share
+):
+    (without_host if side == "firmware" else without_firmware)(monkeypatch)
+    instrument = with_a_dead_sensor(device, room_c, 0.5 if side == "firmware" else 1e9)
+    firmware = instrument._link.firmware
+    # As hard as the device permits, and with half of that heat.
+    force_n = min(firmware.identity.max_force_n, instrument.device.force_constant_n_per_a * 48.0 / COILS[device][0])
+    level = share * min(48.0, instrument.device.voltage_for_force(force_n))
+    instrument.load(volts(level, 12.0))
+    instrument.arm(Limits(max_force_n=force_n, max_temperature_c=80.0))
+    run = instrument.start()
+    with pytest.raises((LimitError, FirmwareFaultError)) as caught:
+        while (samples := instrument.poll(0.05))["index"][-1] < run.end_index:
+            assert samples["temperature"] == pytest.approx(23.0, abs=0.05)
+    assert ("too hot" if side == "firmware" else "by its current; the limit is 80 °C") in str(caught.value)
+    assert not firmware.energised
+    assert 60.0 < true_winding_c(instrument) < 79.0
+
+
+@each_device
+@pytest.mark.parametrize("preset", preset_names())
+def test_the_calculation_lets_ordinary_tests_pass(device, preset):
+    """4.5 s of the noise that is played where nothing else is asked for, with 30 s of rest between, in a warm room.
+
+    Five of them on the desktop device. The handheld has half of its force for an ampere, and warms four times as much.
+    """
+    model = models.MODELS[device]
+    bench = Bench(preset, seed=2, parameters=model.plant)
+    force_n = ORDINARY.values * min(1.0, model.max_force_n / ORDINARY.values.max())
+    codes = bench.block(force_n * model.plant.resistance_ohm / model.plant.force_constant_n_per_a, energised=True).codes
+    current_a, rest = np.array_split(CHANNELS[2].decode(codes[:, 2]), 45), np.zeros(2000)
+    firmware, host = WindingModel(model.plant.resistance_ohm, RATE), Winding(DEVICES[device])
+    hottest = 0.0
+    for _ in range({"desktop": 5, "handheld": 2}[device]):
+        for block in (*current_a, *[rest] * 30):
+            firmware.advance(block, np.full(block.size, 23.0))
+            host.take(block, np.full(block.size, 23.0), 0.0)
+            hottest = max(hottest, firmware.temperature_c, host.temperature_c)
+    assert 50.0 < hottest < 80.0
 
 
 @each_side
@@ -169,14 +247,6 @@ def test_the_host_releases_when_the_temperature_sensor_falls_off():
 
 
 def test_a_handshake_whose_scales_are_no_numbers_is_refused():
-    from dataclasses import replace
-
-    from support import LoopbackLink
-
-    from firmware_sim.bench import Bench
-    from firmware_sim.firmware import Firmware
-    from tissueid.instrument import SerialInstrument
-
     firmware = Firmware(Bench(seed=1))
     firmware._channels["temperature"] = replace(firmware._channels["temperature"], offset=float("nan"))
     link = LoopbackLink(firmware)

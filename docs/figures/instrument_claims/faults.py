@@ -72,7 +72,7 @@ def _schedules() -> Iterator[Claim]:
 def _streaming() -> Claim:
     with (
         tempfile.TemporaryDirectory() as folder,
-        firmware_process("--tcp=0", "--speed", "60", "--preset", "linear-demo") as (url, _),
+        firmware_process("--tcp=0", "--speed", "20", "--preset", "linear-demo") as (url, _),
     ):
         held, _ = stream(url, Path(folder) / "session.h5", STREAM_S)
     grown = held[-1].bytes - held[len(held) // 5].bytes

@@ -14,7 +14,7 @@ from tissueid.acquisition.feedback import SetPoints, preload, rehearse, set_poin
 from tissueid.acquisition.placing import PLACE_S, Placement, find_orientation, find_surface, place
 from tissueid.acquisition.playing import Phase, Progress, ignore, never, play
 from tissueid.acquisition.quality import Quality
-from tissueid.acquisition.recorder import SessionRecorder
+from tissueid.acquisition.recorder import Preparation, SessionRecorder
 from tissueid.acquisition.recovery import OpenTest
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.configuration import Configuration
@@ -144,6 +144,7 @@ class _Recording:
         self._progress = progress
         self._gaps_before = len(instrument.gaps)
         self._open: OpenTest | None = None
+        self._preparation = Preparation()
 
     def prepare(self) -> None:
         """Before the coil is energised: it can be recorded and logged, or is refused.
@@ -153,7 +154,7 @@ class _Recording:
         """
         samples = self.opening.values.size + (0 if self.set_points is None else self.set_points.samples)
         about = {"site": self._test.site, "kind": self._test.kind, "configuration": self._test.configuration.name}
-        self._recorder.prepare(samples, limits=self._test.limits, **about)
+        self._recorder.prepare(samples, limits=self._test.limits, preparation=self._preparation, **about)
 
     def begin(self, run: Run) -> None:
         """The coil is energised."""
@@ -201,7 +202,7 @@ class _Recording:
         if self.planned is not None:
             self._close("aborted", self.planned, {"reason": _cause(error)}, error)
         else:
-            self._recorder.not_begun(error, _cause(error))
+            self._recorder.not_begun(error, _cause(error), self._preparation)
 
     def _close(self, status: str, run: Run, notes: dict[str, str | float], cause: BaseException | None = None) -> None:
         for gap in self._instrument.gaps[self._gaps_before :]:
@@ -286,8 +287,8 @@ def run_guided_test(
     recording = _Recording(instrument, test, recorder, placement, progress)
     if isinstance(test.stimulus, FeedbackKind):
         recording.set_points = SetPoints(test.stimulus, device, placement.surface_m, command.size, clock=clock)
-    meanwhile(instrument, recording.prepare, cancelled)
     try:
+        meanwhile(instrument, recording.prepare, cancelled)
         run = play(
             instrument,
             command,

@@ -1,93 +1,55 @@
 """The journal: an append-only file of checksummed entries that holds a sitting until its session is written.
 
 An HDF5 file that is open for writing is lost when its host dies at the wrong moment. A journal never is: whatever
-was cut off at its end fails its checksum, and all that stands before it is whole (docs/decisions/0003-journal.md).
+was cut off at its end fails its checksum, and all that stands before it is whole (docs/decisions/0003-journal.md). So
+is all that stands after a place that the disk damaged.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import queue
-import struct
 import threading
 import time
-import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from enum import IntEnum
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.acquisition.entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
+from tissueid.errors import TissueIDError
 from tissueid.whole_file import sync_folder, write_all
 
-MAGIC = b"TIDJ\x01\r\n\x00"
-_ENTRY = struct.Struct("<BI")
-_CRC = struct.Struct("<I")
-MAX_ENTRY = 64 * 1024 * 1024
+__all__ = [
+    "MAGIC",
+    "Damage",
+    "Entry",
+    "Journal",
+    "JournalError",
+    "encode_entry",
+    "encode_json",
+    "journal_path",
+    "lock",
+    "read_entries",
+]
+
 SYNC_S = 1.0
 MAX_WAITING = 64 * 1024 * 1024
 """Bytes that wait for the disk; a recorder allows less."""
 PATIENCE_S = 30.0
 """How long the end of a sitting waits for a disk that does not answer. No coil waits for it."""
+_LOOK_S = 0.05
+"""Between two looks whether the thread that writes is still there."""
 
 
 class JournalError(TissueIDError):
     """The journal cannot be written: the disk is full, or failed. The test is stopped, what is synced is kept."""
 
 
-class Entry(IntEnum):
-    """What an entry holds: JSON, but for SAMPLES."""
-
-    SITTING = 1
-    TEST = 2
-    SAMPLES = 3
-    EVENT = 4
-    TEST_END = 5
-    CLOSED = 6
-
-
 def journal_path(session: Path) -> Path:
     """Where the journal of a session lies: beside it."""
     return session.with_name(session.name + ".journal")
-
-
-def encode_entry(kind: Entry, payload: bytes) -> bytes:
-    """One entry: kind, length, payload, CRC-32 of all three."""
-    body = _ENTRY.pack(kind, len(payload)) + payload
-    return body + _CRC.pack(zlib.crc32(body))
-
-
-def encode_json(kind: Entry, value: dict[str, Any]) -> bytes:
-    """An entry that holds JSON."""
-    return encode_entry(kind, json.dumps(value).encode())
-
-
-def read_entries(path: Path) -> Iterator[tuple[Entry, bytes]]:
-    """The whole entries of a journal, in order; stops without complaint where it was cut off or damaged.
-
-    Raises:
-        UnusableInputError: not a journal at all.
-    """
-    with path.open("rb") as file:
-        magic = file.read(len(MAGIC))
-        if not MAGIC.startswith(magic):
-            raise UnusableInputError(f"{path} is not a journal of this software")
-        while True:
-            head = file.read(_ENTRY.size)
-            if len(head) < _ENTRY.size:
-                return
-            kind, length = _ENTRY.unpack(head)
-            if length > MAX_ENTRY:
-                return
-            payload, crc = file.read(length), file.read(_CRC.size)
-            if len(crc) < _CRC.size or zlib.crc32(head + payload) != _CRC.unpack(crc)[0]:
-                return
-            with contextlib.suppress(ValueError):  # a kind that a newer version added
-                yield Entry(kind), payload
 
 
 @dataclass
@@ -129,10 +91,10 @@ class Journal:
             _remove(path)
             raise JournalError(f"cannot write {path}: {error.strerror}. Nothing was begun") from error
         self._queue: queue.SimpleQueue[bytes | _Flush] = queue.SimpleQueue()
-        self._error: OSError | None = None
+        self._error: BaseException | None = None
         self._appended = self._synced = 0
         self._appended_bytes = self._written_bytes = 0
-        self._named = False
+        self._named = self._ended = False
         self._last: _Flush | None = None
         self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
         self._thread.start()
@@ -171,7 +133,7 @@ class Journal:
                 "makes the session from it"
             ) from self._error
         if self._error is not None:
-            reason = self._error.strerror or str(self._error)
+            reason = getattr(self._error, "strerror", None) or str(self._error) or type(self._error).__name__
             raise JournalError(
                 f"cannot write {self.path}: {reason}. What was recorded before is kept in it; once that is mended, "
                 "'tissueid recover' makes the session from it"
@@ -197,14 +159,26 @@ class Journal:
         if self._last is None:
             self._last = _Flush(last=True)
             self._wait_for(self._last)
-        elif not self._last.done.wait(self._patience_s):
-            raise self._no_answer()
+        else:
+            self._await(self._last)
         self._thread.join()
 
     def _wait_for(self, request: _Flush) -> None:
-        if self._thread.is_alive():
-            self._queue.put(request)
-            if not request.done.wait(self._patience_s):
+        if self._ended:
+            return
+        self._queue.put(request)
+        self._await(request)
+
+    def _await(self, request: _Flush) -> None:
+        until = time.monotonic() + self._patience_s
+        while not request.done.wait(max(0.0, min(_LOOK_S, until - time.monotonic()))):
+            if not self._thread.is_alive() and not request.done.is_set():
+                self.check()
+                raise JournalError(
+                    f"the writing of {self.path} ended before its time. What was recorded before is kept in it; "
+                    "'tissueid recover' makes the session from it"
+                )
+            if time.monotonic() >= until:
                 raise self._no_answer()
 
     def _no_answer(self) -> JournalError:
@@ -214,6 +188,16 @@ class Journal:
         )
 
     def _write_all(self) -> None:
+        try:
+            self._take_all()
+        except BaseException as error:  # noqa: BLE001 - told by ``check``: a thread that is gone writes nothing
+            self._fail(error)
+        finally:
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def _take_all(self) -> None:
+        """Write what is queued until told to end."""
         written = 0
         sync_at: float | None = None
         while True:
@@ -227,7 +211,7 @@ class Journal:
                 if self._error is None and due and written > self._synced:
                     self._sync()
                     self._synced, sync_at = written, None
-            except OSError as error:
+            except Exception as error:  # noqa: BLE001 - memory that ran out loses as much as a disk that did
                 self._fail(error)
                 sync_at = None
             if isinstance(item, bytes):
@@ -244,9 +228,10 @@ class Journal:
             self._file.close()
         except OSError as error:
             self._fail(error)
+        self._ended = True
         request.done.set()
 
-    def _fail(self, error: OSError) -> None:
+    def _fail(self, error: BaseException) -> None:
         """Whatever comes after is not written; a file without a name keeps nothing that was."""
         self._error = self._error or error
         if not self._is_anywhere():

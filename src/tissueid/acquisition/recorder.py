@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+import threading
 import uuid
-from collections.abc import Callable
-from dataclasses import asdict
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
@@ -45,6 +47,14 @@ _CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date
 _Result = TypeVar("_Result")
 
 
+@dataclass
+class Preparation:
+    """How far it has come to prepare one test; whoever gave it up is not told of its beginning afterwards."""
+
+    logged: bool = False
+    given_up: bool = False
+
+
 class SessionRecorder:
     """One sitting being recorded. ``finish`` leaves a session file; a host that dies leaves the journal.
 
@@ -79,8 +89,9 @@ class SessionRecorder:
         self.samples_appended = 0
         self.gate = QualityGate(device)
         """Judges the tests of this sitting as they end, each against those before it."""
-        self._sample_entries: list[tuple[int, int]] = []
+        self._sample_entries: deque[tuple[int, int]] = deque()
         self._run_samples = 0
+        self._turn = threading.Lock()
         self._check_room(0)
         waiting = round(WAITING_S * device.sample_rate_hz * SAMPLE.itemsize)
         self._journal = Journal(journal_path(path), sync_s=sync_s, max_waiting=waiting)
@@ -96,17 +107,26 @@ class SessionRecorder:
                 "sample_fields": [list(item) for item in SAMPLE.descr],
                 "audit_head": "" if trail is None else trail.head,
             }
-            self._journal.append(encode_json(Entry.SITTING, sitting))
+            self._journal.append(_twice(encode_json(Entry.SITTING, sitting)))
         except BaseException:
             self._discard()
             raise
 
-    def prepare(self, samples: int, *, limits: Limits = CLINICAL, **about: str | float) -> None:
+    def prepare(
+        self,
+        samples: int,
+        *,
+        limits: Limits = CLINICAL,
+        preparation: Preparation | None = None,
+        **about: str | float,
+    ) -> None:
         """Before a test of so many samples begins: whether it can be recorded and logged; waits for the disk.
 
-        ``about`` goes into the audit log with it.
+        ``about`` goes into the audit log with it. ``preparation`` is for a caller that may not wait for the end of
+        this: see ``not_begun``.
 
         Raises:
+            CancelledError: it was given up meanwhile, and is not logged.
             JournalError: the recording has failed, or there is no room for the test.
             SessionFormatError: the session would be too large to be read again.
             AuditError: it cannot be logged.
@@ -116,16 +136,24 @@ class SessionRecorder:
             raise SessionFormatError(f"{self.path} would grow too large to be read: go on in another session file")
         self._check_room(samples)
         if self.trail is not None:
+            step = preparation or Preparation()
             if limits != CLINICAL:
-                self.trail.record("limits.chosen", subject=self.session_id, old=asdict(CLINICAL), new=asdict(limits))
-            self.trail.record("test.begun", subject=self._test(self.tests_begun + 1), new=about)
+                with self._wanted(step):
+                    answer = self.trail.ask(
+                        "limits.chosen", subject=self.session_id, old=asdict(CLINICAL), new=asdict(limits)
+                    )
+                answer.result()
+            with self._wanted(step):
+                answer = self.trail.ask("test.begun", subject=self._test(self.tests_begun + 1), new=about)
+                step.logged = True
+            answer.result()
 
     def begin_test(self, run: Run, **attributes: Any) -> int:
         """A test starts; ``attributes`` are those of ``sessions.Test``. Returns its number."""
         self.tests_begun += 1
         self._run_samples = 0
         entry = {"number": self.tests_begun, "run": asdict(run), "attributes": attributes}
-        self._journal.append(encode_json(Entry.TEST, entry))
+        self._journal.append(_twice(encode_json(Entry.TEST, entry)))
         return self.tests_begun
 
     def add(self, samples: NDArray[np.void]) -> None:
@@ -139,20 +167,26 @@ class SessionRecorder:
             self.samples_appended += samples.size
             self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
+            self._forget_acknowledged()
 
     @property
     def samples_acknowledged(self) -> int:
         """How many samples of this sitting are known to be on the disk."""
-        synced = self._journal.synced
-        while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
-            self._sample_entries.pop(0)
+        synced = self._forget_acknowledged()
         if self._sample_entries and self._sample_entries[0][0] <= synced:
             return self._sample_entries[0][1]
         return 0
 
+    def _forget_acknowledged(self) -> int:
+        """Keep the newest entry that is on the disk and those that are not; returns how many are on the disk."""
+        synced = self._journal.synced
+        while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
+            self._sample_entries.popleft()
+        return synced
+
     def event(self, kind: str, **details: Any) -> None:
         """Something that happened: a gap, a fault, a verdict. Never fails; a journal that did is told by the others."""
-        self._journal.leave(encode_json(Entry.EVENT, {"kind": kind, **details}))
+        self._journal.leave(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
 
     def end_test(
         self, status: str, samples: int | None = None, *, cause: BaseException | None = None, **notes: str | float
@@ -161,15 +195,36 @@ class SessionRecorder:
 
         ``samples`` is how many were played of a test that was completed before its time; all without it.
         """
-        entry: dict[str, Any] = {"status": status, "notes": notes}
+        entry: dict[str, Any] = {"test": self.tests_begun, "status": status, "notes": notes}
         if samples is not None:
             entry["samples"] = samples
         self._journal.leave(encode_json(Entry.TEST_END, entry))
         self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, str(notes.get("reason", "")))
 
-    def not_begun(self, cause: BaseException, reason: str) -> None:
-        """The test that was prepared did not begin. Never fails and never waits."""
-        self._log_end(self.tests_begun + 1, _ending("aborted", cause), 0, reason)
+    def not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
+        """The test that was prepared did not begin. Never fails and never waits.
+
+        With a ``preparation`` that may still go on in another thread: what it has not logged by now it never will, and
+        then there is no end to log either.
+        """
+        with self._turn:
+            if preparation is not None:
+                preparation.given_up = True
+                if not preparation.logged:
+                    return
+            self._log_end(self.tests_begun + 1, _ending("aborted", cause), 0, reason)
+
+    @contextlib.contextmanager
+    def _wanted(self, preparation: Preparation) -> Iterator[None]:
+        """Hand over a line of the log, unless its test was given up.
+
+        Raises:
+            CancelledError: it was.
+        """
+        with self._turn:
+            if preparation.given_up:
+                raise CancelledError("the test was given up while it was prepared")
+            yield
 
     def write(self) -> None:
         """Write the session file from what the journal holds, verify it, and remove the journal.
@@ -177,7 +232,8 @@ class SessionRecorder:
         The memory that this takes is that of the longest test, however long the sitting was.
 
         Raises:
-            JournalError: it could not be written; nothing is lost, the journal stays for ``tissueid recover``.
+            JournalError: it could not be written, or the journal no longer holds all that went into it; the journal
+                stays for ``tissueid recover``.
         """
         try:
             self._journal.check()
@@ -189,7 +245,7 @@ class SessionRecorder:
             self._journal.sync()
         finally:
             self._journal.close()
-        self._or_keep(lambda: session_into(self.path, self._journal.path))
+        self._or_keep(lambda: session_into(self.path, self._journal.path, self.samples_appended))
         with contextlib.suppress(OSError):  # the session is whole; what is left over 'recover' takes away
             self._journal.path.unlink()
         if self.trail is not None:
@@ -284,6 +340,11 @@ class SessionRecorder:
     def _without_names(self, words: str) -> str:
         """What goes into the audit log: the names of files may be those of people."""
         return words.replace(str(self.path), "the session").replace(str(self.path.parent), "its folder")
+
+
+def _twice(entry: bytes) -> bytes:
+    """What all that follows makes no sense without: one bit that turns over must not cost a whole test."""
+    return 2 * entry
 
 
 def _about(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:

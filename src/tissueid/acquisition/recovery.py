@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.journal import Entry, journal_path, lock, read_entries
+from tissueid.acquisition.journal import Damage, Entry, JournalError, journal_path, lock, read_entries
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -94,9 +94,11 @@ def _open_tests(entries: _Entries, *, keep: bool) -> Iterator[OpenTest]:
     for kind, payload in entries:
         match kind:
             case Entry.TEST:
-                if test is not None:
-                    yield test
                 value = json.loads(payload)
+                if test is not None:
+                    if value["number"] == test.number:
+                        continue  # the other copy
+                    yield test
                 run = Run(**value["run"])
                 if not 0 < run.samples <= MAX_RUN_SAMPLES:
                     raise UnusableInputError(f"the journal has a test of {run.samples} samples")
@@ -104,10 +106,13 @@ def _open_tests(entries: _Entries, *, keep: bool) -> Iterator[OpenTest]:
             case Entry.SAMPLES if test is not None:
                 test.take(payload, keep=keep)
             case Entry.EVENT if test is not None:
-                test.events.append(json.loads(payload))
+                value = json.loads(payload)
+                if value.pop("test", test.number) == test.number:  # else the beginning of its own is damaged
+                    test.events.append(value)
             case Entry.TEST_END if test is not None:
                 value = json.loads(payload)
-                test.end(value["status"], value["notes"], value.get("samples"))
+                if value.get("test", test.number) == test.number:
+                    test.end(value["status"], value["notes"], value.get("samples"))
     if test is not None:
         yield test
 
@@ -184,22 +189,55 @@ def session_from_entries(entries: _Entries) -> Session:
     return replace(session, tests=tuple(_tests(entries, session.instrument)))
 
 
-def session_into(path: Path, journal: Path) -> None:
-    """Write the session of a journal, one test at a time.
+def session_into(path: Path, journal: Path, samples: int) -> None:
+    """Write the session of a journal, one test at a time, when it still holds all that went into it.
+
+    ``samples`` is how many that were.
 
     Raises:
-        UnusableInputError: the journal holds no sitting, or makes no sense.
+        JournalError: the journal does not hold them, or is damaged, or makes no sense; it stays as it is.
         SessionFormatError, OSError: it cannot be written; nothing is left behind.
     """
-    session, _ = _sitting(read_entries(journal))
-    write_session(path, session, tests=_tests(read_entries(journal), session.instrument))
+    try:
+        session, _ = _sitting(_whole(journal, samples))
+        write_session(path, session, tests=_tests(_whole(journal, samples), session.instrument))
+    except UnusableInputError as error:
+        raise JournalError(
+            f"{journal} does not hold what went into it: {error}. It is kept; 'tissueid recover' makes a session of "
+            "what can still be read"
+        ) from error
 
 
-def recover(path: Path, out: Path | None = None, *, trail: Trail | None = None) -> tuple[Path, Session]:
+def _whole(journal: Path, samples: int) -> Iterator[tuple[Entry, bytes]]:
+    """The entries of a journal that must be whole and hold so many samples.
+
+    Raises:
+        JournalError: at its end, when it was not so.
+    """
+    damage, received = Damage(), 0
+    for kind, payload in read_entries(journal, damage):
+        received += len(payload) // SAMPLE.itemsize if kind is Entry.SAMPLES else 0
+        yield kind, payload
+    if damage.places or received != samples:
+        raise JournalError(
+            f"{journal} was damaged on its disk: {received} of {samples} samples can be read again. It is kept; "
+            "'tissueid recover' makes a session of what can still be read"
+        )
+
+
+def recover(
+    path: Path,
+    out: Path | None = None,
+    *,
+    trail: Trail | None = None,
+    told: Callable[[str], None] = lambda _: None,
+) -> tuple[Path, Session]:
     """Finish what a dead host left. ``path`` is the journal or the session that it belongs to.
 
     ``out`` is where the session goes when there is no room beside the journal. A log that cannot be written does not
-    keep anything from being recovered: see ``trail.problem``.
+    keep anything from being recovered: see ``trail.problem``. A journal that was damaged before its end is not removed
+    but kept under another name, and ``told`` is given a line that says so: what can be read of it is in the session,
+    the rest is NaN there.
 
     Returns the session file and what it holds.
 
@@ -213,23 +251,53 @@ def recover(path: Path, out: Path | None = None, *, trail: Trail | None = None) 
     if not journal.is_file():
         where = f"{path} has no journal beside it" if path.exists() else f"there is no {journal}"
         raise UnusableInputError(f"nothing to recover: {where}")
+    damage = Damage()
     with journal.open("rb") as held:
         lock(held)
-        session, tests = _sitting(read_entries(journal))
+        try:
+            session, tests = _sitting(read_entries(journal, damage))
+        except UnusableInputError as error:
+            if damage.places:
+                raise UnusableInputError(f"{journal} is damaged, and no session can be made of it: {error}") from error
+            raise
         if target.exists():
             # The host died between the rename and the removal of the journal.
             if read_session_head(target).session_id != session.session_id:
                 raise UnusableInputError(f"{target} is another session; move it away first")
         elif not tests:
-            raise UnusableInputError(f"{journal} holds no sample of any test; delete it if it is in the way")
+            advice = "it is damaged, and" if damage.places else "delete it if it is in the way:"
+            raise UnusableInputError(f"{journal} holds no sample of any test; {advice} there is nothing to save")
         else:
             write_session(target, session, tests=_tests(read_entries(journal), session.instrument))
-    with contextlib.suppress(OSError):  # a folder that cannot be written: the session is made, elsewhere
-        journal.unlink()
     recovered = read_session(target)
+    if damage.places:
+        told(_keep_damaged(journal, damage))
+    else:
+        with contextlib.suppress(OSError):  # a folder that cannot be written: the session is made, elsewhere
+            journal.unlink()
     if trail is not None:
         samples = sum(test.samples for test in recovered.tests)
         new = {"tests": len(recovered.tests), "samples": samples}
+        if damage.places:
+            new["damaged_bytes"] = damage.bytes
         trail.note("session.recovered", subject=recovered.session_id, new=new)
         trail.settle()
     return target, recovered
+
+
+def _keep_damaged(journal: Path, damage: Damage) -> str:
+    """Keep a journal under a name that nothing else asks for; returns what to say of it."""
+    kept = journal.with_name(journal.name + ".damaged")
+    number = 1
+    while kept.exists():
+        number += 1
+        kept = journal.with_name(f"{journal.name}.damaged{number}")
+    try:
+        journal.rename(kept)
+    except OSError:
+        kept = journal  # a folder that cannot be written: it stays where it is
+    places = "1 place" if damage.places == 1 else f"{damage.places} places"
+    return (
+        f"the journal was damaged at {places}, {damage.bytes} bytes in all: what was recorded there is missing from "
+        f"the session, and everything else is in it. The journal is kept as {kept}"
+    )

@@ -40,7 +40,7 @@ def recover_all(journals: list[Path], trail: Trail | None = None) -> Recovery:
     recovery = Recovery([], [])
     for journal in journals:
         try:
-            recovery.sessions.append(recover(journal, trail=trail))
+            recovery.sessions.append(recover(journal, trail=trail, told=recovery.problems.append))
         except (TissueIDError, OSError) as error:
             recovery.problems.append(in_words(error))
     return recovery

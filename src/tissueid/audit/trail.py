@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -46,34 +47,53 @@ class Trail:
     role: Role
     head: str = ""
     problem: str = ""
-    _waiting: deque[partial[str]] = field(default_factory=deque, repr=False)
+    _waiting: deque[tuple[partial[str], Future[str] | None]] = field(default_factory=deque, repr=False)
     _writing: bool = False
+    _thread: threading.Thread | None = field(default=None, repr=False)
     _change: threading.Condition = field(default_factory=threading.Condition, repr=False)
 
     def record(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
-        """Add a line now; waits for the disk.
+        """Add a line now, after those that were noted; waits for the disk.
 
         Raises:
             AuditError: it cannot be written, and what it tells of must not begin.
         """
-        self.settle()
-        self.head = self.log.record(self.role, what, subject=subject, old=old, new=new)
+        self.ask(what, subject=subject, old=old, new=new).result()
+        self._rest()
+
+    def ask(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> Future[str]:
+        """As ``record``, for who may stop waiting: the answer is the head or the error. Lines keep their order."""
+        answer: Future[str] = Future()
+        self._add(what, subject, old, new, answer)
+        return answer
 
     def note(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
         """Have a line added by a thread of its own; never waits and never raises. See ``settle``."""
-        when: datetime = self.log.clock()
-        line = partial(self.log.record, self.role, what, subject=subject, old=old, new=new, when=when)
+        self._add(what, subject, old, new, None)
+
+    def _add(self, what: str, subject: str, old: Any, new: Any, answer: Future[str] | None) -> None:
         with self._change:
-            self._waiting.append(line)
+            when: datetime = self.log.clock()
+            line = partial(self.log.record, self.role, what, subject=subject, old=old, new=new, when=when)
+            self._waiting.append((line, answer))
             if not self._writing:
                 self._writing = True
-                threading.Thread(target=self._write_all, name="audit", daemon=True).start()
+                self._thread = threading.Thread(target=self._write_all, name="audit", daemon=True)
+                self._thread.start()
+
+    def _rest(self) -> None:
+        """Leave no thread behind that has nothing more to write."""
+        with self._change:
+            thread = None if self._writing else self._thread
+        if thread is not None:
+            thread.join()
 
     def settle(self, timeout_s: float = SETTLE_S) -> str:
         """Wait until what was noted is written, or cannot be; returns ``problem``."""
         with self._change:
             if not self._change.wait_for(lambda: not self._writing, timeout_s) and not self.problem:
                 self.problem = f"the audit log {self.log.path} stands still: the disk does not answer"
+        self._rest()
         return self.problem
 
     def _write_all(self) -> None:
@@ -83,10 +103,16 @@ class Trail:
                     self._writing = False
                     self._change.notify_all()
                     return
-                line = self._waiting.popleft()
+                line, answer = self._waiting.popleft()
             try:
                 self.head = line()
-            except AuditError as error:
-                self.problem = self.problem or str(error)
-            except Exception as error:  # noqa: BLE001 - told where the trail ends; the thread goes on
-                self.problem = self.problem or f"the audit log failed: {type(error).__name__}: {error}"
+            except Exception as error:  # noqa: BLE001 - told to who asked, or where the trail ends; the thread goes on
+                if answer is not None:
+                    answer.set_exception(error)
+                elif isinstance(error, AuditError):
+                    self.problem = self.problem or str(error)
+                else:
+                    self.problem = self.problem or f"the audit log failed: {type(error).__name__}: {error}"
+            else:
+                if answer is not None:
+                    answer.set_result(self.head)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from tissueid.audit import ROLE_ENVIRONMENT, AuditLog, Role, Trail, default_path, role_in_force
 from tissueid.cli.output import console
+from tissueid.errors import CancelledError
 
 
 def take_role(role: str) -> None:
@@ -45,6 +48,17 @@ def noted(role: Role, what: str, *, subject: str = "", old: Any = None, new: Any
     own.note(what, subject=subject, old=old, new=new)
     tell(own)
     return own.head
+
+
+@contextmanager
+def end_noted(role: Role, what: str, *, subject: str) -> Iterator[None]:
+    """Log that ``what`` was stopped, or broke off, and why, where the block does not come to its end."""
+    try:
+        yield
+    except BaseException as error:
+        how = "stopped" if isinstance(error, CancelledError | KeyboardInterrupt) else "broken_off"
+        noted(role, f"{what}.{how}", subject=subject, new=str(error) or type(error).__name__)
+        raise
 
 
 def tell(own: Trail) -> None:

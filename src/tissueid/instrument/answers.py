@@ -40,7 +40,12 @@ _TOO_OLD_FOR = {
 
 def describe_faults(faults: Fault) -> str:
     """The latched faults in words, each with what to do about it, joined."""
-    return "; ".join(words for fault, words in _FAULT_WORDS.items() if fault & faults) or "no fault"
+    if not faults:
+        return "no fault"
+    known = [words for fault, words in _FAULT_WORDS.items() if fault & faults]
+    if int(faults) & ~sum(int(fault) for fault in _FAULT_WORDS):
+        known.append("a fault that this software does not know: update it")
+    return "; ".join(known)
 
 
 def refusal(kind: MessageType, result: int, detail: int) -> TissueIDError:

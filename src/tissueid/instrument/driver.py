@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Callable
@@ -33,6 +34,12 @@ from tissueid.wire import Fault, Flag, Frame, MessageType, State
 
 log = logging.getLogger(__name__)
 
+STOP_TRIES = 3
+"""A STOP that is not answered is sent again so often, and twice as often where the request before it was answered."""
+
+FREE_S = 0.1
+"""Twice the soft release: so long after a run the coil must be free."""
+
 SILENCE_S = 1.0
 """A device that streams says something every 10 ms; this much silence is a lost link."""
 
@@ -63,6 +70,11 @@ class SerialInstrument:
         self._corrections: Corrections = {}
         self._run: Run | None = None
         self._stopped = False
+        self._finishing = False
+        self._starting: int | None = None
+        self._seen_first: int | None = None
+        self._free_from = 0
+        self._stop_due = False
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
@@ -77,6 +89,7 @@ class SerialInstrument:
             self._judge = Judge(self.nominal)
             self._talk.request(MessageType.CLEAR_FAULTS)
             self._talk.request(MessageType.RELEASE)
+            self._talk.silent = False
             self._talk.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
             self._stream.begin(self._hello)
             self._streaming = True
@@ -157,7 +170,10 @@ class SerialInstrument:
         Raises:
             LimitError: the stimulus would break them, or the coil is too hot already.
             InstrumentError: the coil's temperature cannot be told.
+            TissueIDError: what ended the run before has not been cleared.
         """
+        if self._error is not None:
+            raise self._error
         check_limits(limits, self.nominal)
         limits = self._hello.narrowed(limits)
         for figures in most_cautious(self.nominal, self.device):
@@ -189,17 +205,32 @@ class SerialInstrument:
         self.late_blocks = self.held_samples = 0
 
     def start(self) -> Run:
-        """Energise the coil and play."""
+        """Energise the coil and play.
+
+        Raises:
+            LinkLostError: no answer; the coil is released.
+            TissueIDError: it is refused, or a sample broke a limit before the answer came.
+        """
         self._stopped = False
+        samples = self._command.size + self._following
         self._talk.beat(force=True)
-        first = self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token))
-        self._run = run = Run(first, self._command.size + self._following)
+        self._starting, self._seen_first = samples, None
+        try:
+            first = self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token))
+        except LinkLostError:
+            self.release()  # the answers were lost, and maybe no START was
+            raise
+        finally:
+            self._starting = None
+        run = Run(first, samples)
+        if self._limits is not None:
+            self._run = run
         if self.status is not None and self.status.faults:
             self._fail_by_fault(self.status.faults)  # it tripped before this answer was read
         return run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
-        """Samples that arrived, shape (k,) of SAMPLE; keeps the watchdog quiet; judges every sample.
+        """Samples that arrived, shape (k,) of SAMPLE, each judged on arrival; keeps the watchdog quiet.
 
         Raises:
             LinkLostError, FirmwareFaultError, LimitError: the coil is released. What arrived before is
@@ -217,10 +248,7 @@ class SerialInstrument:
             self._told = self._error
             raise self._error
         samples = self._stream.drain()
-        if samples.size:
-            read, samples = samples, corrected(samples, self._corrections)
-            self._take_samples(read, samples)
-        return samples
+        return corrected(samples, self._corrections)
 
     def finish(self) -> int:
         """End the run now by the soft release of its end; returns how many of its samples were played.
@@ -228,7 +256,11 @@ class SerialInstrument:
         Raises:
             InstrumentError: the firmware is too old for it.
         """
-        played = self._talk.request(MessageType.FINISH)
+        self._finishing = True  # samples after the end may come before the answer
+        try:
+            played = self._talk.request(MessageType.FINISH)
+        finally:
+            self._finishing = False
         self._sender.stop()
         if self._run is None:
             self._end_run()
@@ -250,15 +282,27 @@ class SerialInstrument:
         return send_stage(self._talk, position_m)
 
     def release(self) -> None:
-        """Free the coil now; what cannot be said is left to the firmware's watchdog."""
+        """Free the coil now. There is no heartbeat from here until the firmware confirms it.
+
+        Where it does not, its watchdog frees the coil, and the next poll says that the link is lost.
+        """
         self._end_run()
         try:
-            self._talk.request(MessageType.STOP, tries=self._last_tries())
-        except TissueIDError as error:
-            log.warning("release not confirmed, the firmware's watchdog releases the coil: %s", error)
+            self._talk.stop(STOP_TRIES * self._last_tries())
+        except LinkLostError as error:
+            log.warning("%s", error)
+            self._fail(error)
+        self._stop_due = False
+        self._expect_a_free_coil()  # what was measured before the firmware heard of it has come by now
 
     def clear_faults(self) -> None:
-        """Unlatch the firmware's faults and forget the failed run; the next test must be armed anew."""
+        """Unlatch the firmware's faults and forget the failed run; the next test must be armed anew.
+
+        Raises:
+            LinkLostError: a release was not confirmed: connect again.
+        """
+        if self._talk.lost is not None:
+            raise self._talk.lost
         self._error = None
         self._talk.request(MessageType.CLEAR_FAULTS)
 
@@ -267,7 +311,11 @@ class SerialInstrument:
         if self._closed:
             return
         self._closed = True
-        if not isinstance(self._error, LinkLostError):
+        if isinstance(self._error, LinkLostError):
+            # A line that brings nothing may still carry something the other way.
+            with contextlib.suppress(TissueIDError):
+                self._talk.send(MessageType.STOP)
+        else:
             self.release()
             try:
                 self._talk.request(MessageType.STREAM, wire.pack(wire.STREAM, on=0), tries=self._last_tries())
@@ -333,8 +381,12 @@ class SerialInstrument:
     # -- bytes in -----------------------------------------------------------------------------------------
 
     def _pump(self, timeout_s: float) -> None:
-        """Read once, and deal with every frame that came."""
-        self._talk.beat()
+        """Read once, and deal with every frame that came. The only place that keeps the watchdog quiet during a run.
+
+        Samples are judged here, so the heartbeat ends with the judging, whatever it was that read.
+        """
+        if self._error is None:
+            self._talk.beat()
         data = self._link.read(timeout_s)
         for frame in self._decoder.feed(data):
             if not self._streaming or frame.type == MessageType.DATA:
@@ -343,6 +395,8 @@ class SerialInstrument:
                 self._dispatch(frame)
             except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
                 log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
+        if self._stop_due and not self._talk.silent:
+            self.release()
         if self._run is not None and self._stream.next_index is not None:
             self._sender.repeat(self._stream.next_index - self._run.first_index)
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
@@ -388,35 +442,63 @@ class SerialInstrument:
             self._fail_by_fault(status.faults)
         elif self._run is not None and self._stopped and status.state is not State.RUNNING:
             self._fail(FirmwareFaultError("the instrument stopped the test by itself; the coil is free"))
+        elif self._limits is None and status.state is State.RUNNING and frame.sample_index >= self._free_from:
+            self._free_again("it says so")
 
     def _take_data(self, frame: Frame) -> None:
         try:
-            self._stream.take(frame)
-        except LinkLostError as error:
+            samples = self._stream.take(frame)
+            if samples.size:
+                self._judge_samples(samples)
+        except TissueIDError as error:
             self._fail(error)
         # What the firmware held in samples that were lost is in its STATUS at the end of the run.
         self.held_samples = max(self.held_samples, self._stream.held_samples)
 
-    def _take_samples(self, read: NDArray[np.void], samples: NDArray[np.void]) -> None:
-        """Judge samples as they were read and as they are corrected, and see whether they end the run."""
-        limits = self._limits if self._error is None else None
-        calibrated = None if self.device is self.nominal else (samples, self.device)
+    def _judge_samples(self, read: NDArray[np.void]) -> None:
+        """Judge samples, shape (k,), as they were read and as they are corrected; see whether they end the run.
+
+        Raises:
+            LimitError, InstrumentError: the coil is released as soon as the frames that came with them are read.
+        """
+        calibrated = None if self.device is self.nominal else (corrected(read, self._corrections), self.device)
+        run = self._run or self._begun(read)
         try:
-            self._judge.take(read, limits, self._run, calibrated)
-        except TissueIDError as error:
-            self.release()
-            self._error = error
-            return
-        if limits is None:
-            return
-        if self._run is not None and samples["index"][-1] >= self._run.end_index:
+            self._judge.take(read, self._limits, run, calibrated)
+        except TissueIDError:
+            self._stop_due = True
+            raise
+        energised = read["index"][(read["flags"] & Flag.ENERGISED) > 0]
+        if self._limits is None:
+            if energised.size and energised[-1] >= self._free_from:
+                self._free_again("its samples show it")
+        elif self._run is not None and read["index"][-1] >= self._run.end_index:
             self._end_run()
-        elif self._run is not None and not self._stopped:
-            received = np.isfinite(samples["position"]) & (samples["index"] >= self._run.first_index)
-            if np.any(received & ~(samples["flags"] & Flag.PLAYING).astype(bool)):
+        elif self._run is not None and not self._stopped and not self._finishing:
+            received = np.isfinite(read["position"]) & (read["index"] >= self._run.first_index)
+            if np.any(received & ~(read["flags"] & Flag.PLAYING).astype(bool)):
                 # The message that says why may have been lost: ask again.
                 self._stopped = True
                 self._talk.send(MessageType.STATUS_REQUEST)
+
+    def _begun(self, samples: NDArray[np.void]) -> Run | None:
+        """The run that these samples, shape (k,), show to have begun, while the answer to START is waited for."""
+        if self._starting is None:
+            return None
+        playing = samples["index"][(samples["flags"] & Flag.PLAYING) > 0]
+        if self._seen_first is None and playing.size:
+            self._seen_first = int(playing[0])
+        return None if self._seen_first is None else Run(self._seen_first, self._starting)
+
+    def _free_again(self, why: str) -> None:
+        """The coil is on although no run is: whatever kept it on, it is to be free."""
+        log.warning("the coil is on although nothing runs (%s): released again", why)
+        self._stop_due = True
+
+    def _expect_a_free_coil(self) -> None:
+        """From now on the coil is free, but for the soft release of a run that has just ended."""
+        rate = self._hello.device.sample_rate_hz
+        self._free_from = (self._stream.next_index or 0) + round(FREE_S * rate)
 
     def _fail_by_fault(self, faults: Fault) -> None:
         self._fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(faults)}"))
@@ -434,6 +516,9 @@ class SerialInstrument:
     def _expect_samples(self) -> None:
         """Nothing is played before samples are seen to arrive.
 
+        What came while the stimulus was sent was judged on arrival and is let go here: a pile of it would keep whoever
+        polls from the samples of the run.
+
         Raises:
             LinkLostError: none does.
         """
@@ -442,6 +527,7 @@ class SerialInstrument:
             if self._clock() >= deadline:
                 raise LinkLostError(f"no samples arrive from {self._link.name}: check the cable, and connect again")
             self._pump(0.02)
+        self._stream.drain()
 
     def _fail(self, error: TissueIDError) -> None:
         """Remember the first error; ``poll`` raises it once the samples before it are delivered."""
@@ -455,3 +541,4 @@ class SerialInstrument:
         self._limits = None
         self._following = 0
         self._sender.stop()
+        self._expect_a_free_coil()

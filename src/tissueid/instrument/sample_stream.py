@@ -42,8 +42,8 @@ class SampleStream:
 
     def drain(self) -> NDArray[np.void]:
         """Everything that arrived since the last time, shape (k,) of SAMPLE; k may be 0."""
-        # Laid out by hand: numpy would compare the fields of every block with those of all before it, which takes longer
-        # than the watchdog's patience for what arrives while a long stimulus is sent.
+        # Laid out by hand: numpy would compare the fields of every block with those before it, and for what arrives
+        # while a long stimulus is sent that takes longer than the watchdog's patience.
         samples = np.empty(sum(block.size for block in self._ready), SAMPLE)
         end = 0
         for block in self._ready:
@@ -52,26 +52,28 @@ class SampleStream:
         self._ready.clear()
         return samples
 
-    def take(self, frame: Frame) -> None:
-        """One DATA frame.
+    def take(self, frame: Frame) -> NDArray[np.void]:
+        """The new samples of one DATA frame, shape (k,) of SAMPLE, those that were lost before it among them.
 
         Raises:
             LinkLostError: too much is missing at once.
             PayloadError: it holds part of a sample.
         """
         if self._hello is None:
-            return  # still streaming for a host that died: the scales are not known yet
+            return empty_samples(0, 0)  # still streaming for a host that died: the scales are not known yet
         if self.next_index is not None and frame.sample_index < self.next_index:
-            return  # a duplicate, or late: its place is already taken
+            return empty_samples(0, 0)  # a duplicate, or late: its place is already taken
         if len(frame.payload) % wire.SAMPLE.itemsize:
             raise wire.PayloadError("a data frame holds part of a sample")
+        lost = empty_samples(0, 0)
         if self.next_index is not None and frame.sample_index > self.next_index:
             missing = frame.sample_index - self.next_index
             if missing > MAX_GAP_S * self._hello.device.sample_rate_hz:
                 raise LinkLostError(f"{missing} samples are missing at once; the link cannot be trusted")
             self.gaps.append(Gap(self.next_index, missing))
             log.warning("%d samples lost from sample %d on", missing, self.next_index)
-            self._ready.append(empty_samples(self.next_index, missing))
+            lost = empty_samples(self.next_index, missing)
+            self._ready.append(lost)
         codes = np.frombuffer(frame.payload, wire.SAMPLE)
         samples = np.zeros(codes.size, SAMPLE)
         samples["index"] = frame.sample_index + np.arange(codes.size)
@@ -82,3 +84,4 @@ class SampleStream:
         self.newest = samples
         self.held_samples += int(np.count_nonzero(codes["flags"] & Flag.HELD))
         self.next_index = frame.sample_index + codes.size
+        return np.concatenate((lost, samples)) if lost.size else samples
