@@ -123,9 +123,7 @@ def test_a_probe_that_stays_at_the_near_end_is_released(monkeypatch, side):
     with pytest.raises(error, match="end of its stroke"):
         blocks.extend(instrument.poll(0.05) for _ in range(400))
     assert not instrument._link.firmware.energised
-    # The firmware grants 50 ms more: the ramp of a release, as it does with the length of a run.
-    longest = 60 if side == "host" else 100
-    assert 0 <= last_energised(np.concatenate(blocks)) - (run.first_index + LIFT_S * RATE) <= longest
+    assert 0 <= last_energised(np.concatenate(blocks)) - (run.first_index + LIFT_S * RATE) <= 60
 
 
 @each_side

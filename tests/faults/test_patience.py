@@ -63,7 +63,7 @@ def test_a_device_that_does_not_answer_is_given_up_in_time(desk):
     instrument.arm(LIMITS)
     desk.befall(fault("drops", share=1.0, direction="to_device", seconds=100.0))
     began = desk.link.now
-    with pytest.raises(InstrumentError, match="does not answer START|silent for too long"):
+    with pytest.raises(InstrumentError, match=r"does not answer START|silent for too long"):
         instrument.start()
     instrument.release()
     assert desk.link.now - began < LONGEST_WAIT_S

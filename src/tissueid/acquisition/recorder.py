@@ -167,22 +167,16 @@ class SessionRecorder:
             self.samples_appended += samples.size
             self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
-            self._forget_acknowledged()
+            # What is on the disk is forgotten but for the newest: an hour of it is a great many.
+            synced = self._journal.synced
+            while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
+                self._sample_entries.popleft()
 
     @property
     def samples_acknowledged(self) -> int:
         """How many samples of this sitting are known to be on the disk."""
-        synced = self._forget_acknowledged()
-        if self._sample_entries and self._sample_entries[0][0] <= synced:
-            return self._sample_entries[0][1]
-        return 0
-
-    def _forget_acknowledged(self) -> int:
-        """Keep the newest entry that is on the disk and those that are not; returns how many are on the disk."""
         synced = self._journal.synced
-        while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
-            self._sample_entries.popleft()
-        return synced
+        return max((total for number, total in tuple(self._sample_entries) if number <= synced), default=0)
 
     def event(self, kind: str, **details: Any) -> None:
         """Something that happened: a gap, a fault, a verdict. Never fails; a journal that did is told by the others."""

@@ -26,8 +26,8 @@ def has_stiffness(parameters: Mapping[str, Estimate]) -> bool:
 def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -> dict[Name, Estimate]:
     """Parameters with the spring taken off every stiffness in N/m; the deviation stays as it is.
 
-    What describes the whole is left as it is: natural frequency, damping ratio, and how fast stiffness grows with depth as
-    a share of itself.
+    What describes the whole is left as it is: natural frequency, damping ratio, and how fast stiffness grows with
+    depth as a share of itself.
     """
     return {
         name: replace(found, value=found.value - spring_n_per_m) if _is_stiffness(name) else found
