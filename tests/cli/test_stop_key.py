@@ -19,7 +19,8 @@ from tissueid.sessions import read_session
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
 
 PREAMBLE = """
-import fcntl, os, sys, termios
+import fcntl, os, signal, sys, termios
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background of a shell
 if {foreground}: fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 """
 ONLY_THE_KEY = """
@@ -147,7 +148,7 @@ def test_a_test_is_stopped_and_kept(tmp_path, which, keys, status, reason):
     with at_a_terminal(COMMAND, *arguments, *TESTS[which]) as terminal:
         terminal.wait_for("test 1 of" if which == "repeats" else "step 1 of")
         terminal.type(keys)
-        assert terminal.end() == status
+        assert terminal.end() == status, terminal.said
         assert "Traceback" not in terminal.said
         last = [line for line in terminal.said.splitlines() if line.startswith("tissueid: ")]
         assert len(last) == 1
