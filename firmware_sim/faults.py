@@ -243,7 +243,8 @@ class FaultInjector:
         it.undo()
 
     def clear(self) -> None:
-        """All that lasts is over; a button is let go, a cable put back."""
+        """All that lasts is over, a button let go, a cable put back; what was planned does not happen any more."""
+        self._planned.clear()
         self._firmware.stall(0.0)
         for it in self.lasting[::-1]:
             self.end(it)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,11 +15,14 @@ from support import connect
 
 from tissueid.acquisition import GuidedTest, JournalError, SessionRecorder, journal_path, recover, run_guided_test
 from tissueid.acquisition.journal import _Flush
+from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs limits and signals of POSIX")
 
 SECONDS = 0.5
 TESTS = 2
@@ -216,3 +220,13 @@ def check_failing_at(
         recover(sitting.path)
     sitting.check_recovery(sitting.path)
     return ("at the end", 0.0) if sitting.error is None else ("during a test", seconds)
+
+
+def a_sitting(path: Path, tests: int = 2, count: int = 500, trail: Trail | None = None) -> SessionRecorder:
+    recorder = SessionRecorder(path, DeviceDescription(), trail=trail)
+    for number in range(tests):
+        recorder.prepare(count)
+        recorder.begin_test(Run(1000 * number, count), **ATTRIBUTES)
+        recorder.add(batch(1000 * number, count))
+        recorder.end_test("completed")
+    return recorder

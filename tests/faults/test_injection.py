@@ -195,6 +195,16 @@ def test_all_is_over_when_it_is_cleared():
     assert desk.open().device.serial_number == "SIM-0001"
 
 
+def test_nothing_that_was_planned_happens_after_it_is_cleared():
+    desk, instrument = planned(PlannedFault(kind="unplug", after_start_s=0.5))
+    running(instrument)
+    poll_for(desk, instrument, 0.3)
+    desk.link.faults.clear()
+    desk.settle(1.0)
+    assert desk.link.plugged
+    assert desk.link.faults.happened == 0
+
+
 @pytest.mark.parametrize(
     ("values", "words"),
     [

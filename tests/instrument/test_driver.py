@@ -308,7 +308,7 @@ def test_the_host_releases_on_its_own(monkeypatch, limits, words):
     instrument.load(hold(30.0, 3.0))
     firmware = instrument._link.firmware
     instrument.arm(RESEARCH)
-    instrument._limits = limits
+    instrument._watch.limits = limits
     run = instrument.start()
     with pytest.raises(LimitError, match=words):
         collect(instrument, run)

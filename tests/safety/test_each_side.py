@@ -272,7 +272,7 @@ def test_the_host_alone_ends_a_test_that_is_too_long(monkeypatch):
     instrument = rig(watchdog_s=1e9)
     instrument.load(volts(8.0, 3.0))
     instrument.arm(WIDE)
-    instrument._limits = replace(WIDE, max_seconds=0.5)
+    instrument._watch.limits = replace(WIDE, max_seconds=0.5)
     instrument.start()
     with pytest.raises(LimitError, match=r"the test ran for 1\.5 s; the limit is 0\.5 s"):
         while True:

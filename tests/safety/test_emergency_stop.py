@@ -171,7 +171,7 @@ def test_a_supply_that_sags_is_noticed_before_the_next_sample_and_latches(state)
     assert firmware.state is State.FAULT
     assert firmware.faults == Fault.BROWN_OUT
     assert not firmware._samples["flags"][-1] & Flag.ENERGISED
-    instrument._error = None
+    instrument._watch.error = None
     instrument.clear_faults()
     firmware.advance(1, instrument._link.now)
     assert firmware.faults == Fault.BROWN_OUT, "as long as the supply sags"

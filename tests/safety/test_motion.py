@@ -206,7 +206,7 @@ def test_the_firmware_alone_keeps_the_stage_still_while_a_test_is_armed():
     instrument.load(volts(4.0, 0.3))
     instrument.arm(CLINICAL)
     before = instrument._link.firmware.bench.tissue
-    instrument._limits = None
+    instrument._watch.limits = None
     with pytest.raises(InstrumentError, match=r"not in a state for that.*STAGE"):
         instrument.move_stage(0.01)
     assert instrument._link.firmware.bench.tissue is before
@@ -225,7 +225,7 @@ def test_the_stage_stays_where_it_is_while_a_fault_is_latched(fault):
     firmware = instrument._link.firmware
     before = firmware.bench.tissue
     firmware._trip(fault)
-    instrument._error = None
+    instrument._watch.error = None
     with pytest.raises(FirmwareFaultError):
         instrument.move_stage(0.01)
     request = wire.encode_frame(wire.Frame(MessageType.STAGE, 50_000, payload=wire.pack(wire.STAGE, position_m=0.01)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tissueid.acquisition.feedback import SetPoints
 from tissueid.errors import CancelledError, LinkLostError
 from tissueid.instrument import Instrument, Limits, Run
+from tissueid.wire import Flag
 
 POLL_S = 0.05
 _RELEASE_S = 0.08
@@ -81,12 +82,13 @@ def play(
         planned = run = instrument.start()
         if started is not None:
             started(run)
-        last = run.first_index
+        last, whole = run.first_index, True
         while last < run.end_index:
             samples = instrument.poll(POLL_S)
             if samples.size:
                 last = int(samples["index"][-1]) + 1
                 inside = samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
+                whole = whole and bool(np.all(np.isnan(inside["position"]) | (inside["flags"] & Flag.PLAYING > 0)))
                 if set_points is not None:
                     set_points.take(inside)
                     if run is planned:
@@ -95,7 +97,7 @@ def play(
             _heed(cancelled)
             if run is planned and last < run.end_index and enough():
                 run = Run(run.first_index, min(run.samples, instrument.finish()))
-        if set_points is not None or run is not planned:
+        if set_points is not None or run is not planned or not whole:
             _see_off(instrument, run)
     except BaseException:
         instrument.release()

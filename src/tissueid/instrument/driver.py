@@ -10,35 +10,38 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import __version__, wire
+from tissueid import wire
 from tissueid.device import DeviceDescription
 from tissueid.errors import (
-    FirmwareFaultError,
     InstrumentError,
     LinkLostError,
     ProtocolVersionError,
     TissueIDError,
 )
-from tissueid.instrument.answers import Status, describe_faults, read_status
+from tissueid.instrument.answers import Status, read_status
 from tissueid.instrument.conversation import ANSWER_S, TRIES, Conversation
 from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
 from tissueid.instrument.handshake import Introduction, read_hello
 from tissueid.instrument.interface import SIGNALS, Run
-from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.link import Link
+from tissueid.instrument.outgoing import (
+    send_following,
+    send_hello,
+    send_limits,
+    send_setpoints,
+    send_stage,
+    send_stimulus,
+)
+from tissueid.instrument.run_watch import RunWatch
 from tissueid.instrument.sample_stream import SampleStream
 from tissueid.instrument.setpoints import SetpointSender
-from tissueid.instrument.upload import CHUNK_CODES, send_stage, send_stimulus
-from tissueid.wire import Fault, Flag, Frame, MessageType, State
+from tissueid.wire import Frame, MessageType, State
 
 log = logging.getLogger(__name__)
 
 STOP_TRIES = 3
 """A STOP that is not answered is sent again so often, and twice as often where the request before it was answered."""
-
-FREE_S = 0.1
-"""Twice the soft release: so long after a run the coil must be free."""
 
 SILENCE_S = 1.0
 """A device that streams says something every 10 ms; this much silence is a lost link."""
@@ -62,19 +65,10 @@ class SerialInstrument:
         self._link = link
         self._clock = clock
         self._decoder = wire.FrameDecoder()
-        self._talk = Conversation(link, clock, self._pump, self._tell)
+        self._watch = RunWatch(self._stream, lambda: self._talk.send(MessageType.STATUS_REQUEST), self._run_ended)
+        self._talk = Conversation(link, clock, self._pump, self._watch.untold)
         self._answer: bytes | None = None
-        self._error: TissueIDError | None = None
-        self._told: TissueIDError | None = None
-        self._limits: Limits | None = None
         self._corrections: Corrections = {}
-        self._run: Run | None = None
-        self._stopped = False
-        self._finishing = False
-        self._starting: int | None = None
-        self._seen_first: int | None = None
-        self._free_from = 0
-        self._stop_due = False
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
@@ -86,7 +80,7 @@ class SerialInstrument:
         try:
             self._hello = self._shake_hands()
             self.device = self.nominal = self._hello.device
-            self._judge = Judge(self.nominal)
+            self._watch.begin(self._hello)
             self._talk.request(MessageType.CLEAR_FAULTS)
             self._talk.request(MessageType.RELEASE)
             self._talk.silent = False
@@ -135,10 +129,7 @@ class SerialInstrument:
             raise InstrumentError("load what comes before the set-points first")
         hold = self._hello.codes(np.array([hold_v]))
         self._wait_for_release()
-        self._talk.request(
-            MessageType.FOLLOW,
-            wire.pack(wire.FOLLOW, stimulus_id=self._stimulus_id, samples=samples, hold_code=hold[0]),
-        )
+        send_following(self._talk, self._stimulus_id, samples, int(hold[0]))
         self._following, self._hold_v = samples, hold_v
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
@@ -148,21 +139,15 @@ class SerialInstrument:
             LimitError: they would break a limit; nothing of them is sent.
             InstrumentError: nobody asked for these.
         """
-        if self._error is not None:
+        if self._watch.error is not None:
             return  # the next poll says what happened
         first, end = self._command.size, offset + command_v.size
-        if self._limits is None or not first <= offset < end <= first + self._following:
+        if self._watch.limits is None or not first <= offset < end <= first + self._following:
             raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
         for figures in most_cautious(self.nominal, self.device):
-            check_command(command_v, figures, self._limits)
-        self._judge.ask(command_v)
-        codes = self._hello.codes(command_v)
-        for start in range(0, codes.size, CHUNK_CODES):
-            part = codes[start : start + CHUNK_CODES]
-            payload = wire.pack(wire.SETPOINTS, token=self._token, offset=offset + start) + part.tobytes()
-            sequence = self._talk.number()
-            frame = wire.encode_frame(Frame(MessageType.SETPOINTS, sequence, payload=payload))
-            self._sender.put(sequence, offset + start, offset + start + part.size, frame)
+            check_command(command_v, figures, self._watch.limits)
+        self._watch.judge.ask(command_v)
+        send_setpoints(self._talk, self._sender, self._token, offset, self._hello.codes(command_v))
 
     def arm(self, limits: Limits) -> None:
         """Agree on the limits, here and in the firmware; where the device goes less far, its own hold.
@@ -172,8 +157,8 @@ class SerialInstrument:
             InstrumentError: the coil's temperature cannot be told.
             TissueIDError: what ended the run before has not been cleared.
         """
-        if self._error is not None:
-            raise self._error
+        if self._watch.error is not None:
+            raise self._watch.error
         check_limits(limits, self.nominal)
         limits = self._hello.narrowed(limits)
         for figures in most_cautious(self.nominal, self.device):
@@ -182,24 +167,12 @@ class SerialInstrument:
                 check_command(np.array([self._hold_v]), figures, limits)
         self._expect_samples()
         newest = self._stream.newest
-        self._judge.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
-        self._judge.ask(np.append(self._command, self._hold_v if self._following else 0.0))
+        self._watch.judge.arm(np.zeros(0) if newest is None else newest["temperature"], limits)
+        self._watch.judge.ask(np.append(self._command, self._hold_v if self._following else 0.0))
         self._token = (self._stimulus_id << 8) ^ (self._talk.number() & 0xFF) ^ 0x5EED0000
         self._talk.beat(force=True)
-        self._talk.request(
-            MessageType.ARM,
-            wire.pack(
-                wire.ARM,
-                token=self._token,
-                stimulus_id=self._stimulus_id,
-                max_force_n=limits.max_force_n,
-                min_position_m=limits.min_position_m,
-                max_position_m=limits.max_position_m,
-                max_temperature_c=limits.max_temperature_c,
-                max_samples=round(limits.max_seconds * self.device.sample_rate_hz),
-            ),
-        )
-        self._limits = limits
+        send_limits(self._talk, self._token, self._stimulus_id, limits, self.device.sample_rate_hz)
+        self._watch.limits = limits
         self._sender.reset()
         self._stream.held_samples = 0
         self.late_blocks = self.held_samples = 0
@@ -211,22 +184,19 @@ class SerialInstrument:
             LinkLostError: no answer; the coil is released.
             TissueIDError: it is refused, or a sample broke a limit before the answer came.
         """
-        self._stopped = False
         samples = self._command.size + self._following
         self._talk.beat(force=True)
-        self._starting, self._seen_first = samples, None
+        self._watch.expect(samples)
+        run = None
         try:
-            first = self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token))
+            run = Run(self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token)), samples)
         except LinkLostError:
             self.release()  # the answers were lost, and maybe no START was
             raise
         finally:
-            self._starting = None
-        run = Run(first, samples)
-        if self._limits is not None:
-            self._run = run
+            self._watch.started(run)
         if self.status is not None and self.status.faults:
-            self._fail_by_fault(self.status.faults)  # it tripped before this answer was read
+            self._watch.fail_by_fault(self.status.faults)  # it tripped before this answer was read
         return run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
@@ -236,19 +206,19 @@ class SerialInstrument:
             LinkLostError, FirmwareFaultError, LimitError: the coil is released. What arrived before is
                 delivered first; the error comes with the next call.
         """
-        if self._error is None and not self._stream:
+        watch = self._watch
+        if watch.error is None and not self._stream:
             try:
                 self._pump(timeout_s)
             except TissueIDError as error:
-                self._fail(error)
-        if self._error is None and (refused := self._sender.refused) is not None:
+                watch.fail(error)
+        if watch.error is None and (refused := self._sender.refused) is not None:
             self.release()
-            self._fail(refused)
-        if self._error is not None and not self._stream:
-            self._told = self._error
-            raise self._error
-        samples = self._stream.drain()
-        return corrected(samples, self._corrections)
+            watch.fail(refused)
+        if watch.error is not None and not self._stream:
+            watch.untold()  # it is told now
+            raise watch.error
+        return corrected(self._stream.drain(), self._corrections)
 
     def finish(self) -> int:
         """End the run now by the soft release of its end; returns how many of its samples were played.
@@ -256,16 +226,13 @@ class SerialInstrument:
         Raises:
             InstrumentError: the firmware is too old for it.
         """
-        self._finishing = True  # samples after the end may come before the answer
+        self._watch.finishing = True  # samples after the end may come before the answer
         try:
             played = self._talk.request(MessageType.FINISH)
         finally:
-            self._finishing = False
+            self._watch.finishing = False
         self._sender.stop()
-        if self._run is None:
-            self._end_run()
-        else:
-            self._run = Run(self._run.first_index, played)
+        self._watch.cut(played)
         return played
 
     def move_stage(self, position_m: float | None) -> bool:
@@ -286,14 +253,14 @@ class SerialInstrument:
 
         Where it does not, its watchdog frees the coil, and the next poll says that the link is lost.
         """
-        self._end_run()
+        self._watch.end()
         try:
             self._talk.stop(STOP_TRIES * self._last_tries())
         except LinkLostError as error:
             log.warning("%s", error)
-            self._fail(error)
-        self._stop_due = False
-        self._expect_a_free_coil()  # what was measured before the firmware heard of it has come by now
+            self._watch.fail(error)
+        self._watch.stop_due = False
+        self._watch.expect_a_free_coil()  # what was measured before the firmware heard of it has come by now
 
     def clear_faults(self) -> None:
         """Unlatch the firmware's faults and forget the failed run; the next test must be armed anew.
@@ -303,7 +270,7 @@ class SerialInstrument:
         """
         if self._talk.lost is not None:
             raise self._talk.lost
-        self._error = None
+        self._watch.error = None
         self._talk.request(MessageType.CLEAR_FAULTS)
 
     def close(self) -> None:
@@ -311,7 +278,7 @@ class SerialInstrument:
         if self._closed:
             return
         self._closed = True
-        if isinstance(self._error, LinkLostError):
+        if isinstance(self._watch.error, LinkLostError):
             # A line that brings nothing may still carry something the other way.
             with contextlib.suppress(TissueIDError):
                 self._talk.send(MessageType.STOP)
@@ -348,10 +315,10 @@ class SerialInstrument:
     def _busy(self) -> bool:
         """Whether a test is armed or running. One whose last sample is here is over as soon as its release is."""
         last = self._stream.next_index
-        if self._run is not None and last is not None and last >= self._run.end_index:
+        if self._watch.run is not None and last is not None and last >= self._watch.run.end_index:
             self._wait_for_release()
-            self._end_run()
-        return self._limits is not None
+            self._watch.end()
+        return self._watch.limits is not None
 
     def _wait_for_release(self) -> None:
         """Let the firmware's ramp down after a run come to its end."""
@@ -363,14 +330,8 @@ class SerialInstrument:
     # -- requests -----------------------------------------------------------------------------------------
 
     def _shake_hands(self) -> Introduction:
-        hello = wire.pack(
-            wire.HELLO,
-            protocol_min=wire.PROTOCOL_VERSION,
-            protocol_max=wire.PROTOCOL_VERSION,
-            host=f"tissueid {__version__}".encode(),
-        )
         for _ in range(TRIES):
-            self._talk.send(MessageType.HELLO, hello)
+            send_hello(self._talk)
             deadline = self._clock() + ANSWER_S
             while self._answer is None and self._clock() < deadline:
                 self._pump(0.05)
@@ -385,7 +346,7 @@ class SerialInstrument:
 
         Samples are judged here, so the heartbeat ends with the judging, whatever it was that read.
         """
-        if self._error is None:
+        if self._watch.error is None:
             self._talk.beat()
         data = self._link.read(timeout_s)
         for frame in self._decoder.feed(data):
@@ -395,10 +356,10 @@ class SerialInstrument:
                 self._dispatch(frame)
             except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
                 log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
-        if self._stop_due and not self._talk.silent:
+        if self._watch.stop_due and not self._talk.silent:
             self.release()
-        if self._run is not None and self._stream.next_index is not None:
-            self._sender.repeat(self._stream.next_index - self._run.first_index)
+        if self._watch.run is not None and self._stream.next_index is not None:
+            self._sender.repeat(self._stream.next_index - self._watch.run.first_index)
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
             raise LinkLostError(
                 f"{self._link.name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself. "
@@ -407,7 +368,7 @@ class SerialInstrument:
 
     def _dispatch(self, frame: Frame) -> None:
         if self._streaming and frame.version != wire.PROTOCOL_VERSION:
-            self._fail(
+            self._watch.fail(
                 ProtocolVersionError(
                     f"the instrument went over to protocol {frame.version} in mid-conversation; "
                     f"this software speaks {wire.PROTOCOL_VERSION}. Connect again"
@@ -427,7 +388,8 @@ class SerialInstrument:
         if ack["request_type"] != MessageType.SETPOINTS:
             self._talk.take(ack)
             return
-        self._sender.acknowledge(ack, frame.sample_index - self._run.first_index if self._run else None)
+        run = self._watch.run
+        self._sender.acknowledge(ack, frame.sample_index - run.first_index if run else None)
         self.late_blocks = max(self.late_blocks, self._sender.late_blocks)
 
     def _take_status(self, frame: Frame) -> None:
@@ -436,78 +398,18 @@ class SerialInstrument:
             return
         self.late_blocks = max(self.late_blocks, status.late_blocks)
         self.held_samples = max(self.held_samples, status.held_samples)
-        if status.boot_id != self._hello.boot_id:
-            self._fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
-        elif self._limits is not None and status.faults:
-            self._fail_by_fault(status.faults)
-        elif self._run is not None and self._stopped and status.state is not State.RUNNING:
-            self._fail(FirmwareFaultError("the instrument stopped the test by itself; the coil is free"))
-        elif self._limits is None and status.state is State.RUNNING and frame.sample_index >= self._free_from:
-            self._free_again("it says so")
+        self._watch.take_status(status, frame.sample_index)
 
     def _take_data(self, frame: Frame) -> None:
         try:
             samples = self._stream.take(frame)
             if samples.size:
-                self._judge_samples(samples)
+                same = self.device is self.nominal
+                self._watch.take(samples, None if same else (corrected(samples, self._corrections), self.device))
         except TissueIDError as error:
-            self._fail(error)
+            self._watch.fail(error)  # the coil is released as soon as the frames that came with it are read
         # What the firmware held in samples that were lost is in its STATUS at the end of the run.
         self.held_samples = max(self.held_samples, self._stream.held_samples)
-
-    def _judge_samples(self, read: NDArray[np.void]) -> None:
-        """Judge samples, shape (k,), as they were read and as they are corrected; see whether they end the run.
-
-        Raises:
-            LimitError, InstrumentError: the coil is released as soon as the frames that came with them are read.
-        """
-        calibrated = None if self.device is self.nominal else (corrected(read, self._corrections), self.device)
-        run = self._run or self._begun(read)
-        try:
-            self._judge.take(read, self._limits, run, calibrated)
-        except TissueIDError:
-            self._stop_due = True
-            raise
-        energised = read["index"][(read["flags"] & Flag.ENERGISED) > 0]
-        if self._limits is None:
-            if energised.size and energised[-1] >= self._free_from:
-                self._free_again("its samples show it")
-        elif self._run is not None and read["index"][-1] >= self._run.end_index:
-            self._end_run()
-        elif self._run is not None and not self._stopped and not self._finishing:
-            received = np.isfinite(read["position"]) & (read["index"] >= self._run.first_index)
-            if np.any(received & ~(read["flags"] & Flag.PLAYING).astype(bool)):
-                # The message that says why may have been lost: ask again.
-                self._stopped = True
-                self._talk.send(MessageType.STATUS_REQUEST)
-
-    def _begun(self, samples: NDArray[np.void]) -> Run | None:
-        """The run that these samples, shape (k,), show to have begun, while the answer to START is waited for."""
-        if self._starting is None:
-            return None
-        playing = samples["index"][(samples["flags"] & Flag.PLAYING) > 0]
-        if self._seen_first is None and playing.size:
-            self._seen_first = int(playing[0])
-        return None if self._seen_first is None else Run(self._seen_first, self._starting)
-
-    def _free_again(self, why: str) -> None:
-        """The coil is on although no run is: whatever kept it on, it is to be free."""
-        log.warning("the coil is on although nothing runs (%s): released again", why)
-        self._stop_due = True
-
-    def _expect_a_free_coil(self) -> None:
-        """From now on the coil is free, but for the soft release of a run that has just ended."""
-        rate = self._hello.device.sample_rate_hz
-        self._free_from = (self._stream.next_index or 0) + round(FREE_S * rate)
-
-    def _fail_by_fault(self, faults: Fault) -> None:
-        self._fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(faults)}"))
-
-    def _tell(self) -> TissueIDError | None:
-        """What went wrong and has not been raised yet; from now on it has."""
-        untold = None if self._error is self._told else self._error
-        self._told = self._error
-        return untold
 
     def _last_tries(self) -> int:
         """How often to say what ends a conversation: who has just not answered will hardly do so now."""
@@ -523,22 +425,13 @@ class SerialInstrument:
             LinkLostError: none does.
         """
         before, deadline = self._stream.next_index, self._clock() + ANSWER_S
-        while self._stream.next_index == before and self._error is None:
+        while self._stream.next_index == before and self._watch.error is None:
             if self._clock() >= deadline:
                 raise LinkLostError(f"no samples arrive from {self._link.name}: check the cable, and connect again")
             self._pump(0.02)
         self._stream.drain()
 
-    def _fail(self, error: TissueIDError) -> None:
-        """Remember the first error; ``poll`` raises it once the samples before it are delivered."""
-        if self._error is None:
-            self._error = error
-            self._end_run()
-
-    def _end_run(self) -> None:
-        """Nothing is running here any more; set-points are agreed on for one run alone."""
-        self._run = None
-        self._limits = None
+    def _run_ended(self) -> None:
+        """Set-points are agreed on for one run alone."""
         self._following = 0
         self._sender.stop()
-        self._expect_a_free_coil()

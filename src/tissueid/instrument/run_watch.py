@@ -1,0 +1,161 @@
+"""The watch over a run: by every sample and STATUS that arrives, whether it goes on, has ended, or must end."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import FirmwareFaultError, TissueIDError
+from tissueid.instrument.answers import Status, describe_faults
+from tissueid.instrument.handshake import Introduction
+from tissueid.instrument.interface import Run
+from tissueid.instrument.judge import Judge
+from tissueid.instrument.limits import Limits
+from tissueid.instrument.sample_stream import SampleStream
+from tissueid.wire import Fault, Flag, State
+
+log = logging.getLogger(__name__)
+
+FREE_S = 0.1
+"""Twice the soft release: so long after a run the coil must be free."""
+
+STOPPED = "the instrument stopped the test by itself; the coil is free: measure again"
+
+
+class RunWatch:
+    """Judges what arrives, and sends nothing itself but, by ``ask_status``, the question how the device is.
+
+    ``limits`` are those of the test that is armed or running, ``run`` the one that runs; without ``limits`` the coil
+    has to be free. ``error`` is the first thing that went wrong, ``stop_due`` says that the coil is to be released as
+    soon as the frames that came together are read. ``finishing`` says that the run may end early because it was asked
+    to. ``ended`` is called whenever a run is over, however it ended.
+    """
+
+    def __init__(self, stream: SampleStream, ask_status: Callable[[], None], ended: Callable[[], None]) -> None:
+        self.limits: Limits | None = None
+        self.run: Run | None = None
+        self.error: TissueIDError | None = None
+        self.stop_due = self.finishing = False
+        self._told: TissueIDError | None = None
+        self._stream = stream
+        self._ask_status = ask_status
+        self._ended = ended
+        self._stopped = False
+        self._starting: int | None = None
+        self._seen_first: int | None = None
+        self._free_from = 0
+
+    def begin(self, hello: Introduction) -> None:
+        """From now on, for the device that introduced itself so."""
+        self.judge = Judge(hello.device)
+        self._boot_id = hello.boot_id
+        self._free_samples = round(FREE_S * hello.device.sample_rate_hz)
+
+    def expect(self, samples: int) -> None:
+        """START is about to be sent for so many samples: its answer may come after the first of them."""
+        self._stopped = False
+        self._starting, self._seen_first = samples, None
+
+    def started(self, run: Run | None) -> None:
+        """START was answered: this run began; or, None, it was not."""
+        self._starting = None
+        if run is not None and self.limits is not None:
+            self.run = run
+
+    def cut(self, played: int) -> None:
+        """The run was ended early, after so many of its samples."""
+        if self.run is None:
+            self.end()
+        else:
+            self.run = Run(self.run.first_index, played)
+
+    def end(self) -> None:
+        """Nothing is running any more."""
+        self.run = None
+        self.limits = None
+        self.expect_a_free_coil()
+        self._ended()
+
+    def expect_a_free_coil(self) -> None:
+        """From now on the coil is free, but for the soft release of a run that has just ended."""
+        self._free_from = (self._stream.next_index or 0) + self._free_samples
+
+    def fail(self, error: TissueIDError) -> None:
+        """Something went wrong, and the run is over. Only the first of several is remembered."""
+        if self.error is None:
+            self.error = error
+            self.end()
+
+    def untold(self) -> TissueIDError | None:
+        """What went wrong and has not been raised yet; from now on it has."""
+        untold = None if self.error is self._told else self.error
+        self._told = self.error
+        return untold
+
+    def take(
+        self, read: NDArray[np.void], calibrated: tuple[NDArray[np.void], DeviceDescription] | None = None
+    ) -> None:
+        """Judge samples, shape (k,), as they were read and as they are corrected; see whether they end the run.
+
+        Raises:
+            LimitError, InstrumentError: ``stop_due``.
+        """
+        run = self.run or self._begun(read)
+        try:
+            self.judge.take(read, self.limits, run, calibrated)
+        except TissueIDError:
+            self.stop_due = True
+            raise
+        energised = read["index"][(read["flags"] & Flag.ENERGISED) > 0]
+        if self.limits is None:
+            if energised.size and energised[-1] >= self._free_from:
+                self._free_again("its samples show it")
+        elif self.run is not None:
+            self._see_whether_it_plays(read, self.run)
+
+    def _see_whether_it_plays(self, read: NDArray[np.void], run: Run) -> None:
+        """A run of which a sample was not played has been stopped, even where the rest was sampled to its end."""
+        if not self.finishing:
+            inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index)
+            played = (read["flags"] & Flag.PLAYING) > 0
+            self._stopped |= bool(np.any(inside & np.isfinite(read["position"]) & ~played))
+        over = read["index"][-1] >= run.end_index
+        if self._stopped and over:
+            self.fail(FirmwareFaultError(STOPPED))
+        elif self._stopped:
+            self._ask_status()  # the message that says why was lost, and its repetition may be: with every frame
+        elif over:
+            self.end()
+
+    def take_status(self, status: Status, sample_index: int) -> None:
+        """See whether what the device says of itself, at that sample, ends the run."""
+        if status.boot_id != self._boot_id:
+            self.fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
+        elif self.limits is not None and status.faults:
+            self.fail_by_fault(status.faults)
+        elif self.run is not None and self._stopped and status.state is not State.RUNNING:
+            self.fail(FirmwareFaultError(STOPPED))
+        elif self.limits is None and status.state is State.RUNNING and sample_index >= self._free_from:
+            self._free_again("it says so")
+
+    def fail_by_fault(self, faults: Fault) -> None:
+        """The firmware has released the coil, and says why."""
+        self.fail(FirmwareFaultError(f"the instrument released the coil: {describe_faults(faults)}"))
+
+    def _begun(self, samples: NDArray[np.void]) -> Run | None:
+        """The run that these samples, shape (k,), show to have begun, while the answer to START is waited for."""
+        if self._starting is None:
+            return None
+        playing = samples["index"][(samples["flags"] & Flag.PLAYING) > 0]
+        if self._seen_first is None and playing.size:
+            self._seen_first = int(playing[0])
+        return None if self._seen_first is None else Run(self._seen_first, self._starting)
+
+    def _free_again(self, why: str) -> None:
+        """The coil is on although no run is: whatever kept it on, it is to be free."""
+        log.warning("the coil is on although nothing runs (%s): released again", why)
+        self.stop_due = True

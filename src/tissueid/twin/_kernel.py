@@ -1,0 +1,131 @@
+"""The compiled loop of the chain. Private: ``chain`` is its only caller."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from tissueid.twin import bus as b
+
+# Figures of the instrument, in the order of ``Instrument``.
+GAIN, LIMIT, RESISTANCE, INDUCTANCE, FORCE_CONSTANT, MASS, DAMPING, WEIGHT, STROKE = range(9)
+# Figures of what the probe meets, in the order of ``Tissue``.
+SURFACE_M, TISSUE_MASS, TISSUE_DAMPING, DAMPING_GROWTH, STIFFNESS, STIFFNESS_GROWTH = range(6)
+# The state: three numbers, and the acceleration of the step before.
+CURRENT, POSITION, VELOCITY, ACCELERATION = range(4)
+# Measured signals that take the place of simulated ones.
+VOLTAGE_GIVEN, CURRENT_GIVEN, MOTION_GIVEN = range(3)
+# What comes out, a row each.
+OUT_VOLTAGE, OUT_CURRENT, OUT_POSITION, OUT_VELOCITY = range(4)
+
+MOST_EXPONENT = 12.0
+"""Growth with depth is followed as far as e^12: beyond it no tissue is meant and the figures would overflow."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def grown(value, growth, depth):  # type: ignore[no-untyped-def]
+    """A coefficient that grows exponentially with depth."""
+    exponent = growth * depth
+    if exponent == 0.0:
+        return value
+    return value * math.exp(min(max(exponent, -MOST_EXPONENT), MOST_EXPONENT))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _call(place, effects, places, bus, parameters, states, step):  # type: ignore[no-untyped-def]
+    for k in range(b.MOST_EFFECTS):
+        if places[k, place]:
+            effects[k](place, bus, parameters[k], states[k], step)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def integrate(  # type: ignore[no-untyped-def]
+    command, measured, given, figures, tissue, period, substeps, state, effects, places, parameters, states, out
+):
+    """Play commands held over each sample; fills ``out``, shape (4, n), with readings at the end of each sample.
+
+    The current has its exact solution within a step, the viscous part of the motion is implicit; both are of second
+    order in the step. ``measured``, shape (4, n), holds voltage, current, position and velocity for those that are
+    ``given``.
+    """
+    step = period / substeps
+    bus = states[b.MOST_EFFECTS]
+    current, position, velocity, acceleration = state
+    for n in range(command.size):
+        target = min(max(figures[GAIN] * command[n], -figures[LIMIT]), figures[LIMIT])
+        before = max(n - 1, 0)
+        for m in range(substeps):
+            bus[b.TIME] = n * period + m * step
+            bus[b.SAMPLE] = n
+            bus[b.VOLTAGE] = target
+            bus[b.CURRENT] = current
+            bus[b.VELOCITY] = velocity
+            bus[b.ACCELERATION] = acceleration
+            bus[b.STROKE] = figures[STROKE]
+            if given[VOLTAGE_GIVEN]:
+                bus[b.VOLTAGE] = measured[0, n]
+            else:
+                _call(b.AMPLIFIER, effects, places, bus, parameters, states, step)
+
+            if given[MOTION_GIVEN]:
+                share = (m + 0.5) / substeps
+                half = measured[2, before] + share * (measured[2, n] - measured[2, before])
+                velocity = measured[3, before] + share * (measured[3, n] - measured[3, before])
+                acceleration = 0.0
+                bus[b.VELOCITY] = velocity
+            else:
+                half = position + 0.5 * step * velocity
+            bus[b.POSITION] = half
+            bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
+            _call(b.SURFACE, effects, places, bus, parameters, states, step)
+            depth = half - bus[b.SURFACE_POSITION]
+            bus[b.DEPTH] = depth
+
+            bus[b.RESISTANCE] = figures[RESISTANCE]
+            bus[b.INDUCTANCE] = figures[INDUCTANCE]
+            bus[b.FORCE_CONSTANT] = figures[FORCE_CONSTANT]
+            bus[b.OPPOSING_VOLTAGE] = 0.0
+            bus[b.FORCE] = figures[WEIGHT]
+            _call(b.COIL, effects, places, bus, parameters, states, step)
+            decay = bus[b.RESISTANCE] * step / bus[b.INDUCTANCE]
+            if given[CURRENT_GIVEN]:
+                # Between two readings the current settles with the coil's time constant, well within the interval.
+                left = (measured[1, before] - measured[1, n]) * math.exp(-decay * m)
+                mean = measured[1, n] + left * (1.0 - math.exp(-decay)) / decay
+                current = measured[1, n] + left * math.exp(-decay)
+            else:
+                middle = velocity + 0.5 * step * acceleration
+                driving = bus[b.VOLTAGE] - bus[b.OPPOSING_VOLTAGE] - bus[b.FORCE_CONSTANT] * middle
+                settled = driving / bus[b.RESISTANCE]
+                kept = math.exp(-decay)
+                mean = settled + (current - settled) * (1.0 - kept) / decay
+                current = settled + (current - settled) * kept
+            bus[b.CURRENT] = mean
+
+            if not given[MOTION_GIVEN]:
+                bus[b.FORCE] += bus[b.FORCE_CONSTANT] * mean
+                bus[b.DAMPING] = figures[DAMPING]
+                bus[b.MASS] = figures[MASS]
+                _call(b.MECHANICS, effects, places, bus, parameters, states, step)
+                bus[b.STIFFNESS] = tissue[STIFFNESS]
+                bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
+                bus[b.TISSUE_FORCE] = grown(tissue[STIFFNESS], tissue[STIFFNESS_GROWTH], depth) * depth
+                bus[b.TISSUE_DAMPING] = grown(tissue[TISSUE_DAMPING], tissue[DAMPING_GROWTH], depth)
+                bus[b.TISSUE_MASS] = tissue[TISSUE_MASS]
+                _call(b.TISSUE, effects, places, bus, parameters, states, step)
+                mass = bus[b.MASS] + bus[b.TISSUE_MASS]
+                drag = 0.5 * step * (bus[b.DAMPING] + bus[b.TISSUE_DAMPING]) / mass
+                push = step * (bus[b.FORCE] - bus[b.TISSUE_FORCE]) / mass
+                then = (velocity * (1.0 - drag) + push) / (1.0 + drag)
+                acceleration = (then - velocity) / step
+                velocity = then
+                position = half + 0.5 * step * velocity
+        out[OUT_VOLTAGE, n] = bus[b.VOLTAGE]
+        out[OUT_CURRENT, n] = current
+        out[OUT_POSITION, n] = measured[2, n] if given[MOTION_GIVEN] else position
+        out[OUT_VELOCITY, n] = velocity
+    state[CURRENT] = current
+    state[POSITION] = position
+    state[VELOCITY] = velocity
+    state[ACCELERATION] = acceleration

@@ -1,0 +1,115 @@
+"""What an effect declares of itself: its equation, parameters, stage, signature, source and rivals.
+
+Adding an effect is adding one file to ``tissueid.twin.effects`` that ends in ``EFFECT = Effect(...)``; another package
+adds one under the entry point group ``tissueid.effects``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.twin import bus
+
+Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"]
+STAGES: tuple[Stage, ...] = ("drive", "coil", "mechanics", "tissue", "sensing", "environment")
+"""In the order of the chain."""
+
+FloatArray = NDArray[np.float64]
+Hook = Callable[[int, FloatArray, FloatArray, FloatArray, float], None]
+Recording = Callable[["Readings", FloatArray], "Readings"]
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the recorder is given and what it keeps: arrays of shape (n,), SI, one number a sample."""
+
+    time: FloatArray
+    voltage: FloatArray
+    current: FloatArray
+    position: FloatArray
+    sample_rate_hz: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect, with the range in which it is looked for.
+
+    ``neutral`` is the value at which the effect vanishes (``inf`` where only a limit does); where several parameters
+    have a neutral value, any one at its own is enough. ``low`` and ``high`` bound the fit; ``logarithmic`` says that
+    it is fitted by its logarithm, so both are then positive. ``per_test`` says that every test has a value of its own
+    (a phase, say). ``prior`` is the value thought likeliest before seeing data and ``prior_std`` how far off it may
+    be, in units of the fitted quantity (of its natural logarithm where ``logarithmic``); None: no opinion in bounds.
+    """
+
+    name: str
+    unit: str
+    neutral: float | None
+    low: float
+    high: float
+    logarithmic: bool = False
+    per_test: bool = False
+    prior: float | None = None
+    prior_std: float | None = None
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high or (self.logarithmic and self.low <= 0.0):
+            raise ValueError(f"parameter {self.name}: {self.low} to {self.high} is no range to fit in")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect that a recording may contain and the baseline twin does not model.
+
+    Either ``hook`` acts inside the integration at ``places`` (see ``tissueid.twin.bus``), or ``recording`` turns what
+    the sensors met into what was recorded, sample by sample, or both. ``starts`` are sets of parameters to begin a fit
+    at, in the order of ``parameters``; they differ where the error has more than one valley.
+
+    Raises:
+        ValueError: a declaration that cannot work.
+    """
+
+    name: str
+    stage: Stage
+    title: str
+    equation: str
+    """With its neutral value, as a person reads it."""
+    signature: str
+    """What it leaves in the records: in which signals, when, at what frequencies."""
+    source: str
+    parameters: tuple[Parameter, ...]
+    starts: tuple[tuple[float, ...], ...]
+    mistaken_for: tuple[str, ...] = ()
+    places: tuple[int, ...] = ()
+    hook: Hook | None = None
+    recording: Recording | None = None
+    needs: frozenset[str] = frozenset({"position"})
+    """Recorded signals without which it cannot be told."""
+    from_test: Callable[[Mapping[str, FloatArray], float], Mapping[str, float]] | None = None
+    """Where the search for a ``per_test`` parameter starts, read from the test's signals and sample rate."""
+    remedy: str = ""
+    """What a technician does about it, in one sentence."""
+    on_spring: bool = field(default=True)
+    """Whether it is there as well while the calibration spring or nothing is under the probe."""
+
+    def __post_init__(self) -> None:
+        if self.stage not in STAGES:
+            raise ValueError(f"effect {self.name}: there is no stage {self.stage!r}")
+        if len(self.parameters) > bus.MOST_PARAMETERS:
+            raise ValueError(f"effect {self.name}: at most {bus.MOST_PARAMETERS} parameters")
+        if not self.starts or any(len(start) != len(self.parameters) for start in self.starts):
+            raise ValueError(f"effect {self.name}: a start gives every parameter a value")
+        if (self.hook is None) != (not self.places):
+            raise ValueError(f"effect {self.name}: a hook needs the places that call it, and they a hook")
+        if self.hook is None and self.recording is None:
+            raise ValueError(f"effect {self.name}: it neither hooks into the chain nor changes what is recorded")
+
+    @property
+    def order(self) -> int:
+        """Number of its parameters that all tests share; per-test ones come besides."""
+        return sum(not parameter.per_test for parameter in self.parameters)

@@ -1,0 +1,240 @@
+"""The audit log: nothing can be done to a line that is not seen."""
+
+from __future__ import annotations
+
+import getpass
+import io
+import json
+import os
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+from audit_logs import a_log, chain_by_hand, rows
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tissueid.audit import (
+    AuditLog,
+    Damage,
+    default_path,
+    last_lines,
+    role_in_force,
+    verify,
+)
+from tissueid.audit import log as audit_log
+from tissueid.errors import UnusableInputError
+
+# -- what is written -----------------------------------------------------------------------------------------
+
+
+def test_each_line_is_bound_to_the_one_before(path):
+    lines = chain_by_hand(path)
+    assert [line["what"] for line in lines] == ["audit.started"] + ["test.begun"] * 4
+    assert lines[0]["new"] == {"format": "tissueid-audit", "format_version": "1.0"}
+    second = lines[2]
+    assert second | {"previous": "", "hash": ""} == {
+        "number": 3,
+        "time": "2026-03-04T05:06:09.000Z",
+        "role": "researcher",
+        "who": getpass.getuser(),
+        "what": "test.begun",
+        "subject": "P1",
+        "old": 1,
+        "new": {"site": "forearm [x]\n", "n": 1.5},
+        "software": lines[0]["software"],
+        "previous": "",
+        "hash": "",
+    }
+
+
+def test_a_whole_log_is_said_to_be(path):
+    result = verify(path)
+    assert result.whole
+    assert (result.lines, result.remarks) == (5, ())
+    assert result.head == f"5:{chain_by_hand(path)[-1]['hash']}"
+    assert [line.subject for line in last_lines(path, 2)] == ["P2", "P3"]
+
+
+def test_record_returns_the_head(tmp_path):
+    head = a_log(tmp_path / "a.jsonl", 1).record("technician", "calibration.made")
+    assert verify(tmp_path / "a.jsonl").head == head
+
+
+@pytest.mark.parametrize(
+    ("value", "kept"),
+    [
+        (float("nan"), None),
+        (Path("a"), "a"),
+        ((1, "b"), [1, "b"]),
+        ({1: 2}, {"1": 2}),
+        ("\udc80", "\udc80"),
+        (True, True),
+    ],
+)
+def test_values_of_all_kinds_are_kept(tmp_path, value, kept):
+    log = AuditLog(tmp_path / "a.jsonl")
+    log.record("clinician", "settings.changed", old=value, new="ä")
+    line = last_lines(log.path, 1)[0]
+    assert (line.old, line.new) == (kept, "ä")
+    assert verify(log.path).whole
+
+
+def test_values_beyond_all_bounds_are_told_by_their_hash(tmp_path):
+    log = AuditLog(tmp_path / "a.jsonl")
+    log.record("clinician", "x", new=["y" * 1000] * 1000)
+    log.record("clinician", "z" * 5000)
+    assert str(last_lines(log.path, 2)[0].new).startswith("1004000 bytes that are not kept here, SHA-256 ")
+    assert verify(log.path).whole
+
+
+def test_who_is_named_where_there_is_no_list_of_users(tmp_path, monkeypatch):
+    def nobody() -> str:
+        raise KeyError("uid not found")
+
+    monkeypatch.setattr(getpass, "getuser", nobody)
+    assert audit_log.account() in (f"uid {os.getuid()}", "unknown")
+
+
+def test_where_the_log_lies(monkeypatch, audit_file):
+    assert default_path() == audit_file
+    monkeypatch.delenv("TISSUEID_AUDIT")
+    assert default_path().name == "audit.jsonl"
+
+
+def test_roles(monkeypatch):
+    assert role_in_force("researcher") == "researcher"
+    monkeypatch.setenv("TISSUEID_ROLE", "Technician")
+    assert role_in_force("researcher") == "technician"
+    monkeypatch.setenv("TISSUEID_ROLE", "boss")
+    with pytest.raises(UnusableInputError, match="clinician or researcher or technician, not 'boss'"):
+        role_in_force("researcher")
+
+
+# -- what is done to it --------------------------------------------------------------------------------------
+
+
+class InMemory:
+    """A file that was never on a disk, so that thousands of them take seconds."""
+
+    def __init__(self, raw: bytes) -> None:
+        self.raw = raw
+
+    def open(self, _mode: str) -> io.BytesIO:
+        return io.BytesIO(self.raw)
+
+
+def found(raw: bytes) -> bool:
+    """Whether verification says anything at all of these bytes, but that all is well."""
+    result = verify(InMemory(raw))
+    return not result.whole or result.remarks != ()
+
+
+def test_every_single_byte_that_is_changed_is_found(tmp_path):
+    whole = a_log(tmp_path / "a.jsonl", 2).path.read_bytes()
+    assert not found(whole)
+    for place in range(len(whole)):
+        for value in {whole[place] ^ 1, whole[place] ^ 0x20, 0, 10, 24, 125} - {whole[place]}:
+            assert found(whole[:place] + bytes([value]) + whole[place + 1 :]), (place, value)
+
+
+def test_every_single_byte_that_is_removed_or_put_in_is_found(tmp_path):
+    whole = a_log(tmp_path / "a.jsonl", 2).path.read_bytes()
+    for place in range(len(whole) + 1):
+        assert place == len(whole) or found(whole[:place] + whole[place + 1 :]), place
+        for value in (b"\n", b" ", b"0", b"\x18", b"}"):
+            assert found(whole[:place] + value + whole[place:]), (place, value)
+
+
+def test_every_removal_of_lines_is_found(path):
+    lines = rows(path)
+    for first in range(len(lines) - 1):
+        for last in range(first + 1, len(lines)):
+            path.write_bytes(b"".join(lines[:first] + lines[last:]))
+            broken = verify(path).broken
+            assert broken.damage is Damage.REMOVED
+            assert broken.place == first + 1
+
+
+def test_every_swap_of_lines_is_found(path):
+    lines = rows(path)
+    for first in range(len(lines)):
+        for second in range(first + 1, len(lines)):
+            swapped = list(lines)
+            swapped[first], swapped[second] = lines[second], lines[first]
+            path.write_bytes(b"".join(swapped))
+            broken = verify(path).broken
+            assert broken.damage is Damage.REORDERED
+            assert broken.place == first + 1
+
+
+def test_every_copy_of_a_line_that_is_put_in_is_found(path):
+    lines = rows(path)
+    for copied in range(len(lines)):
+        for place in range(copied + 1, len(lines) + 1):
+            path.write_bytes(b"".join([*lines[:place], lines[copied], *lines[place:]]))
+            broken = verify(path).broken
+            assert broken.damage is Damage.INSERTED
+            assert broken.place == place + 1
+
+
+def test_a_line_made_up_and_put_in_is_found(path):
+    lines = rows(path)
+    for place in range(1, len(lines)):
+        before = json.loads(lines[place - 1])
+        made_up = before | {"number": place + 1, "subject": "nobody", "previous": before["hash"]}
+        del made_up["hash"]
+        body = json.dumps(made_up, separators=(",", ":")).encode()[:-1]
+        forged = body + f',"hash":"{sha256(body).hexdigest()}"}}\n'.encode()
+        path.write_bytes(b"".join([*lines[:place], forged, *lines[place:]]))
+        broken = verify(path).broken
+        assert broken.damage is Damage.INSERTED
+        assert broken.words == f"two lines have number {place + 1}: one of them is not part of the log"
+        path.write_bytes(b"".join([*lines[:place], forged, *lines[place + 1 :]]))
+        if place < len(lines) - 1:
+            broken = verify(path).broken
+            assert broken.damage is Damage.CHANGED
+            assert broken.place == place + 1
+            assert "one of the two was exchanged" in broken.words
+
+
+def test_rubbish_between_two_lines_is_found(path):
+    lines = rows(path)
+    for place in range(len(lines)):
+        for rubbish in (b"hello\n", b"\n", b"{}\n", b'{"number":2,"time":"\x18\n', b"\x18\n", b"x" * 200_000 + b"\n"):
+            path.write_bytes(b"".join([*lines[:place], rubbish, *lines[place:]]))
+            broken = verify(path).broken
+            assert broken.damage is Damage.INSERTED, rubbish[:30]
+            assert broken.place <= place + 1
+
+
+def test_the_words_say_what_was_done(path):
+    lines = rows(path)
+    for raw, words in (
+        ([*lines[:2], lines[2].replace(b"P1", b"P9"), *lines[3:]], "line 3 was changed"),
+        ([*lines[:2], *lines[3:]], "line 3 is not there"),
+        ([lines[0], *lines[4:]], "lines 2 to 4 are not there"),
+        ([*lines[:3], lines[1], *lines[3:]], "a copy of line 2 stands where line 4 should"),
+        ([lines[0], lines[2], lines[1], *lines[3:]], "line 3 stands where line 2 should, which comes later"),
+        (lines[3:], "lines 1 to 3 are not there"),
+    ):
+        path.write_bytes(b"".join(raw))
+        assert verify(path).broken.words.startswith(words)
+
+
+@given(st.data())
+@settings(
+    max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_anything_that_is_done_to_a_log_is_found(tmp_path, data):
+    """Whatever is cut out and put in: unless the bytes are the same, or the end was cut off, it is told."""
+    path = tmp_path / "a.jsonl"
+    path.unlink(missing_ok=True)
+    whole = a_log(path, 3).path.read_bytes()
+    begin = data.draw(st.integers(0, len(whole)))
+    end = data.draw(st.integers(begin, min(len(whole), begin + 400)))
+    put_in = data.draw(st.one_of(st.binary(max_size=20), st.sampled_from([whole[:50], whole[begin:end] * 2])))
+    damaged = whole[:begin] + put_in + whole[end:]
+    cut_off = damaged and whole.startswith(damaged) and damaged.endswith(b"\n")
+    if damaged != whole and not cut_off and damaged:
+        assert found(damaged)

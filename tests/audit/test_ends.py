@@ -1,0 +1,152 @@
+"""The end of an audit log: what is cut off, made anew, left by a dying computer, or no log at all."""
+
+from __future__ import annotations
+
+import os
+from datetime import timedelta
+
+import pytest
+from audit_logs import START, a_log, rows
+
+from tissueid.audit import (
+    AuditError,
+    AuditLog,
+    Damage,
+    check_head,
+    last_lines,
+    verify,
+)
+from tissueid.errors import UnusableInputError
+
+
+def test_a_log_that_is_cut_off_is_told_by_a_head_from_elsewhere(path):
+    head = verify(path).head
+    lines = rows(path)
+    for kept in range(1, len(lines)):
+        path.write_bytes(b"".join(lines[:kept]))
+        assert verify(path).whole
+        broken = verify(path, {head: "session.h5"}).broken
+        assert broken.damage is Damage.CUT
+        assert broken.words == (
+            f"session.h5 was written when the log had line 5, and it ends with line {kept}: its end was cut off"
+        )
+        assert verify(path, {head.partition(":")[2]: "it"}).broken.damage is Damage.CUT
+
+
+def test_a_log_made_anew_is_told_by_a_head_from_elsewhere(path):
+    head = verify(path).head
+    path.unlink()
+    log = a_log(path, 7)
+    assert verify(path, {head: "session.h5"}).broken is None, "the same lines at the same time are the same log"
+    path.unlink()
+    for _ in range(9):
+        log.record("clinician", "test.begun")
+    broken = verify(path, {head: "session.h5"}).broken
+    assert broken.damage is Damage.FOREIGN
+    assert "another log, or one made anew" in broken.words
+
+
+@pytest.mark.parametrize("head", ["", "5", "5:abc", "x:" + "0" * 64, "0" * 63])
+def test_heads_that_are_none_are_refused(head):
+    with pytest.raises(UnusableInputError, match="NUMBER:HASH"):
+        check_head(head)
+
+
+def test_what_a_dying_computer_left_is_closed_off_and_nothing_after_it_is_lost(tmp_path):
+    path = tmp_path / "a.jsonl"
+    whole = a_log(path, 2).path.read_bytes()
+    second_last = len(rows(path)[0] + rows(path)[1])
+    for length in range(len(whole) - 1, second_last, -1):
+        path.write_bytes(whole[:length])
+        told = verify(path)
+        assert told.whole
+        assert len(told.remarks) == 1
+        AuditLog(path).record("clinician", "test.begun", subject="after")
+        result = verify(path)
+        assert result.whole
+        complete = length == len(whole) - 1
+        assert [line.what for line in last_lines(path, 9)[2:]] == (
+            ["test.begun", "test.begun"] if complete else ["audit.closed_off", "test.begun"]
+        )
+        assert last_lines(path, 1)[0].subject == "after"
+        assert result.remarks == (() if complete else ("before line 3 a line was left unfinished, and closed off",))
+
+
+def test_a_computer_that_dies_again_and_again_while_it_closes_off(tmp_path):
+    path = tmp_path / "a.jsonl"
+    a_log(path, 1)
+    path.write_bytes(path.read_bytes() + b'{"number":3,"ti')
+    for cut in (-1, -40, -500, -600, -2, -300):
+        AuditLog(path).record("clinician", "test.begun")
+        os.truncate(path, path.stat().st_size + cut)
+        assert verify(path).whole
+    AuditLog(path).record("clinician", "test.ended")
+    assert verify(path).whole
+    assert last_lines(path, 1)[0].what == "test.ended"
+
+
+def test_room_that_was_made_and_never_filled_is_closed_off(path):
+    path.write_bytes(path.read_bytes() + b"\0" * 100)
+    AuditLog(path).record("clinician", "test.begun")
+    assert verify(path).whole
+
+
+def test_a_first_line_that_was_never_finished(tmp_path):
+    path = tmp_path / "a.jsonl"
+    for left in (b"", b"{", b'{"number":1,"time":"20', b"\0\0"):
+        path.write_bytes(left)
+        AuditLog(path).record("clinician", "test.begun")
+        assert verify(path).whole
+        assert [line.what for line in last_lines(path, 9)][-2:] == ["audit.started", "test.begun"]
+
+
+def test_what_was_closed_off_cannot_be_changed(tmp_path):
+    path = tmp_path / "a.jsonl"
+    a_log(path, 1)
+    path.write_bytes(path.read_bytes() + b'{"number":3,"time":"2026')
+    AuditLog(path).record("clinician", "test.begun")
+    raw = path.read_bytes()
+    place = raw.index(b"2026\x18")
+    path.write_bytes(raw[:place] + b"2027" + raw[place + 4 :])
+    broken = verify(path).broken
+    assert broken.damage is Damage.INSERTED
+    assert "does not account for them" in broken.words
+
+
+@pytest.mark.parametrize(
+    "change", [lambda raw: raw.replace(b"P3", b"P4"), lambda raw: raw[:-3] + b"\n", lambda raw: raw[:-1] + b"x"]
+)
+def test_nothing_is_added_to_a_log_whose_end_was_tampered_with(path, change):
+    damaged = change(path.read_bytes())
+    path.write_bytes(damaged)
+    with pytest.raises(AuditError, match=r"damaged.*'tissueid audit verify' tells more.*a new log is begun") as told:
+        AuditLog(path).record("clinician", "test.begun")
+    assert "\n" not in str(told.value)
+    assert path.read_bytes() == damaged
+    assert not verify(path).whole
+
+
+@pytest.mark.parametrize("foreign", [b"a,b,c\n1,2,3\n", b"PK\x03\x04", b"{}\n", b"\n", b"x" * 500_000])
+def test_nothing_is_added_to_another_file(tmp_path, foreign):
+    path = tmp_path / "a.jsonl"
+    path.write_bytes(foreign)
+    with pytest.raises(AuditError, match="damaged"):
+        AuditLog(path).record("clinician", "test.begun")
+    assert path.read_bytes() == foreign
+    assert verify(path).broken.damage is Damage.FOREIGN
+
+
+def test_a_log_that_was_moved_away_is_begun_anew(path):
+    path.rename(path.with_name("2025.jsonl"))
+    AuditLog(path).record("clinician", "test.begun")
+    assert [line.what for line in last_lines(path, 9)] == ["audit.started", "test.begun"]
+    assert verify(path.with_name("2025.jsonl")).whole
+
+
+def test_a_clock_that_is_set_back_is_remarked(path):
+    AuditLog(path, lambda: START - timedelta(days=1)).record("clinician", "test.begun")
+    result = verify(path)
+    assert result.whole
+    assert result.remarks == (
+        "the clock goes back at line 6, from 2026-03-04T05:06:11.000Z to 2026-03-03T05:06:07.000Z",
+    )

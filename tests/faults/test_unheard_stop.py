@@ -1,0 +1,70 @@
+"""A test that the device stopped is never taken for a whole one, however much of what it says is lost."""
+
+import numpy as np
+import pytest
+from faults.cells import SURFACE_M, fault, open_loop, rest
+from faults.desk import Desk
+
+from tissueid import wire
+from tissueid.acquisition import run_guided_test
+from tissueid.errors import FirmwareFaultError
+from tissueid.wire import MessageType, State
+
+STIMULUS_SAMPLES = 2600
+
+
+class Deaf:
+    """A line that loses the next so many STATUS messages on their way to the host."""
+
+    def __init__(self, most=np.inf):
+        self.lost, self._most = 0, most
+        self._decoder = wire.FrameDecoder()
+
+    def __call__(self, data):
+        return b"".join(wire.encode_frame(item) for item in self._decoder.feed(data) if not self._loses(item))
+
+    def _loses(self, frame):
+        lost = frame.type == MessageType.STATUS and self.lost < self._most
+        self.lost += lost
+        return lost
+
+
+def stopped_test(tmp_path, at, deaf):
+    """A test whose device loses its supply at that sample of the run, through a line that loses what it says of it."""
+    desk = Desk(seed=2)
+    instrument = desk.open()
+    recorder = desk.recorder(tmp_path / "sitting.h5", instrument)
+
+    def sag():
+        desk.link.to_host = deaf
+        desk.befall(fault("brown_out", seconds=0.1))
+
+    desk.link.moments.append((lambda link: link.running > at, sag))
+    with pytest.raises(FirmwareFaultError) as caught:
+        run_guided_test(instrument, open_loop(seed=1), recorder, surface_m=SURFACE_M)
+    assert not desk.firmware.energised
+    assert desk.firmware.state is State.FAULT
+    desk.link.to_host = lambda data: data
+    instrument.clear_faults()
+    rest(instrument, 0.2)
+    instrument.close()
+    (test,) = recorder.finish().tests
+    return test, str(caught.value)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 10, 50])
+def test_what_the_device_says_is_asked_for_until_it_comes(tmp_path, lost):
+    deaf = Deaf(lost)
+    test, message = stopped_test(tmp_path, 1000, deaf)
+    assert "the supply voltage sagged: check the power supply" in message
+    assert deaf.lost == lost
+    assert test.status == "aborted"
+    assert 1000 < test.samples < 1100 + 25 * lost
+
+
+@pytest.mark.parametrize("before_the_end", [1500, 300, 60, 30])
+def test_without_a_word_from_the_device_its_samples_tell(tmp_path, before_the_end):
+    test, message = stopped_test(tmp_path, STIMULUS_SAMPLES - before_the_end, Deaf())
+    assert message == "the instrument stopped the test by itself; the coil is free: measure again"
+    assert test.status == "aborted"
+    assert np.nanmax(np.abs(np.asarray(test.signals["command"])[-10:])) == 0.0
