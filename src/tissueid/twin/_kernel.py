@@ -63,6 +63,7 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.VELOCITY] = velocity
             bus[b.ACCELERATION] = acceleration
             bus[b.STROKE] = figures[STROKE]
+            bus[b.VOLTAGE_RISE] = 0.0
             if given[VOLTAGE_GIVEN]:
                 bus[b.VOLTAGE] = measured[0, n]
             else:
@@ -121,7 +122,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 acceleration = (then - velocity) / step
                 velocity = then
                 position = half + 0.5 * step * velocity
-        out[OUT_VOLTAGE, n] = bus[b.VOLTAGE]
+        out[OUT_VOLTAGE, n] = bus[b.VOLTAGE] + bus[b.VOLTAGE_RISE]
         out[OUT_CURRENT, n] = current
         out[OUT_POSITION, n] = measured[2, n] if given[MOTION_GIVEN] else position
         out[OUT_VELOCITY, n] = velocity

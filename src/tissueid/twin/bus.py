@@ -57,6 +57,8 @@ ACCELERATION = 19
 STROKE = 20
 SAMPLE = 21
 """Number of the sample that this step belongs to, from 0."""
+VOLTAGE_RISE = 22
+"""How far the voltage at the end of the step, which is what a reading meets, is above VOLTAGE, its mean over the step."""
 SIZE = 24
 
 MOST_EFFECTS = 4
