@@ -110,9 +110,9 @@ def fit(
 
 def differences(baseline: Fit, effect: Effect, start: int) -> FloatArray:
     """By how much an effect at a starting point changes the residuals of a fit, shape as ``Fit.residuals``."""
-    parameters = parametrise(
-        baseline.parameters.observed, [*baseline.parameters.effects, effect], _zeros(baseline, start)
-    )
+    effects = [*baseline.parameters.effects, effect]
+    starts = [0] * len(baseline.parameters.effects) + [start]
+    parameters = parametrise(baseline.parameters.observed, effects, starts)
     theta = parameters.array("start")
     for name, k in baseline.parameters.index.items():
         theta[parameters.index[name]] = baseline.theta[k]
@@ -130,6 +130,7 @@ class _Search:
         self._low, self._high = low, high
         self._cancelled = cancelled
         self._steps = parameters.array("step")
+        self._reach = parameters.array("reach")
         self._prior, self._std = parameters.array("prior"), parameters.array("prior_std")
         observed = parameters.observed
         self._tests = observed.tests
@@ -149,7 +150,8 @@ class _Search:
         fresh = near is None
         damping, steps = 1e-3, 0
         while steps < most_steps:
-            trial = np.clip(theta + self._step(theta, residuals, jacobian, damping), self._low, self._high)
+            step, damping = self._step(theta, residuals, jacobian, cost, damping)
+            trial = np.clip(theta + step, self._low, self._high)
             then, predicted = self.residuals(trial)
             gain = cost - self._cost(trial, then)
             if gain > 0.0:
@@ -180,17 +182,26 @@ class _Search:
         from_priors = (theta - self._prior) / self._std
         return float(residuals @ residuals + from_priors @ from_priors)
 
-    def _step(self, theta: FloatArray, residuals: FloatArray, jacobian: FloatArray, damping: float) -> FloatArray:
+    def _step(
+        self, theta: FloatArray, residuals: FloatArray, jacobian: FloatArray, cost: float, damping: float
+    ) -> tuple[FloatArray, float]:
+        # A step within the reach of every coordinate, and the damping that made it so.
         normal = jacobian.T @ jacobian + np.diag(self._std**-2.0)
         slope = jacobian.T @ residuals + (theta - self._prior) * self._std**-2.0
         # A coordinate that pushes against its bound takes no part.
         free = ~(((theta <= self._low) & (slope > 0.0)) | ((theta >= self._high) & (slope < 0.0)))
         step = np.zeros_like(theta)
-        if free.any():
-            inner = normal[np.ix_(free, free)]
-            scale = np.maximum(np.diag(inner), 1e-12)
-            step[free] = -np.linalg.solve(inner + damping * np.diag(scale), slope[free])
-        return step
+        if not free.any():
+            return step, damping
+        inner, reach = normal[np.ix_(free, free)], self._reach[free]
+        # What the data hardly feels may not be thrown about: going as far as its reach costs a share of the whole.
+        scale = np.diag(inner) + cost / reach**2
+        while True:
+            part = -np.linalg.solve(inner + damping * np.diag(scale), slope[free])
+            if np.all(np.abs(part) <= reach):
+                step[free] = part
+                return step, damping
+            damping *= 3.0
 
     def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None) -> FloatArray:
         jacobian = np.empty((residuals.size, theta.size))

@@ -32,6 +32,9 @@ class Coordinate:
     low: float
     high: float
     step: float
+    """Of its numerical derivative."""
+    reach: float
+    """How far one step of the search may take it."""
     prior: float = 0.0
     prior_std: float = np.inf
     test: int | None = None
@@ -126,10 +129,10 @@ def parametrise(observed: Observed, effects: Sequence[Effect] = (), starts: Sequ
     """The coordinates of baseline and effects; ``starts`` chooses one of each effect's starting points."""
     spread = observed.instrument.calibration_relative_uncertainty
     wide = WITHIN_STDS * spread
-    found = [Coordinate(ours, 0.0, -wide, wide, 1e-4, 0.0, spread) for ours, _ in _INSTRUMENT]
+    found = [Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT]
     weight = observed.instrument.moving_mass_kg * STANDARD_GRAVITY
     # The device may be held at any angle: nothing in a session says which.
-    found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, 0.0, weight))
+    found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, weight, 0.0, weight))
     if any(test.fixture == "tissue" for test in observed.tests):
         found += [_scaled(*item) for item in _TISSUE]
     if any(test.fixture == "spring" for test in observed.tests):
@@ -142,8 +145,8 @@ def parametrise(observed: Observed, effects: Sequence[Effect] = (), starts: Sequ
 
 def _scaled(name: str, likely: float, low: float, high: float, logarithmic: bool, std: float) -> Coordinate:
     if logarithmic:
-        return Coordinate(name, np.log(likely), np.log(low), np.log(high), 1e-3, np.log(likely), std)
-    return Coordinate(name, likely, low, high, 1e-3 * std, likely, std)
+        return Coordinate(name, np.log(likely), np.log(low), np.log(high), 1e-3, std, np.log(likely), std)
+    return Coordinate(name, likely, low, high, 1e-3 * std, std, likely, std)
 
 
 def _of_effect(observed: Observed, effect: Effect, start: int) -> list[Coordinate]:
@@ -156,12 +159,14 @@ def _of_effect(observed: Observed, effect: Effect, start: int) -> list[Coordinat
             prior = None if prior is None else float(np.log(prior))
         # A derivative by a thousandth of the range, or of the value where a logarithm is fitted.
         step = 1e-3 if parameter.logarithmic else 2e-4 * (high - low)
+        reach = 0.7 if parameter.logarithmic else 0.1 * (high - low)
         fitted = Coordinate(
             f"{effect.name}.{parameter.name}",
             begin,
             low,
             high,
             step,
+            reach,
             begin if prior is None else prior,
             np.inf if std is None else std,
         )
@@ -176,7 +181,7 @@ def _of_effect(observed: Observed, effect: Effect, start: int) -> list[Coordinat
                 at = float(np.log(read)) if parameter.logarithmic else float(read)
             found.append(
                 Coordinate(
-                    f"{fitted.name}@{test.number}", at, low, high, step, fitted.prior, fitted.prior_std, test.number
+                    f"{fitted.name}@{test.number}", at, low, high, step, reach, fitted.prior, fitted.prior_std, test.number
                 )
             )
     return found

@@ -36,7 +36,7 @@ class Screen:
         jacobian = baseline.jacobian
         norms = np.linalg.norm(jacobian, axis=0)
         self._basis, _ = np.linalg.qr(jacobian[:, norms > 0.0] / norms[norms > 0.0])
-        self._left = self._surviving(baseline.residuals)
+        self._left = self.surviving(baseline.residuals)
         self._size = float(self._left @ self._left)
 
     def signatures(self, effect: Effect) -> list[Signature]:
@@ -44,13 +44,13 @@ class Screen:
         found = []
         for start in range(len(effect.starts)):
             added = differences(self._baseline, effect, start)
-            surviving = self._surviving(added)
+            surviving = self.surviving(added)
             size = float(surviving @ surviving)
             along = float(surviving @ self._left) ** 2 / (size * self._size) if size > 0.0 and self._size > 0.0 else 0.0
             found.append(Signature(effect.name, start, surviving, along))
         return found
 
-    def _surviving(self, values: FloatArray) -> FloatArray:
+    def surviving(self, values: FloatArray) -> FloatArray:
         return values - self._basis @ (self._basis.T @ values)
 
 

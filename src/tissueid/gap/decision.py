@@ -1,0 +1,83 @@
+"""From scores to words: is there a gap, does a candidate explain it, and how sure is that.
+
+The thresholds were set on scenarios of the simulated laboratory other than those on which the sealed check scores
+them; docs/gap.md has the figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tissueid.gap.scoring import Candidate
+
+Verdict = Literal["effect", "no_gap", "unexplained"]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where words change. Scores are in nats (see ``scoring.score``)."""
+
+    least_gain: float = 0.04
+    """A candidate must lower the score by this much before it is anything but chance."""
+    least_score: float = 0.08
+    """With less than this left by the baseline there is no gap."""
+    explained_closed: float = 0.75
+    """Share of the gap that a candidate must close on held-out data to explain it."""
+    explained_share: float = 0.5
+    """... and the share of the score that it may leave at most."""
+    pair_gain: float = 0.25
+    """What a second effect must lower the score by, in nats ..."""
+    pair_share: float = 0.5
+    """... and as a share of what the first one left."""
+    temperature: float = 0.06
+    """Differences in score below this are no evidence for one rival against another."""
+    complexity: float = 0.01
+    """What every further coordinate costs."""
+
+
+THRESHOLDS = Thresholds()
+
+
+def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
+    """Score with what its coordinates cost; candidates are compared by it."""
+    return candidate.score + thresholds.complexity * candidate.order
+
+
+def probabilities(
+    baseline: Candidate, candidates: Sequence[Candidate], thresholds: Thresholds = THRESHOLDS
+) -> list[float]:
+    """How likely each candidate is the cause, given that one of them or an unlisted effect is.
+
+    An unlisted effect stands among them with the cost at which a candidate would just explain the gap.
+    """
+    if not candidates:
+        return []
+    costs = np.array([cost(item, thresholds) for item in candidates])
+    unlisted = max(thresholds.explained_share * baseline.score, thresholds.least_score)
+    temperature = thresholds.temperature + 0.1 * float(min(costs.min(), unlisted))
+    weights = np.exp(-(np.append(costs, unlisted) - min(costs.min(), unlisted)) / temperature)
+    return [float(value) for value in weights[:-1] / weights.sum()]
+
+
+def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Whether anything stands above the floor: much is left, or a candidate takes away more than chance would."""
+    if baseline.score >= 2.5 * thresholds.least_score:
+        return True
+    gained = 0.0 if best is None else baseline.score - cost(best, thresholds)
+    return baseline.score >= thresholds.least_score and gained >= thresholds.least_gain
+
+
+def explains(baseline: Candidate, best: Candidate, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Whether a candidate explains the gap on held-out data."""
+    enough = best.score <= max(thresholds.explained_share * baseline.score, thresholds.least_score)
+    return enough and closed >= thresholds.explained_closed
+
+
+def better_pair(single: Candidate, pair: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Whether a second effect is worth naming."""
+    gained = cost(single, thresholds) - cost(pair, thresholds)
+    return gained >= thresholds.pair_gain and gained >= thresholds.pair_share * single.score
