@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import gc
 import json
 import os
@@ -87,7 +88,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         return _serve(scenario, options.tcp)
     except (ValueError, OSError) as error:
-        print(f"tissueid-firmware-sim: {error}", file=sys.stderr)
+        number = error.errno if isinstance(error, OSError) else None
+        words = os.strerror(number) if number else str(error)
+        port = f" (port {options.tcp})" if number == errno.EADDRINUSE else ""
+        print(f"tissueid-firmware-sim: {words}{port}", file=sys.stderr)
         return 2
 
 

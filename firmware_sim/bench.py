@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import cos, radians, sin
 from typing import Any
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from firmware_sim.coil import coil_profile
 from firmware_sim.converters import CHANNELS, Channel, ChannelError, Converters
+from firmware_sim.effects.base import Effect
+from firmware_sim.effects.sensing import DroppedSamples, Quantization
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import DEFAULT, load_preset
 from firmware_sim.tissue import FREE_AIR, Tissue
@@ -43,6 +45,7 @@ class Snapshot:
     noise: dict[str, Any]
     frozen: dict[str, int] = field(default_factory=dict)
     newest: NDArray[np.int16] | None = None
+    memory: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
 
 class Bench:
@@ -55,7 +58,7 @@ class Bench:
     ``parameters`` is what the device really is, gravity turned with the tilt; ``nominal`` is what it believes of itself
     and announces, the same where nothing else is said. ``coil`` names the force constant's course along the stroke.
     ``channel_errors`` are those of the converters' real scales against the announced table. ``frame_mass_kg`` takes the
-    coil's reaction.
+    coil's reaction. ``effects`` are what the plant has besides its own laws.
 
     What may go wrong, at any time:
 
@@ -65,7 +68,8 @@ class Bench:
     - ``sensor_supply_share``: the sensors' supply over what it ought to be: the potentiometer's reading goes along.
 
     Raises:
-        ValueError: no such preset, coil or channel; the message lists those that exist.
+        ValueError: no such preset, coil or channel; the message lists those that exist. Or an effect that this tissue
+            or an instrument that streams cannot have.
     """
 
     def __init__(
@@ -82,6 +86,7 @@ class Bench:
         channel_errors: Mapping[str, ChannelError] | None = None,
         sensor_supply_share: float = 1.0,
         frame_mass_kg: float = FRAME_MASS_KG,
+        effects: Iterable[Effect] = (),
     ) -> None:
         chosen = load_preset(tissue) if isinstance(tissue, str) else tissue
         self.tissue = chosen if surface_m is None else replace(chosen, surface_m=surface_m)
@@ -97,6 +102,10 @@ class Bench:
         self._errors = dict(channel_errors or {})
         self._frame_mass_kg = frame_mass_kg
         self._healthy_sensor_supply = sensor_supply_share
+        self.effects = tuple(effect for effect in effects if effect.acts)
+        if any(isinstance(effect, DroppedSamples) for effect in self.effects):
+            raise ValueError("dropped_samples moves a whole record up: it is for the laboratory, not for a bench")
+        self._coarse = next((effect for effect in self.effects if isinstance(effect, Quantization)), None)
         self.reset()
 
     @property
@@ -115,6 +124,7 @@ class Bench:
             sample_rate_hz=self.sample_rate_hz,
             substeps=self._substeps,
             coil=self._coil,
+            effects=self.effects,
         )
         self._converters = Converters(self.seed, errors=self._errors)
         self.button = False
@@ -141,7 +151,13 @@ class Bench:
 
     def snapshot(self) -> Snapshot:
         """The state of plant, noise and sensors, for ``restore``."""
-        return Snapshot(self.plant.state.copy(), self._converters.noise_state, dict(self._frozen), self._newest)
+        return Snapshot(
+            self.plant.state.copy(),
+            self._converters.noise_state,
+            dict(self._frozen),
+            self._newest,
+            self.plant.memory if self.effects else None,
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Back to a snapshot: the same commands give the same codes again."""
@@ -149,6 +165,8 @@ class Bench:
         self._converters.noise_state = snapshot.noise
         self._frozen = dict(snapshot.frozen)
         self._newest = snapshot.newest
+        if snapshot.memory is not None:
+            self.plant.memory = snapshot.memory
 
     def warm_up(self) -> None:
         """Compile the plant now (some seconds on first use) and go back to rest."""
@@ -170,6 +188,9 @@ class Bench:
         trace = self.plant.advance(volts)
         codes, flags = self._converters.read(self._analogue(volts, trace))
         codes[:, 0] = command_codes
+        if self._coarse is not None:
+            k = [channel.name for channel in CHANNELS].index("position")
+            codes[:, k] = CHANNELS[k].encode(self._coarse.applied(CHANNELS[k].decode(codes[:, k])))[0]
         flags |= clipped.astype(np.uint16)
         if self.stuck or self._frozen:
             self._freeze(codes, flags)

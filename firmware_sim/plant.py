@@ -7,7 +7,7 @@ command ``k + 1`` comes into force.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from firmware_sim import kernel
 from firmware_sim.coil import IDEAL, CoilProfile
+from firmware_sim.effects.acting import Acting
+from firmware_sim.effects.base import Effect
 from firmware_sim.tissue import Tissue
 
 STANDARD_GRAVITY = 9.80665
@@ -95,7 +97,11 @@ class Plant:
 
     ``coil`` says how the force constant runs along the stroke; back-EMF follows it. Two things may go wrong at any
     time: with ``coil_open`` the wire is broken, no current flows and nothing brakes the coil; ``supply_share`` is what
-    is left of the amplifier's supply, and so of its limit.
+    is left of the amplifier's supply, and so of its limit. ``effects`` act besides; without any the plant is as fast as
+    if there were none to have.
+
+    Raises:
+        ValueError: no sub-steps, an effect that is there twice, or one of tissue on a kind that knows no depth.
     """
 
     def __init__(
@@ -107,6 +113,7 @@ class Plant:
         substeps: int = SUBSTEPS,
         energised: bool = True,
         coil: CoilProfile = IDEAL,
+        effects: Iterable[Effect] = (),
     ) -> None:
         if substeps < 1:
             raise ValueError(f"substeps must be 1 or more, not {substeps}")
@@ -118,6 +125,7 @@ class Plant:
         self.substeps = substeps
         self._interval_s = 1.0 / sample_rate_hz
         self._plant = np.concatenate([parameters.to_array(), [0.0], coil.to_array()])
+        self._acting = Acting(effects)
         self.tissue = tissue
         self.state: NDArray[np.float64] = np.zeros(kernel.STATE_SIZE)
         self.rest()
@@ -129,6 +137,8 @@ class Plant:
 
     @tissue.setter
     def tissue(self, tissue: Tissue) -> None:
+        if self._acting.needs_depth and tissue.kind not in ("linear", "dpn"):
+            raise ValueError(f"effects of tissue and body need a tissue of kind linear or dpn, not {tissue.kind}")
         self._met = tissue
         self._tissue = tissue.to_array()
 
@@ -153,12 +163,21 @@ class Plant:
             commands = np.zeros_like(commands)
         self._plant[kernel.AMPLIFIER_LIMIT] = self.amplifier_limit_v
         self._plant[kernel.COIL_OPEN] = float(self.coil_open)
-        out = np.empty((commands.size, kernel.OUT_COLUMNS))
-        kernel.advance(commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps, out)
+        if self._acting:
+            out, _ = self._acting.advance(
+                commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps
+            )
+        else:
+            out = np.empty((commands.size, kernel.OUT_COLUMNS))
+            kernel.advance(commands, self.state, self._plant, self._tissue, self._interval_s, self.substeps, out)
         return out.view(TRACE).reshape(commands.size)
 
     def rest(self, voltage: float = 0.0) -> None:
-        """Put the state in static equilibrium under a steady command in volts, relaxation complete, coil cold."""
+        """Put the state in static equilibrium under a steady command in volts, relaxation complete, coil cold.
+
+        Effects forget what was, and set in from there.
+        """
+        self._acting.reset()
         limit = self.amplifier_limit_v
         volts = float(np.clip(self.parameters.amplifier_gain * voltage, -limit, limit)) if self.energised else 0.0
         current = 0.0 if self.coil_open else volts / self.parameters.resistance_ohm
@@ -179,6 +198,15 @@ class Plant:
             state[kernel.BRANCH : kernel.BRANCH + kernel.MAX_BRANCHES] = tissue.stiffness.at(depth) * depth
         state[kernel.FILTER : kernel.FILTER + 4] = volts, current, position, state[kernel.TEMPERATURE]
         self.state = state
+
+    @property
+    def memory(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What the effects remember; with ``state`` all that the plant's future hangs on."""
+        return self._acting.memory
+
+    @memory.setter
+    def memory(self, memory: tuple[NDArray[np.float64], NDArray[np.float64]]) -> None:
+        self._acting.memory = memory
 
     def settle(self) -> None:
         """Rest under no command, as ``rest``, but the coil keeps the temperature that it has."""

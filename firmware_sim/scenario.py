@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS, ChannelError
+from firmware_sim.effects import read_effects
+from firmware_sim.effects.base import Effect
 from firmware_sim.faults import PlannedFault
 from firmware_sim.identity import Identity
 from firmware_sim.models import MODELS
@@ -87,7 +90,19 @@ class Scenario(BaseModel):
     channels: dict[str, ChannelTruth] = Field(default_factory=dict)
     sensor_supply_share: Annotated[float, _between(0.8, 1.2)] = 1.0
     """The sensors' supply over what it ought to be; the potentiometer's reading goes along."""
+    effects: dict[str, dict[str, bool | int | float | str]] = Field(default_factory=dict)
+    """What the plant has besides its own laws: figures by the effect's name."""
     faults: tuple[PlannedFault, ...] = ()
+
+    @model_validator(mode="after")
+    def _effects_exist(self) -> Self:
+        read_effects(self.effects)
+        return self
+
+    @property
+    def acting(self) -> tuple[Effect, ...]:
+        """The effects, in the order of the plant."""
+        return read_effects(self.effects)
 
     @model_validator(mode="after")
     def _channels_exist(self) -> Self:
@@ -126,6 +141,7 @@ class Scenario(BaseModel):
             channel_errors={name: ChannelError(**item.model_dump()) for name, item in self.channels.items()},
             sensor_supply_share=self.sensor_supply_share,
             frame_mass_kg=MODELS[self.model].frame_mass_kg,
+            effects=self.acting,
         )
 
     def identity(self) -> Identity:
@@ -159,7 +175,15 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {first['msg']}") from error
+        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {_reason(first)}") from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     return scenario
+
+
+def _reason(first: ErrorDetails) -> str:
+    """Why the first thing that does not hold does not."""
+    if first["type"] == "extra_forbidden":
+        return "nothing of that name belongs there"
+    words = str(first["msg"]).removeprefix("Value error, ")
+    return f"it must be {words.removeprefix('Input should be ')}" if words.startswith("Input should be ") else words

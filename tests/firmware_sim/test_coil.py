@@ -195,4 +195,4 @@ def test_an_unknown_coil_is_refused_by_name(capsys):
     with pytest.raises(ValueError, match="unknown coil 'crooked'; known: ideal, finite"):
         coil_profile("crooked", STROKE)
     assert main(["--coil", "crooked"]) == 2
-    assert "coil cannot be used: Input should be 'ideal' or 'finite'" in capsys.readouterr().err
+    assert "coil cannot be used: it must be 'ideal' or 'finite'" in capsys.readouterr().err

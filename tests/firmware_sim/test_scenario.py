@@ -85,16 +85,16 @@ def test_a_weight_goes_with_the_mass_unless_it_is_given():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[truth]\nresistance_ohm = 0.0", "truth.resistance_ohm cannot be used: Input should be greater"),
+        ("[truth]\nresistance_ohm = 0.0", "truth.resistance_ohm cannot be used: it must be greater"),
         ("[truth]\nresistance_ohm = nan", "truth.resistance_ohm cannot be used"),
-        ("[truth]\ncolour = 3", "truth.colour cannot be used: Extra inputs"),
+        ("[truth]\ncolour = 3", "truth.colour cannot be used: nothing of that name belongs there"),
         ("[truth]\nstroke_m = 0.040", "truth.stroke_m cannot be used"),
         ("[channels.current]\ngain_error = 2.0", "channels.current.gain_error cannot be used"),
         ("[channels.current]\noffset = inf", "channels.current.offset cannot be used"),
         ("[channels.current]\noffset = 3.0", "channels.current.offset must be within a tenth of the converter's range"),
         ("[channels.colour]\noffset = 3.0", "channels has no 'colour'; there are: command, voltage"),
         ("sensor_supply_share = 0.1", "sensor_supply_share cannot be used"),
-        ('model = "pocket"', "model cannot be used: Input should be 'desktop' or 'handheld'"),
+        ('model = "pocket"', "model cannot be used: it must be 'desktop' or 'handheld'"),
         ("tilt_deg = 270.0", "tilt_deg cannot be used"),
         ("sample_rate_hz = 20000", "sample_rate_hz cannot be used"),
         ('stage = "high"', "stage cannot be used"),
@@ -112,7 +112,7 @@ def test_a_scenario_that_cannot_be_is_one_line(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--model", "pocket", "model cannot be used: Input should be 'desktop' or 'handheld'"),
+        ("--model", "pocket", "model cannot be used: it must be 'desktop' or 'handheld'"),
         ("--tilt", "nan", "tilt_deg cannot be used"),
         ("--rate", "20000", "sample_rate_hz cannot be used"),
     ],

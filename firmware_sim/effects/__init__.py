@@ -1,0 +1,61 @@
+"""Effects that the plant may have besides its own laws: one class of bounded figures each, compiled with the plant.
+
+In a scenario file::
+
+    [effects.dry_friction]
+    level = 0.3
+
+All are in forms of the plant's own. ``LISTED`` are those that a diagnosis has a name for, ``UNLISTED`` those that it
+has none for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+
+from pydantic import ValidationError
+
+from firmware_sim.effects import coil, drive, environment, mechanics, sensing, tissue
+from firmware_sim.effects.base import ROWS, Effect
+
+EFFECTS: Mapping[str, type[Effect]] = {
+    kind.name: kind
+    for module in (drive, coil, mechanics, tissue, sensing, environment)
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Effect) and kind is not Effect
+}
+LISTED = tuple(name for name in ROWS if EFFECTS[name].listed)
+UNLISTED = tuple(name for name in ROWS if not EFFECTS[name].listed)
+
+
+def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
+    """Effects from a table of names and figures, as a scenario file has them, in the order of the plant.
+
+    Raises:
+        ValueError: one line: an effect that does not exist, or a figure that cannot be used.
+    """
+    found: list[Effect] = []
+    for name, figures in given.items():
+        if name not in EFFECTS:
+            raise ValueError(f"effects has no {name!r}; there are: {', '.join(ROWS)}")
+        try:
+            found.append(EFFECTS[name].model_validate(figures))
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
+            raise ValueError(f"{where} cannot be used: {first['msg']}") from error
+    return in_order(found)
+
+
+def in_order(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The effects in the order of the plant.
+
+    Raises:
+        ValueError: one of them is there twice.
+    """
+    found = sorted(effects, key=lambda effect: ROWS.index(effect.name))
+    for one, other in pairwise(found):
+        if one.name == other.name:
+            raise ValueError(f"the effect {one.name} is there twice")
+    return tuple(found)

@@ -1,0 +1,205 @@
+"""What every effect has: a name, a stage, a level that means "absent" at zero, bounded figures, and how they are drawn.
+
+The compiled loop reads one row of figures an effect and keeps one row of memory for it. The rows are numbered here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
+
+Array = NDArray[np.float64]
+Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"]
+
+ROWS = (
+    "latency",
+    "amplifier_lag",
+    "amplifier_clipping",
+    "amplifier_deadband",
+    "amplifier_drift",
+    "eddy_currents",
+    "coil_heating",
+    "inductance_position",
+    "force_constant_position",
+    "flux_saturation",
+    "reluctance_force",
+    "dry_friction",
+    "directional_friction",
+    "quadratic_drag",
+    "end_stop",
+    "mount_resonance",
+    "cogging",
+    "tissue_stiffening",
+    "viscoelasticity",
+    "tissue_hysteresis",
+    "preconditioning",
+    "added_mass",
+    "contact_loss",
+    "directional_damping",
+    "reflex",
+    "sensor_nonlinearity",
+    "sensor_lag",
+    "sensor_backlash",
+    "clock_skew",
+    "quantization",
+    "dropped_samples",
+    "mains_hum",
+    "physiological_motion",
+    # Not among the contract's names: what a diagnosis has to call unexplained.
+    "slew_rate",
+    "demagnetisation",
+    "magnetic_spring",
+    "warming_bearing",
+    "current_crosstalk",
+)
+"""Row of each effect in the arrays of figures and of memory."""
+
+(
+    LATENCY,
+    AMPLIFIER_LAG,
+    AMPLIFIER_CLIPPING,
+    AMPLIFIER_DEADBAND,
+    AMPLIFIER_DRIFT,
+    EDDY_CURRENTS,
+    COIL_HEATING,
+    INDUCTANCE_POSITION,
+    FORCE_CONSTANT_POSITION,
+    FLUX_SATURATION,
+    RELUCTANCE_FORCE,
+    DRY_FRICTION,
+    DIRECTIONAL_FRICTION,
+    QUADRATIC_DRAG,
+    END_STOP,
+    MOUNT_RESONANCE,
+    COGGING,
+    TISSUE_STIFFENING,
+    VISCOELASTICITY,
+    TISSUE_HYSTERESIS,
+    PRECONDITIONING,
+    ADDED_MASS,
+    CONTACT_LOSS,
+    DIRECTIONAL_DAMPING,
+    REFLEX,
+    SENSOR_NONLINEARITY,
+    SENSOR_LAG,
+    SENSOR_BACKLASH,
+    CLOCK_SKEW,
+    QUANTIZATION,
+    DROPPED_SAMPLES,
+    MAINS_HUM,
+    PHYSIOLOGICAL_MOTION,
+    SLEW_RATE,
+    DEMAGNETISATION,
+    MAGNETIC_SPRING,
+    WARMING_BEARING,
+    CURRENT_CROSSTALK,
+) = range(len(ROWS))
+
+CLOCK = len(ROWS)
+"""One more row of memory: sub-steps since the start, and the loop's own values from the sub-step before."""
+
+WIDTH = 40
+MEMORY = 24
+RINGS, RING_LENGTH = 3, 16384
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """How a figure is drawn: evenly between two values, or evenly in its logarithm; of either sign where it says so."""
+
+    low: float
+    high: float
+    logarithmic: bool = False
+    either_sign: bool = False
+
+    def draw(self, random: np.random.Generator) -> float:
+        """One value."""
+        if self.logarithmic:
+            value = float(np.exp(random.uniform(np.log(self.low), np.log(self.high))))
+        else:
+            value = float(random.uniform(self.low, self.high))
+        return -value if self.either_sign and random.random() < 0.5 else value
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What an effect's figures are drawn for: where the tissue lies, how deep the tests go, and what is played, SI."""
+
+    surface_m: float = 0.010
+    depth_m: float = 0.004
+    swing_m: float = 0.0005
+    mean_v: float = 16.0
+    spread_v: float = 10.3
+
+
+class Effect(BaseModel):
+    """An effect's figures. ``level`` is how strong it is, in ``unit``; zero is exactly nothing.
+
+    Raises:
+        pydantic.ValidationError: a figure is out of its bounds.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: ClassVar[str]
+    stage: ClassVar[Stage]
+    unit: ClassVar[str]
+    typical: ClassVar[float]
+    """A level that is plainly seen in a standard test."""
+    listed: ClassVar[bool] = True
+    """Whether the contract has a name for it."""
+
+    level: float
+
+    @property
+    def acts(self) -> bool:
+        """Whether it does anything."""
+        return self.level != 0.0
+
+    def row(self) -> Array:
+        """Figures for the compiled loop, shape (n,), the level first, then the others as declared."""
+        return np.array([self._number(name) for name in type(self).model_fields], dtype=np.float64)
+
+    def _number(self, name: str) -> float:
+        value = getattr(self, name)
+        if isinstance(value, str):
+            return float(get_args(type(self).model_fields[name].annotation).index(value))
+        return float(value)
+
+    @classmethod
+    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+        """Figures drawn wide, from barely visible to gross."""
+        return cls(**cls._drawn(random))
+
+    @classmethod
+    def _drawn(cls, random: np.random.Generator) -> dict[str, object]:
+        values: dict[str, object] = {}
+        for name, item in cls.model_fields.items():
+            rule = _rule(item)
+            if rule is not None:
+                values[name] = rule.draw(random)
+            elif item.annotation is int:
+                values[name] = int(random.integers(0, 10_000))
+            elif choices := get_args(item.annotation):
+                values[name] = str(choices[int(random.integers(len(choices)))])
+        return values
+
+
+def _rule(item: FieldInfo) -> Drawn | None:
+    return next((extra for extra in item.metadata if isinstance(extra, Drawn)), None)
+
+
+def within(low: float, high: float) -> FieldInfo:
+    """Bounds of a figure, both ends allowed."""
+    found: FieldInfo = Field(ge=low, le=high, allow_inf_nan=False)
+    return found
+
+
+def widely(low: float, high: float, *, either_sign: bool = False) -> Drawn:
+    """Drawn evenly in the logarithm."""
+    return Drawn(low, high, True, either_sign)

@@ -1,0 +1,215 @@
+"""Effects between the coil's terminals and the force on the moving part."""
+
+from __future__ import annotations
+
+from math import exp, tanh
+from typing import Annotated, ClassVar, Literal, Self
+
+import numpy as np
+from numba import njit
+from scipy.special import erf
+
+from firmware_sim import kernel
+from firmware_sim.effects import base
+from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
+from firmware_sim.effects.drive import smooth_size
+
+COPPER_PER_K = 3.93e-3
+TABLE_NODES = 33
+TABLE_FIRST_M, TABLE_SPACING_M = 0.0, 1e-3
+
+
+class EddyCurrents(Effect):
+    """Iron and bobbin as a ladder of two shorted turns in series with the coil; ``level`` is their inductance, H.
+
+    ``first_ohm`` bridges all of it, ``second_share`` of that bridges the inner two fifths.
+    """
+
+    name: ClassVar[str] = "eddy_currents"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "H"
+    typical: ClassVar[float] = 2e-3
+
+    level: Annotated[float, within(0.0, 0.05), widely(3e-4, 8e-3)]
+    first_ohm: Annotated[float, within(0.1, 100.0), widely(1.0, 10.0)] = 4.0
+    second_share: Annotated[float, within(0.05, 5.0), widely(0.15, 1.0)] = 0.4
+
+
+class CoilHeating(Effect):
+    """Resistance follows the copper: a winding on a body; ``level`` is the winding's K/W against its body.
+
+    The body takes heat up for good, every second ``body_per_s`` of what the winding would reach in the end.
+    """
+
+    name: ClassVar[str] = "coil_heating"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "K/W"
+    typical: ClassVar[float] = 2.0
+
+    level: Annotated[float, within(0.0, 50.0), widely(0.15, 8.0)]
+    time_s: Annotated[float, within(0.02, 100.0), widely(0.4, 4.0)] = 1.5
+    body_per_s: Annotated[float, within(0.0, 1.0), Drawn(0.0, 0.03)] = 0.01
+
+
+class InductancePosition(Effect):
+    """Iron that fills the coil as it moves: ``level`` is by how much of itself its inductance grows, all in all.
+
+    The growth is an S over ``width_m`` to either side of the middle, inwards or outwards.
+    """
+
+    name: ClassVar[str] = "inductance_position"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = 2.0
+
+    level: Annotated[float, within(0.0, 10.0), widely(0.5, 5.0)]
+    sense: Literal["inward", "outward"] = "inward"
+    middle_m: Annotated[float, within(-0.01, 0.05)] = 0.0135
+    width_m: Annotated[float, within(0.0005, 0.1), widely(0.001, 0.005)] = 0.002
+
+    @classmethod
+    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+        """Growing about where a standard test swings."""
+        middle = around.surface_m + around.depth_m + random.uniform(-0.0015, 0.0015)
+        return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
+
+
+class ForceConstantPosition(Effect):
+    """The field's course along the stroke as a table of 33 values; force and back-EMF alike.
+
+    ``level`` is the share that is lost at the far end (``fall``), a width away from the middle (``bell``), or over
+    10 mm (``slope``).
+    """
+
+    name: ClassVar[str] = "force_constant_position"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = 0.3
+
+    level: Annotated[float, within(0.0, 0.9), widely(0.12, 0.8)]
+    course: Literal["fall", "bell", "slope"] = "fall"
+    middle_m: Annotated[float, within(-0.01, 0.05)] = 0.013
+    width_m: Annotated[float, within(0.001, 0.1), widely(0.002, 0.008)] = 0.004
+
+    @classmethod
+    def draw(cls, random: np.random.Generator, around: Circumstances) -> Self:
+        """Falling about where a standard test swings."""
+        middle = around.surface_m + around.depth_m + random.uniform(-0.003, 0.003)
+        return cls.model_validate(cls._drawn(random) | {"middle_m": middle})
+
+    def row(self) -> Array:
+        """The level and the table."""
+        at = TABLE_FIRST_M + TABLE_SPACING_M * np.arange(TABLE_NODES)
+        along = (at - self.middle_m) / self.width_m
+        if self.course == "fall":
+            lost = 0.5 * self.level * (1.0 + erf(along))
+        elif self.course == "bell":
+            lost = self.level * np.tanh(along**2)
+        else:
+            lost = self.level * np.clip((at - self.middle_m) / 0.010, -1.0, 1.0)
+        return np.concatenate([[self.level], np.maximum(1.0 - lost, 0.05)])
+
+
+class FluxSaturation(Effect):
+    """Iron near saturation: the force constant falls with the size of current and bias by Froehlich, level in 1/A."""
+
+    name: ClassVar[str] = "flux_saturation"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "1/A"
+    typical: ClassVar[float] = 0.15
+
+    level: Annotated[float, within(0.0, 5.0), widely(0.008, 0.4)]
+    bias_a: Annotated[float, within(-10.0, 10.0), Drawn(-1.5, 1.5)] = 0.4
+
+
+class ReluctanceForce(Effect):
+    """The core is drawn towards the iron, with the square of the current; ``level`` in N/A^2 at ``middle_m``.
+
+    By the law of a gap that closes over ``gap_m``: stronger further in.
+    """
+
+    name: ClassVar[str] = "reluctance_force"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "N/A^2"
+    typical: ClassVar[float] = 0.15
+
+    level: Annotated[float, within(-3.0, 3.0), widely(0.01, 0.4, either_sign=True)]
+    gap_m: Annotated[float, within(0.002, 1.0), widely(0.01, 0.06)] = 0.02
+    middle_m: Annotated[float, within(-0.01, 0.05), Drawn(0.010, 0.016)] = 0.013
+
+
+class Demagnetisation(Effect):
+    """The magnet weakens as the coil works: the share ``level`` of the force constant goes with the heat, J."""
+
+    name: ClassVar[str] = "demagnetisation"
+    stage: ClassVar[Stage] = "coil"
+    unit: ClassVar[str] = "1"
+    typical: ClassVar[float] = 0.15
+    listed: ClassVar[bool] = False
+
+    level: Annotated[float, within(0.0, 0.9), widely(0.01, 0.3)]
+    work_j: Annotated[float, within(0.1, 1e4), widely(20.0, 120.0)] = 60.0
+
+
+@njit
+def table_at(table: Array, position: float) -> float:
+    """A table's value at a position, straight between its nodes, held beyond its ends."""
+    along = min(max((position - TABLE_FIRST_M) / TABLE_SPACING_M, 0.0), TABLE_NODES - 1.0)
+    k = min(int(along), TABLE_NODES - 2)
+    return float(table[k] + (along - k) * (table[k + 1] - table[k]))
+
+
+@njit
+def coil(
+    volts: float,
+    current: float,
+    position: float,
+    velocity: float,
+    step: float,
+    plant: Array,
+    figures: Array,
+    memory: Array,
+) -> float:
+    """Change the coil's figures in ``plant`` for one sub-step; the voltage that is left for R, L and back-EMF, V."""
+    heat = plant[kernel.RESISTANCE] * current * current
+    if figures[base.COIL_HEATING, 0] != 0.0:
+        row, kept = figures[base.COIL_HEATING], memory[base.COIL_HEATING]
+        plant[kernel.RESISTANCE] *= 1.0 + COPPER_PER_K * (kept[0] + kept[1])
+        heat = plant[kernel.RESISTANCE] * current * current
+        kept[0] += (row[0] * heat - kept[0]) * (1.0 - exp(-step / row[1]))
+        kept[1] += row[0] * row[2] * heat * step
+    if figures[base.FORCE_CONSTANT_POSITION, 0] != 0.0:
+        plant[kernel.FORCE_CONSTANT] *= table_at(figures[base.FORCE_CONSTANT_POSITION, 1:], position)
+    if figures[base.FLUX_SATURATION, 0] != 0.0:
+        row = figures[base.FLUX_SATURATION]
+        rest = 1.0 + row[0] * smooth_size(row[1], 0.1)
+        plant[kernel.FORCE_CONSTANT] *= rest / (1.0 + row[0] * smooth_size(current + row[1], 0.1))
+    if figures[base.DEMAGNETISATION, 0] != 0.0:
+        row, kept = figures[base.DEMAGNETISATION], memory[base.DEMAGNETISATION]
+        plant[kernel.FORCE_CONSTANT] *= 1.0 - row[0] * (1.0 - exp(-kept[0] / row[1]))
+        kept[0] += heat * step
+    if figures[base.RELUCTANCE_FORCE, 0] != 0.0:
+        row = figures[base.RELUCTANCE_FORCE]
+        closing = max(1.0 - (position - row[2]) / row[1], 0.2)
+        plant[kernel.GRAVITY_FORCE] += row[0] * current * current / (closing * closing)
+    if figures[base.INDUCTANCE_POSITION, 0] != 0.0:
+        row = figures[base.INDUCTANCE_POSITION]
+        sense = 1.0 if row[1] == 0.0 else -1.0
+        share = 0.5 * (1.0 + tanh(sense * (position - row[2]) / row[3]))
+        slope = sense * 2.0 * share * (1.0 - share) / row[3]
+        # The flux is that of the current through an inductance that moves: its rate resists as a resistance does.
+        plant[kernel.RESISTANCE] += plant[kernel.INDUCTANCE] * row[0] * slope * velocity
+        plant[kernel.INDUCTANCE] *= 1.0 + row[0] * share
+    if figures[base.EDDY_CURRENTS, 0] != 0.0:
+        row, kept = figures[base.EDDY_CURRENTS], memory[base.EDDY_CURRENTS]
+        # Behind the first bridge lie 3/5 of the inductance, and behind the second one the rest; taken implicitly.
+        first, second = step * row[1] / (0.6 * row[0]), step * row[1] * row[2] / (0.6 * row[0])
+        inner = 1.5 * second
+        before = kept[0]
+        plant[kernel.RESISTANCE] += row[1]
+        kept[0] += first * current + second * kept[1] / (1.0 + inner)
+        kept[0] /= 1.0 + first + second / (1.0 + inner)
+        kept[1] = (kept[1] + inner * kept[0]) / (1.0 + inner)
+        # At the middle where it is slow against the step, at the end where it follows at once.
+        volts += row[1] * (before + (0.5 + first) / (1.0 + first) * (kept[0] - before))
+    return volts

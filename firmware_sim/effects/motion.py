@@ -1,0 +1,186 @@
+"""The compiled loop of a plant with effects: the plant's own steps, with what each stage adds between them.
+
+Before each sub-step of ``kernel`` the effects change a copy of the plant's figures, the force that acts besides, the
+voltage and the tissue's law, each at the sub-step's middle as position, speed and current promise it. The sub-step
+itself is the plant's own, so that nothing of it exists twice.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from math import exp, pi
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from firmware_sim import kernel
+from firmware_sim.effects import base, coil, drive, environment, mechanics, sensing, tissue
+from firmware_sim.effects.base import Array
+from firmware_sim.kernel import _exponential, _step, elastic_force, tissue_mass
+
+SEEN_COLUMNS = 3
+_PLANT_FIGURES = kernel.PROFILE
+
+Advance = Callable[[Array, Array, Array, Array, float, int, Array, Array, Array, Array, Array, float], None]
+
+
+def _sources() -> int:
+    # numba looks for changes in the file of a cached function alone: this number stands for all that it calls.
+    here = Path(__file__)
+    compiled = ("base", "drive", "coil", "mechanics", "tissue", "sensing", "environment")
+    files = [Path(str(kernel.__file__)), *(here.with_name(f"{name}.py") for name in compiled)]
+    return zlib.crc32(b"".join(file.read_bytes() for file in files))
+
+
+def _build(sources: int) -> Advance:
+    @njit(cache=True)
+    def advance(
+        commands: Array,
+        state: Array,
+        plant_figures: Array,
+        tissue_figures: Array,
+        interval: float,
+        substeps: int,
+        out: Array,
+        seen: Array,
+        figures: Array,
+        memory: Array,
+        rings: Array,
+        start: float,
+    ) -> None:
+        if sources < 0:
+            return
+        step = interval / substeps
+        work = np.zeros((5, kernel.STATE_SIZE))
+        after = np.zeros(kernel.STATE_SIZE)
+        plant = plant_figures.copy()
+        law = tissue_figures.copy()
+        clock = memory[base.CLOCK]
+        share = 1.0 - exp(-2.0 * pi * plant_figures[kernel.FILTER_CUTOFF] * step)
+        limit = plant_figures[kernel.AMPLIFIER_LIMIT]
+        parallel = tissue_figures[kernel.KIND] == kernel.PARALLEL
+        lifting = figures[base.CONTACT_LOSS, 0] != 0.0 and parallel
+        moving = figures[base.PHYSIOLOGICAL_MOTION, 0] != 0.0
+        mounted = figures[base.MOUNT_RESONANCE, 0] != 0.0
+        humming = figures[base.MAINS_HUM, 0] != 0.0
+        mass = plant_figures[kernel.MOVING_MASS]
+        if plant_figures[kernel.COIL_OPEN] > 0.0:
+            state[kernel.CURRENT] = 0.0
+        # Of the clock's row: 0 sub-steps so far, 1 acceleration, 2 current before, 3 surface at the start and 4 now,
+        # 5 to 7 shift, speed and acceleration of the frame.
+        for n in range(commands.shape[0]):
+            told = plant_figures[kernel.AMPLIFIER_GAIN] * commands[n]
+            before = state[kernel.VELOCITY]
+            volts = told
+            for part in range(substeps):
+                first = clock[0] == 0.0
+                t = clock[0] * step
+                current, speed = state[kernel.CURRENT], state[kernel.VELOCITY]
+                position = state[kernel.POSITION] + step * (0.5 * speed + 0.125 * step * clock[1])
+                velocity = speed + 0.5 * step * clock[1]
+                halfway = current if part == 0 else current + 0.5 * (current - clock[2])
+                clock[2] = current
+                volts = min(max(drive.drive(told, t, step, first, figures, memory, rings), -limit), limit)
+                plant[:_PLANT_FIGURES] = plant_figures[:_PLANT_FIGURES]
+                law[:] = tissue_figures
+                left = coil.coil(volts, halfway, position, velocity, step, plant, figures, memory)
+                force = mechanics.mechanics(position, velocity, plant[kernel.BEARING_DAMPING], step, figures, memory)
+                raised, rising = 0.0, 0.0
+                if moving:
+                    now = environment.surface(start + t + 0.5 * step, figures[base.PHYSIOLOGICAL_MOTION])
+                    if first:
+                        clock[3] = now
+                        clock[4] = now
+                    raised, rising = now - clock[3], (now - clock[4]) / step
+                    clock[4] = now
+                law[kernel.REST_SURFACE] += -raised - clock[5]
+                on_frame = force
+                if parallel:
+                    depth = position - law[kernel.REST_SURFACE]
+                    against = velocity + clock[6] + rising
+                    off = lifting and memory[base.CONTACT_LOSS, 0] != 0.0
+                    if off:
+                        depth_met, speed_met = memory[base.CONTACT_LOSS, 1], 0.0
+                    else:
+                        depth_met, speed_met = depth, against
+                    if figures[base.PRECONDITIONING, 0] != 0.0:
+                        pressed = elastic_force(law, depth_met)
+                        tissue.soften(step, pressed, speed_met, law, figures, memory)
+                    elastic = elastic_force(law, depth_met)
+                    damping = _exponential(law, kernel.DAMPING, depth_met)
+                    added = 0.0
+                    if figures[base.ADDED_MASS, 0] != 0.0:
+                        added += tissue.recruit(depth_met, speed_met, figures[base.ADDED_MASS], law)
+                    added += tissue.tissue(depth_met, speed_met, elastic, damping, step, first, figures, memory, rings)
+                    taken_along = tissue_mass(law, depth_met)
+                    if lifting:
+                        pressing = elastic + damping * against - added + taken_along * clock[1]
+                        creep = law[kernel.STIFFNESS] / max(law[kernel.DAMPING], 1e-3)
+                        now_off = tissue.lifts(
+                            depth, pressing, step, creep, figures[base.CONTACT_LOSS], memory[base.CONTACT_LOSS]
+                        )
+                        if off and not now_off:
+                            # Met again, inelastically: the tissue's mass was at rest.
+                            state[kernel.VELOCITY] *= mass / (mass + taken_along)
+                        off = now_off
+                    if off:
+                        law[kernel.STIFFNESS] = 0.0
+                        law[kernel.DAMPING] = 0.0
+                        law[kernel.MASS] = 0.0
+                        taken_along = 0.0
+                    elif state[kernel.TOUCHING] > 0.0:
+                        # The plant's law is written on the speed against the frame; the rest of the speed is made up.
+                        force += added - damping * (against - velocity)
+                    else:
+                        taken_along = 0.0
+                    force -= taken_along * clock[7]
+                plant[kernel.GRAVITY_FORCE] += force - mass * clock[7]
+                filtered_voltage = state[kernel.FILTER]
+                filtered_position = state[kernel.FILTER + 2]
+                entering = state[kernel.VELOCITY]
+                _step(state, step, left, plant, law, work, after)
+                clock[1] = (state[kernel.VELOCITY] - entering) / step
+                if mounted:
+                    on_frame += plant[kernel.FORCE_CONSTANT] * halfway - plant[kernel.BEARING_DAMPING] * velocity
+                    moved = mechanics.frame(
+                        -on_frame, step, figures[base.MOUNT_RESONANCE], memory[base.MOUNT_RESONANCE], mass
+                    )
+                    clock[5], clock[6], clock[7] = moved
+                reading = sensing.sense(
+                    state[kernel.POSITION], state[kernel.CURRENT], t + step, step, first, figures, memory, rings
+                )
+                if left != volts:
+                    state[kernel.FILTER] = filtered_voltage + share * (volts - filtered_voltage)
+                if reading != state[kernel.POSITION]:
+                    state[kernel.FILTER + 2] = filtered_position + share * (reading - filtered_position)
+                clock[0] += 1.0
+            out[n, 0] = volts
+            out[n, 1] = state[kernel.CURRENT]
+            out[n, 2] = state[kernel.POSITION]
+            out[n, 3] = state[kernel.VELOCITY]
+            out[n, 4] = state[kernel.TEMPERATURE]
+            out[n, 5] = (state[kernel.VELOCITY] - before) / interval
+            out[n, 6] = state[kernel.TOUCHING]
+            for k in range(4):
+                out[n, 7 + k] = state[kernel.FILTER + k]
+            seen[n, 0], seen[n, 1], seen[n, 2] = volts, state[kernel.CURRENT], reading
+            if humming:
+                row = figures[base.MAINS_HUM]
+                for k in range(SEEN_COLUMNS):
+                    measure = 1.0 if k == 0 else row[4 + k]
+                    picked_up = measure * environment.hum(start + clock[0] * step, k, row)
+                    out[n, 7 + k] += picked_up
+                    seen[n, k] += picked_up
+
+    return advance  # type: ignore[no-any-return]
+
+
+advance: Advance = _build(_sources())
+"""Integrate one block of commands in place, as ``kernel.advance`` does, with effects.
+
+Beyond its arguments: ``seen`` (n, 3) receives voltage, current and position as they reach the converters unfiltered;
+``figures`` and ``memory`` hold a row for each effect, ``rings`` what is kept for delays; ``start`` is the session's
+time at the start of the test, s, by which hum and body move on from test to test.
+"""
