@@ -119,7 +119,7 @@ def _write_test(group: h5py.Group, test: Test) -> None:
         dataset = signals.create_dataset(name, data=values, compression="gzip", compression_opts=4, shuffle=True)
         dataset.dims[0].attach_scale(time)
     for name, dataset in signals.items():
-        dataset.attrs["units"] = SIGNAL_UNITS.get(name, "1")
+        dataset.attrs["units"] = test.unit(name) or "1"
         dataset.attrs["long_name"] = SIGNAL_NAMES.get(name, name)
 
 
@@ -245,7 +245,7 @@ def _read_test(name: str, group: h5py.Group) -> Test:
         return Test(
             number=int(name),
             kind=_text(attributes, "kind"),
-            signals=_read_signals(_group(group, "signals")),
+            signals=_read_signals(signals := _group(group, "signals")),
             sample_rate_hz=rate,
             configuration=_text(attributes, "configuration", "indentation"),
             site=_text(attributes, "site", ""),
@@ -256,6 +256,7 @@ def _read_test(name: str, group: h5py.Group) -> Test:
             repeat_of=int(repeat) if repeat else None,
             status=status if status in STATUSES else "completed",
             notes={key: _plain(attributes[key]) for key in attributes if key not in known},
+            units=_read_units(signals),
         )
     except SessionFormatError as error:
         raise SessionFormatError(f"tests/{name}: {error}") from error
@@ -276,6 +277,16 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
     if len(set(signals) - {"time"}) < 2:
         raise SessionFormatError("a test needs at least one input and one output")
     return signals
+
+
+def _read_units(group: h5py.Group) -> dict[str, str]:
+    """Units of the signals that are none of the format's own; those of the format are SI, and need no reading."""
+    units = {
+        name: str(_plain(dataset.attrs["units"]))
+        for name, dataset in _datasets(group)
+        if name not in SIGNAL_UNITS and "units" in dataset.attrs
+    }
+    return {name: unit for name, unit in units.items() if unit not in ("", "1")}
 
 
 def _signal_datasets(tests: h5py.Group, name: str) -> Iterator[tuple[str, h5py.Dataset]]:

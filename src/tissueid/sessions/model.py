@@ -37,7 +37,11 @@ SIGNAL_NAMES = {
     "temperature": "temperature of the coil",
     "acceleration_x": "acceleration of the frame, first axis",
     "acceleration_y": "acceleration of the frame, second axis",
+    "input": "input of a system that is no instrument of this kind",
+    "output": "output of a system that is no instrument of this kind",
 }
+STAND_INS = {"force": "input", "position": "output"}
+"""What stands in where a test has no force, or no position: signals of any unit, kept in the test's ``units``."""
 KINDS = ("stochastic", "quiet", "slow_ramp", "step_hold", "spring", "free_air")
 STATUSES = ("completed", "aborted", "recovered")
 
@@ -52,7 +56,10 @@ class Subject:
 
 @dataclass(frozen=True)
 class Test:
-    """One test. ``signals`` maps names to arrays of shape (n,), SI; NaN marks a sample that was not received."""
+    """One test. ``signals`` maps names to arrays of shape (n,), SI; NaN marks a sample that was not received.
+
+    ``units`` has the SI units of signals that are none of the format's own (``SIGNAL_UNITS``), where they have one.
+    """
 
     __test__ = False  # not a test case, whatever pytest thinks of the name
 
@@ -69,6 +76,11 @@ class Test:
     repeat_of: int | None = None
     status: str = "completed"
     notes: dict[str, str | float] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+
+    def unit(self, name: str) -> str:
+        """The SI unit of a signal; "" where it has none, or none is known."""
+        return SIGNAL_UNITS.get(name) or self.units.get(name, "")
 
     @property
     def samples(self) -> int:
@@ -78,9 +90,13 @@ class Test:
     def record(self, input_name: str = "force", output_name: str = "position", *, preload: bool = False) -> Record:
         """Input and output of this test; the preload is cut off unless ``preload`` asks for it.
 
+        Where there is no force, or no position, a bare ``input`` or ``output`` from elsewhere is taken in its place,
+        under its own name and with its own unit.
+
         Raises:
             UnusableInputError: the test lacks one of the signals.
         """
+        input_name, output_name = self._present(input_name), self._present(output_name)
         for name in (input_name, output_name):
             if name not in self.signals or name == "time":
                 have = ", ".join(sorted(set(self.signals) - {"time"}))
@@ -94,9 +110,13 @@ class Test:
             self.sample_rate_hz,
             input_name,
             output_name,
-            SIGNAL_UNITS.get(input_name, ""),
-            SIGNAL_UNITS.get(output_name, ""),
+            self.unit(input_name),
+            self.unit(output_name),
         )
+
+    def _present(self, name: str) -> str:
+        stand_in = STAND_INS.get(name, name)
+        return stand_in if name not in self.signals and stand_in in self.signals else name
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,190 @@
+"""What ``tissueid import`` and ``tissueid export`` do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from tissueid.cli.logged import noted
+from tissueid.cli.output import check_different, check_json, people_read, progress_bars, table, write_json
+from tissueid.configuration import CONFIGURATIONS
+from tissueid.errors import SessionFormatError, UnusableInputError
+from tissueid.sessions import KINDS, Test, read_session, write_session
+from tissueid.sessions.imports import (
+    Choices,
+    Imported,
+    Source,
+    assembled,
+    export_session,
+    import_test,
+    instrument_figures,
+    parse_map,
+)
+from tissueid.wording import clean, number
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """What is imported, and what is said about it. Options of tests stand once for all, or once for each."""
+
+    files: tuple[str, ...]
+    out: Path
+    mapping: tuple[str, ...]
+    rate_hz: float | None
+    resample_hz: float | None
+    kinds: tuple[str, ...]
+    sites: tuple[str, ...]
+    configurations: tuple[str, ...]
+    preloads_s: tuple[float, ...]
+    surfaces_m: tuple[float, ...]
+    subject: str | None
+    instrument: tuple[str, ...]
+    json_file: Path | None
+
+    def choices(self) -> list[Choices]:
+        """The options of every test.
+
+        Raises:
+            UnusableInputError: as many as fit no one, or values that cannot be.
+        """
+        for word, known in (
+            *((k, KINDS) for k in self.kinds),
+            *((c, tuple(CONFIGURATIONS)) for c in self.configurations),
+        ):
+            if word not in known:
+                raise UnusableInputError(f"there is no {word!r}; there are {', '.join(known)}")
+        for seconds in self.preloads_s:
+            if not 0.0 <= seconds < math.inf:
+                raise UnusableInputError(f"--preload is 0 s or more, not {seconds:g}")
+        for metres in self.surfaces_m:
+            if not math.isfinite(metres):
+                raise UnusableInputError(f"--surface is a position in m, not {metres:g}")
+        columns = (
+            self._each("--kind", self.kinds),
+            self._each("--site", self.sites),
+            self._each("--configuration", self.configurations),
+            self._each("--preload", self.preloads_s),
+            self._each("--surface", self.surfaces_m),
+        )
+        return [Choices(*row) for row in zip(*columns, strict=True)]
+
+    def _each(self, option: str, values: Sequence[_T]) -> list[_T | None]:
+        tests = len(self.files)
+        if len(values) not in (0, 1, tests):
+            raise UnusableInputError(
+                f"{option} is given {len(values)} times: once for all {tests} tests, or once for each"
+            )
+        return [None] * tests if not values else [values[k if len(values) > 1 else 0] for k in range(tests)]
+
+
+def run_import(plan: ImportPlan) -> None:
+    """Read every file, check, write the session whole, and say what was taken and what is doubtful."""
+    check_json(plan.json_file)
+    check_different(plan.out, plan.json_file)
+    if plan.out.exists():
+        raise SessionFormatError(f"{plan.out} is there already; sessions are never overwritten")
+    if not plan.out.parent.is_dir():
+        raise UnusableInputError(f"there is no folder {plan.out.parent}")
+    for option, rate in (("--rate", plan.rate_hz), ("--resample", plan.resample_hz)):
+        if rate is not None and not 1e-6 <= rate <= 1e9:
+            raise UnusableInputError(f"{option} is a rate in Hz above 0, not {rate:g}")
+    wanted = parse_map(plan.mapping) if plan.mapping else None
+    figures = instrument_figures(plan.instrument)
+    choices = plan.choices()
+    imported = []
+    with progress_bars() as progress:
+        for k, (file, choice) in enumerate(zip(plan.files, choices, strict=True)):
+            progress("reading", k / len(plan.files))
+            imported.append(
+                import_test(Source.parsed(file), wanted, choice, rate_hz=plan.rate_hz, resample_hz=plan.resample_hz)
+            )
+        session, notices = assembled(imported, figures, plan.subject)
+        progress("writing", 0.0)
+        write_session(plan.out, session)
+        progress("writing", 1.0)
+    noted(
+        "researcher",
+        "session.imported",
+        subject=session.session_id,
+        new={"tests": len(session.tests), "samples": sum(test.samples for test in session.tests)},
+    )
+    tests = [_answer(item, test) for item, test in zip(imported, session.tests, strict=True)]
+    _tell(plan, tests, notices)
+    if plan.json_file is not None:
+        answer = {"session": str(plan.out), "session_id": session.session_id, "tests": tests, "notices": notices}
+        write_json(plan.json_file, answer)
+
+
+def _answer(item: Imported, test: Test) -> dict[str, Any]:
+    """What is said of one test, fit for JSON."""
+    signals = {}
+    for column in item.columns:
+        values = test.signals[column.role]
+        some = bool(np.isfinite(values).any())
+        signals[column.role] = {
+            "column": column.header,
+            "unit": column.unit.symbol,
+            "si_unit": column.unit.si,
+            "missing": int(np.isnan(values).sum()),
+            "minimum": float(np.nanmin(values)) if some else None,
+            "maximum": float(np.nanmax(values)) if some else None,
+        }
+    return {
+        "test": test.number,
+        "file": str(item.source.path),
+        "format": item.format,
+        "rows": [item.rows.start, item.rows.stop],
+        "kind": test.kind,
+        "site": test.site,
+        "samples": test.samples,
+        "sample_rate_hz": test.sample_rate_hz,
+        "signals": signals,
+        "notices": list(item.notices),
+    }
+
+
+def _tell(plan: ImportPlan, tests: Sequence[dict[str, Any]], notices: Sequence[str]) -> None:
+    out = people_read(plan.json_file)
+    if not out.is_terminal:
+        out.width = 120
+    rows = table(
+        str(plan.out), "test", "kind", "samples", "rate Hz", "signal", "column", "unit", "from", "to", "missing"
+    )
+    for test in tests:
+        first = [str(test["test"]), test["kind"], str(test["samples"]), number(test["sample_rate_hz"], 6)]
+        for name, signal in test["signals"].items():
+            ends = (number(signal["minimum"]), number(signal["maximum"]), str(signal["missing"]))
+            rows.add_row(*first, name, clean(signal["column"]), signal["si_unit"], *ends)
+            first = [""] * 4
+    out.print(rows)
+    for test in tests:
+        for notice in test["notices"]:
+            out.print(f"test {test['test']}: {notice}", markup=False, soft_wrap=True)
+    for notice in notices:
+        out.print(notice, markup=False, soft_wrap=True)
+
+
+def run_export(path: Path, folder: Path, kind: str, json_file: Path | None) -> None:
+    """Write the files, and say which."""
+    check_json(json_file)
+    check_different(folder, json_file)
+    session = read_session(path)
+    with progress_bars() as progress:
+        files = export_session(session, folder, kind, lambda share: progress("exporting", share))
+    noted(
+        "researcher", "session.exported", subject=session.session_id, new={"tests": len(session.tests), "format": kind}
+    )
+    out = people_read(json_file)
+    out.print(f"{folder} holds {len(session.tests)} test(s), each with its attributes in JSON:", markup=False)
+    for test, name in zip(session.tests, files[::2], strict=True):
+        out.print(f"  {name}: {test.kind}, {test.samples} samples", markup=False)
+    if json_file is not None:
+        answer = {"folder": str(folder), "format": kind, "session_id": session.session_id, "files": files}
+        write_json(json_file, answer)

@@ -1,0 +1,96 @@
+"""A session out of tests from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.sessions.file import MAX_NUMBERS, MAX_TESTS
+from tissueid.sessions.imports.attributes import unknown_device
+from tissueid.sessions.imports.building import Imported
+from tissueid.sessions.model import Session, Subject
+
+_FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
+"""Every figure of an instrument, and whether it is a number."""
+
+
+def instrument_figures(options: Sequence[str]) -> dict[str, str | float]:
+    """KEY=VALUE options as figures of the instrument.
+
+    Raises:
+        UnusableInputError: no such figure, or not one.
+    """
+    found: dict[str, str | float] = {}
+    for option in options:
+        key, equals, value = option.partition("=")
+        if not equals or key not in _FIGURES:
+            raise UnusableInputError(f"--instrument is KEY=VALUE, with a KEY of {', '.join(_FIGURES)}; not {option!r}")
+        if key in found:
+            raise UnusableInputError(f"--instrument says {key} twice")
+        found[key] = _positive(key, value) if _FIGURES[key] else value
+    return found
+
+
+def _positive(key: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not 0.0 <= number < math.inf:
+        raise UnusableInputError(f"--instrument {key} is a number, 0 or more, in SI units; not {value!r}")
+    return number
+
+
+def assembled(
+    imported: Sequence[Imported], figures: dict[str, str | float], pseudonym: str | None
+) -> tuple[Session, list[str]]:
+    """The session, its tests in the order given, and notices about it as a whole.
+
+    Tests that were exported from one session become that session again; others are tests of a new one, numbered from 1.
+
+    Raises:
+        UnusableInputError: too many tests or samples, or exports of different instruments or subjects.
+    """
+    if len(imported) > MAX_TESTS:
+        raise UnusableInputError(f"{len(imported)} tests; a session has at most {MAX_TESTS}")
+    total = sum(item.test.samples * (len(item.test.signals) + 1) for item in imported)
+    if total > MAX_NUMBERS:
+        raise UnusableInputError(f"the tests hold {total} numbers; a session has at most {MAX_NUMBERS}")
+    told = [item.attributes for item in imported if item.attributes is not None]
+    for one in told[1:]:
+        for part in ("instrument", "subject"):
+            if _as_text(getattr(one, part)) != _as_text(getattr(told[0], part)):
+                raise UnusableInputError(f"the files are exports of more than one {part}: import them apart")
+    if told:
+        device, subject = told[0].device(), told[0].who()
+    else:
+        device, subject = replace(unknown_device(), sample_rate_hz=imported[0].test.sample_rate_hz), Subject()
+    session = Session(
+        replace(device, **figures),  # type: ignore[arg-type]
+        subject if pseudonym is None else replace(subject, pseudonym=pseudonym),
+    )
+    numbers = [one.test.number for one in told]
+    again = len(told) == len(imported) and len(set(numbers)) == len(numbers)
+    if again and all(one.session == told[0].session for one in told):
+        own = told[0].session
+        session = replace(
+            session,
+            session_id=own.session_id,
+            created=own.created,
+            software=own.software,
+            audit_head=own.audit_head,
+            tests=tuple(item.test for item in imported),
+        )
+        return session, []
+    tests = tuple(replace(item.test, number=k, repeat_of=None) for k, item in enumerate(imported, start=1))
+    lost = any(item.test.repeat_of is not None for item in imported)
+    notices = ["which test repeats which is not kept: the numbers are new"] if lost else []
+    return replace(session, tests=tests), notices
+
+
+def _as_text(value: object) -> str:
+    return json.dumps(value, sort_keys=True, default=lambda part: part.model_dump())

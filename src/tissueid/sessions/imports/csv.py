@@ -1,0 +1,173 @@
+"""CSV in the wide sense: rows of cells, with any delimiter, with or without header, comments and decimal commas."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice, product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
+from tissueid.sessions.imports.text import cells_of, encoding_of, is_missing, is_number, lines_of, numbers, shown
+from tissueid.sessions.imports.units import known_unit
+
+_LOOKED_AT = 400
+"""Lines that are looked at to find out how a file is written."""
+_BLOCK = 65_536
+_DELIMITERS = ("\t", ";", ",", "|", " ")
+_COMMENTS = ("#", "%", "//")
+_NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "spaces"}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a file is written; ``start`` is its first line of data, from 0."""
+
+    delimiter: str
+    decimal: str
+    width: int
+    start: int
+    columns: tuple[Column, ...]
+
+
+def open_csv(path: Path) -> ForeignFile:
+    """Look into a text file of rows.
+
+    Raises:
+        UnusableInputError: it is not text, or has no rows of two or more cells with numbers.
+    """
+    encoding = encoding_of(path)
+    layout = _layout(list(islice(lines_of(path, encoding), _LOOKED_AT)))
+
+    def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
+        return _load(path, encoding, layout, places, rows)
+
+    notices = []
+    if layout.decimal == ",":
+        notices.append(f"read with decimal commas and {_NAMES[layout.delimiter]} between the columns")
+    return ForeignFile("csv", layout.columns, load, notices=tuple(notices))
+
+
+# -- how it is written ----------------------------------------------------------------------------------------
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENTS)
+
+
+def _layout(lines: list[str]) -> _Layout:
+    told = [line for line in lines if line.strip() and not _is_comment(line)]
+    best, layout = 0.0, None
+    for delimiter, decimal in product(_DELIMITERS, (".", ",")):
+        score, width = _score([cells_of(line, delimiter) for line in told], decimal)
+        if score > best:
+            best, layout = score, (delimiter, decimal, width)
+    if layout is None:
+        raise UnusableInputError("holds no rows of two or more columns with numbers in its first lines")
+    delimiter, decimal, width = layout
+    if width > MAX_COLUMNS:
+        raise UnusableInputError(f"has {width} columns; at most {MAX_COLUMNS} are read")
+    start = _first_row(lines, delimiter, decimal, width)
+    return _Layout(delimiter, decimal, width, start, _columns(lines[:start], delimiter, width, lines[start:]))
+
+
+def _score(rows: list[list[str]], decimal: str) -> tuple[float, int]:
+    """How well a way of reading fits: numbers more than texts, over the rows of the commonest width."""
+    widths = Counter(len(cells) for cells in rows if any(is_number(cell, decimal) for cell in cells))
+    del widths[1]
+    if not widths:
+        return 0.0, 0
+    width = max(widths, key=lambda each: widths[each])  # of two as common, the one that comes first
+    score = 0.0
+    for cells in rows:
+        if len(cells) == width:
+            found = sum(is_number(cell, decimal) for cell in cells)
+            texts = width - found - sum(is_missing(cell) for cell in cells)
+            score += max(0.0, found - 0.9 * texts)
+    return score, width
+
+
+def _first_row(lines: list[str], delimiter: str, decimal: str, width: int) -> int:
+    split = [[] if not line.strip() or _is_comment(line) else cells_of(line, delimiter) for line in lines]
+    rows = [cells for cells in split if len(cells) == width]
+    numeric = [
+        place for place in range(width) if 2 * sum(is_number(cells[place], decimal) for cells in rows) >= len(rows)
+    ]
+    for number, cells in enumerate(split):
+        if len(cells) != width:
+            continue
+        found = [is_number(cells[place], decimal) for place in numeric]
+        if any(found) and all(f or is_missing(cells[p]) for f, p in zip(found, numeric, strict=True)):
+            return number
+    raise UnusableInputError("holds no row of numbers in its first lines")
+
+
+def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> tuple[Column, ...]:
+    """Names and units from the lines above the data: a header, perhaps with a line of units under it."""
+    heads = []
+    for line in above:
+        text = line.strip().lstrip("#%/").strip() if _is_comment(line) else line
+        cells = [cell.strip() for cell in cells_of(text, delimiter)]
+        if len(cells) == width - 1 and all(not c[-1].strip() for c in (cells_of(b, delimiter) for b in below[:3]) if c):
+            cells.append("")  # rows end with a delimiter where the header does not
+        if len(cells) == width:
+            heads.append(cells)
+    if not heads:
+        return tuple(Column("") for _ in range(width))
+    units = [cell.strip("()[]") for cell in heads[-1]]
+    if len(heads) > 1 and any(units) and all(not unit or known_unit(unit) for unit in units):
+        return tuple(
+            Column(name, unit.symbol if (unit := known_unit(text)) else Column.headed(name).unit)
+            for name, text in zip(heads[-2], units, strict=True)
+        )
+    return tuple(Column.headed(name) for name in heads[-1])
+
+
+# -- reading --------------------------------------------------------------------------------------------------
+
+
+def _data_lines(path: Path, encoding: str, start: int) -> Iterator[tuple[int, str]]:
+    """Number, from 1, and text of every line of data; blank lines and comments are no data."""
+    for number, line in enumerate(lines_of(path, encoding), start=1):
+        if number > start and line.strip() and not _is_comment(line):
+            yield number, line
+
+
+def _load(
+    path: Path, encoding: str, layout: _Layout, places: Sequence[int], rows: Rows
+) -> tuple[list[NDArray[np.float64]], range]:
+    total = sum(1 for _ in _data_lines(path, encoding, layout.start))
+    chosen = rows.within(total)
+    if len(chosen) > MAX_ROWS:
+        raise UnusableInputError(f"has {len(chosen)} rows; at most {MAX_ROWS} make a test: choose with @FIRST:LAST")
+    lines = islice(_data_lines(path, encoding, layout.start), chosen.start, chosen.stop)
+    blocks: list[list[NDArray[np.float64]]] = []
+    while block := list(islice(lines, _BLOCK)):
+        cells: list[list[str]] = [[] for _ in places]
+        for number, line in block:
+            row = cells_of(line, layout.delimiter)
+            if len(row) != layout.width:
+                raise UnusableInputError(
+                    f"line {number} has {len(row)} cells where others have {layout.width}; leave rows out "
+                    "with @FIRST:LAST"
+                )
+            for column, place in zip(cells, places, strict=True):
+                column.append(row[place])
+        blocks.append([_numbers(column, block, layout, place) for column, place in zip(cells, places, strict=True)])
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen
+
+
+def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, place: int) -> NDArray[np.float64]:
+    try:
+        return numbers(cells, layout.decimal)
+    except ValueError as error:
+        bad = int(error.args[0])
+        raise UnusableInputError(
+            f"line {block[bad][0]}, column {place + 1}: {shown(cells[bad])} is not a number; leave rows out with "
+            "@FIRST:LAST"
+        ) from error

@@ -1,0 +1,237 @@
+"""LVM, the text files of LabVIEW: a header, then segments that each have one of their own.
+
+Source: "Specification for the LabVIEW Measurement File (.lvm)", National Instruments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
+from tissueid.sessions.imports.text import encoding_of, lines_of, numbers, shown
+from tissueid.sessions.imports.units import known_unit
+
+FIRST_LINE = "LabVIEW Measurement"
+_END = "***End_of_Header***"
+_SPECIAL = "***"
+_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
+_LONGEST_HEADER = 1000
+_BLOCK = 65_536
+
+
+@dataclass
+class _Segment:
+    """One segment: its header by key, its channels by name, where its rows begin and how many there are."""
+
+    header: dict[str, list[str]]
+    channels: list[str]
+    first: int
+    rows: int = 0
+
+
+@dataclass(frozen=True)
+class _Outline:
+    separator: str
+    decimal: str
+    x_columns: str
+    segments: list[_Segment] = field(default_factory=list)
+    """As far as the file has been read."""
+
+    def cell(self, place: int) -> int:
+        """Where, in a row, the column stands that has this place among the columns of the file."""
+        return 2 * place - 1 if self.x_columns == "multi" and place else place
+
+    def figure(self, segment: _Segment, key: str) -> float | None:
+        """A figure of the first channel in a segment's header; None where it is not told."""
+        values = segment.header.get(key, [])
+        try:
+            return float(numbers(values[:1], self.decimal)[0]) if values and values[0].strip() else None
+        except ValueError as error:
+            raise UnusableInputError(f"its header says {key} {shown(values[0])}: not a number") from error
+
+
+def open_lvm(path: Path) -> ForeignFile:
+    """Look into an LVM file.
+
+    Raises:
+        UnusableInputError: it is not one, or breaks its own rules; says where.
+    """
+    encoding = encoding_of(path)
+    outline = _outline(path, encoding)
+    first = outline.segments[0]
+    for segment in outline.segments[1:]:
+        if segment.channels != first.channels:
+            raise UnusableInputError(
+                f"its segments have different channels, from row {segment.first} on others than before; export them "
+                "one by one"
+            )
+    units = [known_unit(text) for text in first.header.get("Y_Unit_Label", [])]
+    stored = outline.x_columns != "no"
+    by_time = all(text in ("", "Time") for text in first.header.get("X_Dimension", ["Time"])[:1])
+    columns = [Column("X_Value", "s" if by_time else "")]
+    for place, name in enumerate(first.channels):
+        told = units[place] if place < len(units) else None
+        columns.append(Column(name, told.symbol) if told else Column.headed(name))
+    step = outline.figure(first, "Delta_X")
+    if not stored and step is None:
+        raise UnusableInputError("has neither times (X_Columns) nor a step (Delta_X)")
+    total = sum(segment.rows for segment in outline.segments)
+    notices = []
+    for segment in outline.segments:
+        said = outline.figure(segment, "Samples")
+        if said is not None and said != segment.rows:
+            notices.append(
+                f"its header announces {said:.0f} rows from row {segment.first} on, and {segment.rows} are there"
+            )
+
+    def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
+        return _load(path, encoding, total, places, rows)
+
+    return ForeignFile(
+        "lvm",
+        tuple(columns),
+        load,
+        time=0 if by_time else None,
+        step_s=step,
+        segments=tuple(segment.first for segment in outline.segments),
+        notices=tuple(notices),
+    )
+
+
+def _outline(path: Path, encoding: str) -> _Outline:
+    """Headers of the whole file, and its rows counted."""
+    outline = _Outline("\t", ".", "one")
+    for outline, segment, _, _ in _rows(path, encoding):  # noqa: B007
+        segment.rows += 1
+    if not outline.segments:
+        raise UnusableInputError("holds no rows")
+    return outline
+
+
+_Row = tuple[_Outline, _Segment, int, list[str]]
+"""The outline so far, the segment, the number of the line and the cells."""
+
+
+def _rows(path: Path, encoding: str) -> Iterator[_Row]:
+    """All rows of data in order; segments join the outline as they come."""
+    lines = enumerate(lines_of(path, encoding), start=1)
+    outline = _file_header(lines)
+    header: dict[str, list[str]] | None = None
+    segment: _Segment | None = None
+    special = False
+    total = 0
+    for number, line in lines:
+        if line.startswith(_SPECIAL):
+            special = "start" in line.lower() or (special and "end" not in line.lower())
+            continue
+        cells = [cell.strip() for cell in line.split(outline.separator)]
+        if special or not any(cells):
+            segment = None
+        elif cells[0] == "Channels":
+            header, segment = {"Channels": cells[1:]} | _header(lines, outline.separator), None
+        elif header is None:
+            raise UnusableInputError(f"line {number}: the header of a segment was to come, not {shown(line)}")
+        elif cells[0] == "X_Value":
+            segment = _segment(outline, header, cells, total)
+        else:
+            segment = segment or _segment(outline, header, [], total)
+            total += 1
+            yield outline, segment, number, cells
+
+
+def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], first: int) -> _Segment:
+    told = header["Channels"][0] if header["Channels"] else ""
+    if not (told.isascii() and told.isdigit() and 0 < int(told[:9]) <= MAX_COLUMNS):
+        raise UnusableInputError(f"a header says that there are {shown(told)} channels")
+    count = int(told)
+    before = outline.segments[-1].channels if outline.segments else [""] * count
+    if named:
+        names = named[1 :: 2 if outline.x_columns == "multi" else 1]
+        names += [""] * (count - len(names))
+    else:  # further rows under the one heading
+        names = before
+    segment = _Segment(header, names[:count], first)
+    outline.segments.append(segment)
+    return segment
+
+
+def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
+    head = next(lines, (1, ""))[1]
+    if not head.startswith(FIRST_LINE):
+        raise UnusableInputError(f"does not begin with {FIRST_LINE!r}: not an LVM file")
+    after = head[len(FIRST_LINE) :][:1]
+    told = _header(lines, after if after in _SEPARATORS.values() else "")
+
+    def one(key: str, default: str) -> str:
+        return (told.get(key) or [default])[0] or default
+
+    separator = _SEPARATORS.get(one("Separator", "Tab").lower(), "\t")
+    decimal = one("Decimal_Separator", ".") if separator != "," else "."
+    if decimal not in (".", ","):
+        raise UnusableInputError(f"its header says Decimal_Separator {shown(decimal)}: neither a point nor a comma")
+    x_columns = one("X_Columns", "One").lower()
+    if x_columns not in ("no", "one", "multi"):
+        raise UnusableInputError(f"its header says X_Columns {shown(x_columns)}: not No, One or Multi")
+    return _Outline(separator, decimal, x_columns)
+
+
+def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[str]]:
+    """Keys and values up to the end of a header; without a ``separator``, that of each line."""
+    told: dict[str, list[str]] = {}
+    for _, (_, line) in zip(range(_LONGEST_HEADER), lines, strict=False):
+        if line.startswith(_END):
+            return told
+        between = separator or next((mark for mark in _SEPARATORS.values() if mark in line), "\t")
+        key, *values = (cell.strip() for cell in line.split(between))
+        told[key] = values
+    raise UnusableInputError(f"has a header without {_END}: cut off, or no LVM file")
+
+
+def _load(
+    path: Path, encoding: str, total: int, places: Sequence[int], rows: Rows
+) -> tuple[list[NDArray[np.float64]], range]:
+    chosen = rows.within(total)
+    if len(chosen) > MAX_ROWS:
+        raise UnusableInputError(f"has {len(chosen)} rows; at most {MAX_ROWS} make a test: choose with @FIRST:LAST")
+    blocks: list[list[NDArray[np.float64]]] = []
+    lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
+    row = chosen.start
+    while block := list(islice(lines, _BLOCK)):
+        blocks.append([_column(block, row, place) for place in places])
+        row += len(block)
+    return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen
+
+
+def _column(block: list[_Row], row: int, place: int) -> NDArray[np.float64]:
+    outline = block[0][0]
+    if place == 0 and outline.x_columns == "no":
+        return np.array([_time(outline, segment, row + k) for k, (_, segment, _, _) in enumerate(block)])
+    at = outline.cell(place)
+    column = []
+    for _, _, number, cells in block:
+        if len(cells) <= at:
+            raise UnusableInputError(f"line {number} has {len(cells)} cells; column {place + 1} is missing")
+        if outline.x_columns == "multi" and place and cells[at - 1] != cells[0]:
+            raise UnusableInputError(f"line {number}: the channels have times of their own; export them one by one")
+        column.append(cells[at])
+    try:
+        return numbers(column, outline.decimal)
+    except ValueError as error:
+        bad = int(error.args[0])
+        raise UnusableInputError(
+            f"line {block[bad][2]}, column {place + 1}: {shown(column[bad])} is not a number"
+        ) from error
+
+
+def _time(outline: _Outline, segment: _Segment, row: int) -> float:
+    start, step = outline.figure(segment, "X0"), outline.figure(segment, "Delta_X")
+    if step is None:
+        raise UnusableInputError(f"the header before row {segment.first} has no Delta_X")
+    return (start or 0.0) + step * (row - segment.first)
