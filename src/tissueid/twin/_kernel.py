@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from tissueid.twin import bus as b
+from tissueid.twin._pointer import address
 
 # Figures of the instrument, in the order of ``Instrument``.
 GAIN, LIMIT, RESISTANCE, INDUCTANCE, FORCE_CONSTANT, MASS, DAMPING, WEIGHT, STROKE = range(9)
@@ -23,7 +25,7 @@ MOST_EXPONENT = 12.0
 """Growth with depth is followed as far as e^12: beyond it no tissue is meant and the figures would overflow."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def grown(value, growth, depth):  # type: ignore[no-untyped-def]
     """A coefficient that grows exponentially with depth."""
     exponent = growth * depth
@@ -32,14 +34,14 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
     return value * math.exp(min(max(exponent, -MOST_EXPONENT), MOST_EXPONENT))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _call(place, effects, places, bus, parameters, states, step):  # type: ignore[no-untyped-def]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _call(place, effects, places, bus, p, s, step):  # type: ignore[no-untyped-def]
     for k in range(b.MOST_EFFECTS):
         if places[k, place]:
-            effects[k](place, bus, parameters[k], states[k], step)
+            effects[k](place, bus, p[k], s[k], step)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def integrate(  # type: ignore[no-untyped-def]
     command, measured, given, figures, tissue, period, substeps, state, effects, places, parameters, states, out
 ):
@@ -51,6 +53,18 @@ def integrate(  # type: ignore[no-untyped-def]
     """
     step = period / substeps
     bus = states[b.MOST_EFFECTS]
+    at_bus = address(bus, 0)
+    wide, deep = parameters.shape[1], states.shape[1]
+    at_parameters = (
+        address(parameters, 0),
+        address(parameters, wide),
+        address(parameters, 2 * wide),
+        address(parameters, 3 * wide),
+    )
+    at_states = (address(states, 0), address(states, deep), address(states, 2 * deep), address(states, 3 * deep))
+    used = np.zeros(b.PLACES, np.bool_)
+    for k in range(b.MOST_EFFECTS):
+        used |= places[k]
     current, position, velocity, acceleration = state
     for n in range(command.size):
         target = min(max(figures[GAIN] * command[n], -figures[LIMIT]), figures[LIMIT])
@@ -64,10 +78,12 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.ACCELERATION] = acceleration
             bus[b.STROKE] = figures[STROKE]
             bus[b.VOLTAGE_RISE] = 0.0
+            bus[b.VOLTAGE_TILT] = 0.0
             if given[VOLTAGE_GIVEN]:
                 bus[b.VOLTAGE] = measured[0, n]
             else:
-                _call(b.AMPLIFIER, effects, places, bus, parameters, states, step)
+                if used[b.AMPLIFIER]:
+                    _call(b.AMPLIFIER, effects, places, at_bus, at_parameters, at_states, step)
 
             if given[MOTION_GIVEN]:
                 share = (m + 0.5) / substeps
@@ -79,7 +95,8 @@ def integrate(  # type: ignore[no-untyped-def]
                 half = position + 0.5 * step * velocity
             bus[b.POSITION] = half
             bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
-            _call(b.SURFACE, effects, places, bus, parameters, states, step)
+            if used[b.SURFACE]:
+                _call(b.SURFACE, effects, places, at_bus, at_parameters, at_states, step)
             depth = half - bus[b.SURFACE_POSITION]
             bus[b.DEPTH] = depth
 
@@ -88,7 +105,8 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.FORCE_CONSTANT] = figures[FORCE_CONSTANT]
             bus[b.OPPOSING_VOLTAGE] = 0.0
             bus[b.FORCE] = figures[WEIGHT]
-            _call(b.COIL, effects, places, bus, parameters, states, step)
+            if used[b.COIL]:
+                _call(b.COIL, effects, places, at_bus, at_parameters, at_states, step)
             decay = bus[b.RESISTANCE] * step / bus[b.INDUCTANCE]
             if given[CURRENT_GIVEN]:
                 # Between two readings the current settles with the coil's time constant, well within the interval.
@@ -102,19 +120,25 @@ def integrate(  # type: ignore[no-untyped-def]
                 kept = math.exp(-decay)
                 mean = settled + (current - settled) * (1.0 - kept) / decay
                 current = settled + (current - settled) * kept
+                # A ramp about the mean voltage moves the end of the step, and the mean in return.
+                tilted = bus[b.VOLTAGE_TILT] / bus[b.RESISTANCE] * (1.0 + kept - 2.0 * (1.0 - kept) / decay)
+                current += tilted
+                mean -= tilted / decay
             bus[b.CURRENT] = mean
 
             if not given[MOTION_GIVEN]:
                 bus[b.FORCE] += bus[b.FORCE_CONSTANT] * mean
                 bus[b.DAMPING] = figures[DAMPING]
                 bus[b.MASS] = figures[MASS]
-                _call(b.MECHANICS, effects, places, bus, parameters, states, step)
+                if used[b.MECHANICS]:
+                    _call(b.MECHANICS, effects, places, at_bus, at_parameters, at_states, step)
                 bus[b.STIFFNESS] = tissue[STIFFNESS]
                 bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
                 bus[b.TISSUE_FORCE] = grown(tissue[STIFFNESS], tissue[STIFFNESS_GROWTH], depth) * depth
                 bus[b.TISSUE_DAMPING] = grown(tissue[TISSUE_DAMPING], tissue[DAMPING_GROWTH], depth)
                 bus[b.TISSUE_MASS] = tissue[TISSUE_MASS]
-                _call(b.TISSUE, effects, places, bus, parameters, states, step)
+                if used[b.TISSUE]:
+                    _call(b.TISSUE, effects, places, at_bus, at_parameters, at_states, step)
                 mass = bus[b.MASS] + bus[b.TISSUE_MASS]
                 drag = 0.5 * step * (bus[b.DAMPING] + bus[b.TISSUE_DAMPING]) / mass
                 push = step * (bus[b.FORCE] - bus[b.TISSUE_FORCE]) / mass

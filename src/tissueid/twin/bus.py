@@ -2,7 +2,8 @@
 
 A hook is a plain function ``hook(where, bus, p, s, dt)``: the place it is called from, the numbers of this step, its
 parameters in the order of their declaration, its own state (zeros at the start of a test), and the step in seconds.
-It must hold no Python objects, because it is compiled. Every number on the bus is SI.
+It must hold no Python objects, because it is compiled, and takes single elements alone (no slices, no sizes), because
+it is given addresses. Every number on the bus is SI.
 """
 
 from __future__ import annotations
@@ -58,11 +59,13 @@ STROKE = 20
 SAMPLE = 21
 """Number of the sample that this step belongs to, from 0."""
 VOLTAGE_RISE = 22
-"""How far the voltage at the end of the step, which is what a reading meets, is above VOLTAGE, its mean over the step."""
+"""How far the voltage at the end of the step, which a reading meets, is above VOLTAGE, its mean over the step."""
+VOLTAGE_TILT = 23
+"""Half of what the voltage rises within the step, where it does so steadily; the current at its end answers to it."""
 SIZE = 24
 
 MOST_EFFECTS = 4
 """So many effects can act at once."""
-MOST_PARAMETERS = 12
+MOST_PARAMETERS = 20
 MOST_STATES = 512
 """Numbers of its own that an effect can keep; the last few thousandths of a second of a signal, for one."""

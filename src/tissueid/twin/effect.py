@@ -6,7 +6,7 @@ adds one under the entry point group ``tissueid.effects``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -40,10 +40,12 @@ class Parameter:
     """One parameter of an effect, with the range in which it is looked for.
 
     ``neutral`` is the value at which the effect vanishes (``inf`` where only a limit does); where several parameters
-    have a neutral value, any one at its own is enough. ``low`` and ``high`` bound the fit; ``logarithmic`` says that
-    it is fitted by its logarithm, so both are then positive. ``per_test`` says that every test has a value of its own
-    (a phase, say). ``prior`` is the value thought likeliest before seeing data and ``prior_std`` how far off it may
-    be, in units of the fitted quantity (of its natural logarithm where ``logarithmic``); None: no opinion in bounds.
+    have a neutral value, any one at its own is enough, unless the effect says that they vanish ``jointly``. ``low``
+    and ``high`` bound the fit; ``logarithmic`` says that it is fitted by its logarithm, so both are then positive.
+    ``per_test`` says that every test has a value of its own (a phase, say). ``fixed`` says that it is not searched
+    for: it keeps the value that ``from_test`` or the start gives it, and costs a fit nothing. ``prior`` is the value
+    thought likeliest before seeing data and ``prior_std`` how far off it may be, in units of the fitted quantity (of
+    its natural logarithm where ``logarithmic``); None: no opinion in bounds.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Parameter:
     high: float
     logarithmic: bool = False
     per_test: bool = False
+    fixed: bool = False
     prior: float | None = None
     prior_std: float | None = None
     meaning: str = ""
@@ -91,7 +94,21 @@ class Effect:
     needs: frozenset[str] = frozenset({"position"})
     """Recorded signals without which it cannot be told."""
     from_test: Callable[[Mapping[str, FloatArray], float], Mapping[str, float]] | None = None
-    """Where the search for a ``per_test`` parameter starts, read from the test's signals and sample rate."""
+    """Where the search for a ``per_test`` parameter starts, read from the test's signals and sample rate.
+
+    The signals are ``command``, ``voltage``, ``current`` and ``position`` as recorded, NaN where nothing was, each of
+    shape (n,). Beside them may stand ``predicted_voltage``, ``predicted_current`` and ``predicted_position``, the
+    baseline's own after its refit: what is estimated is then the sharper for it."""
+    starts_from: Callable[[Sequence[Mapping[str, FloatArray]], float], tuple[tuple[float, ...], ...]] | None = None
+    """Further starts, found in the signals of all tests (as ``from_test`` has them) and their sample rate.
+
+    What lies in narrow valleys (a period, a step) is read from the record so; none is found where there is nothing."""
+    irreducible: Callable[[FloatArray], Mapping[str, float]] | None = None
+    """What stays unexplained however well the effect is known: a standard deviation by signal, from the parameters.
+
+    It comes besides the noise: a score that weighs errors by the noise alone would take it for a gap."""
+    jointly: bool = False
+    """Whether it vanishes only with all its parameters that have a neutral value at theirs, as two quadratures do."""
     remedy: str = ""
     """What a technician does about it, in one sentence."""
     on_spring: bool = field(default=True)
@@ -100,8 +117,8 @@ class Effect:
     def __post_init__(self) -> None:
         if self.stage not in STAGES:
             raise ValueError(f"effect {self.name}: there is no stage {self.stage!r}")
-        if len(self.parameters) > bus.MOST_PARAMETERS:
-            raise ValueError(f"effect {self.name}: at most {bus.MOST_PARAMETERS} parameters")
+        if self.hook is not None and len(self.parameters) > bus.MOST_PARAMETERS:
+            raise ValueError(f"effect {self.name}: a hook takes at most {bus.MOST_PARAMETERS} parameters")
         if not self.starts or any(len(start) != len(self.parameters) for start in self.starts):
             raise ValueError(f"effect {self.name}: a start gives every parameter a value")
         if (self.hook is None) != (not self.places):
@@ -111,5 +128,5 @@ class Effect:
 
     @property
     def order(self) -> int:
-        """Number of its parameters that all tests share; per-test ones come besides."""
-        return sum(not parameter.per_test for parameter in self.parameters)
+        """Number of parameters that all tests share and a fit searches for; per-test ones come besides."""
+        return sum(not (parameter.per_test or parameter.fixed) for parameter in self.parameters)

@@ -20,8 +20,8 @@ from tissueid.twin.figures import Instrument, Tissue
 SUBSTEPS = 5
 """At 2 kHz one step is 0.1 ms; half of it changes free-run signals by less than 0.02 % of their deviation."""
 
-_ARRAY = numba.types.float64[::1]
-_HOOK = numba.types.void(numba.types.int64, _ARRAY, _ARRAY, _ARRAY, numba.types.float64)
+_NUMBERS = numba.types.CPointer(numba.types.float64)
+_HOOK = numba.types.void(numba.types.int64, _NUMBERS, _NUMBERS, _NUMBERS, numba.types.float64)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,92 @@
+"""Rough estimates from recorded signals, with which effects start the search for their parameters. Private."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+FloatArray = NDArray[np.float64]
+
+SETTLING_S = 0.3
+"""The start of a test is left out: what is at rest swings into its place."""
+_WINDOWS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512)
+"""Edges of past windows, samples, whose means stand for the memory of coil and mechanics."""
+
+
+def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: float) -> FloatArray:
+    """What is left of a recorded signal, shape (n,), 0 where nothing was recorded or the start still rings.
+
+    Where the signals hold the baseline's prediction, that is taken off; else what a regression on the past of the
+    command (for the voltage) or of the voltage (for the others), and on its square and cube, can explain.
+    """
+    recorded = np.asarray(signals[name], np.float64)
+    known = np.isfinite(recorded)
+    known[: min(round(SETTLING_S * sample_rate_hz), recorded.size // 2)] = False
+    left = np.zeros(recorded.size)
+    if known.sum() < 100:
+        return left
+    predicted = signals.get(f"predicted_{name}")
+    if predicted is not None and np.isfinite(predicted[known]).all():
+        left[known] = recorded[known] - predicted[known]
+    else:
+        cause = np.asarray(signals["command" if name == "voltage" else "voltage"], np.float64)
+        features = _features(np.where(np.isfinite(cause), cause, 0.0))
+        used, mean = features[known], float(recorded[known].mean())
+        # A trace of ridge, for commands that do not change.
+        squares = used.T @ used + 1e-8 * used.shape[0] * np.eye(used.shape[1])
+        left[known] = recorded[known] - mean - used @ np.linalg.solve(squares, used.T @ (recorded[known] - mean))
+    left[known] -= left[known].mean()
+    return left
+
+
+def _features(cause: FloatArray) -> FloatArray:
+    """Means of a signal over windows of its past, their squares and cubes, shape (n, features), of like size."""
+    scaled = (cause - cause.mean()) / max(float(cause.std()), 1e-6)
+    past = np.concatenate((np.full(_WINDOWS[-1], scaled[0]), scaled))
+    sums = np.concatenate(([0.0], np.cumsum(past)))
+    ends = np.arange(cause.size) + _WINDOWS[-1] + 1
+    means = [(sums[ends - a] - sums[ends - b]) / (b - a) for a, b in pairwise(_WINDOWS)]
+    return np.stack([np.ones(cause.size), *means, *(m * m for m in means), *(m * m * m for m in means)], axis=1)
+
+
+def waves(time: FloatArray, frequency_hz: float, harmonics: Iterable[int]) -> FloatArray:
+    """Cosine and sine of each harmonic in turn, shape (n, 2 harmonics)."""
+    angle = 2.0 * np.pi * frequency_hz * time
+    return np.stack([wave(h * angle) for h in harmonics for wave in (np.cos, np.sin)], axis=1)
+
+
+def fitted(
+    left: FloatArray, time: FloatArray, parts: Sequence[tuple[float, Sequence[int]]]
+) -> tuple[float, FloatArray]:
+    """Sum of squares that waves, given as ``(frequency_hz, harmonics)``, and a constant take out; their amplitudes.
+
+    A small ridge keeps the amplitudes of slow waves that the record is too short to tell apart from running away; it
+    grows with the harmonic, so that no lower frequency lends its harmonics to a wave that has none.
+    """
+    blocks = [waves(time, frequency, harmonics) for frequency, harmonics in parts]
+    columns = np.concatenate((*blocks, np.ones((time.size, 1))), axis=1)
+    orders = np.concatenate([np.repeat(np.asarray(harmonics, np.float64), 2) for _, harmonics in parts])
+    product = columns.T @ left
+    squares = columns.T @ columns + time.size * np.diag(np.r_[1e-3 * orders**2, 0.0])
+    weights: FloatArray = np.linalg.solve(squares, product).astype(np.float64)
+    return float(product @ weights), weights[:-1]
+
+
+def line(
+    left: FloatArray, time: FloatArray, harmonics: Sequence[int], low_hz: float, high_hz: float
+) -> tuple[float, FloatArray]:
+    """Frequency whose harmonics take most out of what is left, and their amplitudes (cosine, sine, cosine, ...)."""
+    if time.size < 2 or not left.any():
+        return 0.5 * (low_hz + high_hz), np.zeros(2 * len(harmonics))
+    spacing = 0.2 / max(float(np.ptp(time)) * harmonics[-1], 1e-3)
+    grid = np.linspace(low_hz, high_hz, max(round((high_hz - low_hz) / spacing), 8))
+    best = float(grid[np.argmax([fitted(left, time, [(frequency, harmonics)])[0] for frequency in grid])])
+    around = (max(best - 1.5 * spacing, low_hz), min(best + 1.5 * spacing, high_hz))
+    found = optimize.minimize_scalar(
+        lambda frequency: -fitted(left, time, [(float(frequency), harmonics)])[0], bounds=around, method="bounded"
+    )
+    return float(found.x), fitted(left, time, [(float(found.x), harmonics)])[1]

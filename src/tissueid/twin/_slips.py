@@ -1,0 +1,205 @@
+"""Where a record slips against another by whole samples. Private: ``effects.dropped_samples`` is its caller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST_SLIP = 200
+"""Samples in all that are looked for."""
+JUMP_COST = 20.0
+"""Half the gain in squared errors, in units of their variance, that one slip has to bring."""
+BACK_EMF_JUMP_COST = 40.0
+"""The same where the errors are those of the coil's equation, which other effects leave neither white nor normal."""
+MOST_LEFT = 0.7
+"""Slips of the record are believed where they leave less than this share of the squared error without them."""
+LEAST_MEMORY = 0.5
+"""Correlation of successive differences of position above which the probe moves and does not merely shiver."""
+SETTLING = 600
+"""Samples at the start, in which the probe falls into its place and slow commands move it fast."""
+STRETCH = 1000
+"""Samples from which the coil's figures are first taken, where they fit best: likely there is no slip in them."""
+SLOW = 201
+"""Samples over which errors of the coil's equation are averaged, to be taken off as drift."""
+MOST_ERROR = 8.0
+"""No single sample counts for more than four standard deviations."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _path(errors, jump_cost):  # type: ignore[no-untyped-def]
+    """Cheapest lag at each sample, shape (n,), from costs of shape (n, lags): it only grows, each time at a cost."""
+    size, lags = errors.shape
+    came = np.empty((size, lags), np.int16)
+    total = errors[0].copy()
+    for n in range(1, size):
+        best = 0
+        least = total[0]
+        for k in range(lags):
+            here = total[k]
+            if here <= least + jump_cost:
+                came[n, k] = k
+            else:
+                came[n, k] = best
+                total[k] = least + jump_cost
+            if here < least:
+                least, best = here, k
+            total[k] += errors[n, k]
+    path = np.empty(size, np.int64)
+    path[-1] = np.argmin(total)
+    for n in range(size - 1, 0, -1):
+        path[n - 1] = came[n, path[n]]
+    return path
+
+
+def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]:
+    """Slips of the whole record, as ``(first sample of the record that comes after it, samples lost)``.
+
+    The recorded voltage is held against the command, whose gain, offset and constant delay may be anything; a
+    command that does not change shows nothing.
+    """
+    known = np.isfinite(voltage)
+    if not np.isfinite(command).all() or known.sum() < STRETCH:
+        return []
+    if np.std(voltage[known]) < 1e-3 or np.std(command) < 1e-3:
+        return []
+    lags = _lags(voltage)
+    shifted = _shifted(command, lags)
+    rows = np.arange(command.size)
+    found: list[tuple[float, IntArray]] = []
+    before = np.inf
+    # A slow command tells slips and gain apart only together: one search begins with the loss spread over the test.
+    for end in {0, _missing(voltage)}:
+        path = np.linspace(0.0, end, command.size).astype(np.int64)
+        for _ in range(6):
+            gain, offset = _line(shifted[rows, path - lags[0]], voltage)
+            left = voltage[:, None] - gain * shifted - offset
+            before = min(before, float(np.nanmin(np.nanmean(left**2, axis=0))))
+            path = _lag_path(left, lags, JUMP_COST)
+        found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
+    after, path = min(found, key=lambda one: one[0])
+    return _changes(path) if after < MOST_LEFT * before else []
+
+
+def of_position(voltage: FloatArray, current: FloatArray, position: FloatArray) -> list[tuple[int, int]]:
+    """Slips of the position alone against the electrical record, found by the back-EMF, whatever is under the probe.
+
+    Over the hold of one sample, ``u = R i + L' di + k dx + e`` with the differences of readings at its ends.
+    """
+    lags = _lags(position)
+    known = np.isfinite(voltage + current)
+    # Differences before and after as well, so that a filter or a constant delay of the sensor is no slip.
+    gained = np.diff(position, prepend=position[0])
+    moved = np.stack([np.roll(gained, -1), gained, np.roll(gained, 1)], axis=1)
+    filled = np.where(known, current, 0.0)
+    columns = np.stack([filled, np.diff(filled, prepend=filled[0]), np.ones(current.size)], axis=1)
+    if not _moves(gained) or known.sum() < STRETCH:
+        return []
+    rows = np.arange(position.size)
+    path = np.zeros(position.size, np.int64)
+    whole = (rows >= SETTLING) & np.isfinite(moved).all(axis=1)
+    starts = range(SETTLING, rows.size, STRETCH // 2)
+    stretches = [whole & (rows >= start) & (rows < start + STRETCH) for start in starts]
+    for turn in range(4):
+        index = np.clip(rows + path, 0, position.size - 1)
+        parts = stretches if turn == 0 else [whole]
+        fits = [_coil_equation(columns[index], moved, voltage[index], part & known[index]) for part in parts]
+        weights = min(fits, key=lambda fit: fit[0])[1]
+        opposing = np.where(known, voltage - columns @ weights[:3], np.nan)
+        left = _fast(_shifted(opposing, lags)) - _fast(moved @ weights[3:])[:, None]
+        left[:SETTLING] = np.nan
+        path = _lag_path(left, lags, BACK_EMF_JUMP_COST)
+    return _changes(path)
+
+
+def _coil_equation(
+    columns: FloatArray, moved: FloatArray, voltage: FloatArray, usable: NDArray[np.bool_]
+) -> tuple[float, FloatArray]:
+    """The errors' variance over that of the back-EMF, and the weights of current, its change, 1 and what was moved."""
+    if usable.sum() < STRETCH // 4:
+        return np.inf, np.zeros(columns.shape[1] + moved.shape[1])
+    both = np.concatenate((columns, moved), axis=1)[usable]
+    weights: FloatArray = np.linalg.lstsq(both, voltage[usable], rcond=None)[0].astype(np.float64)
+    back_emf = float(np.var(moved[usable] @ weights[columns.shape[1] :]))
+    return float(np.var(voltage[usable] - both @ weights)) / max(back_emf, 1e-12), weights
+
+
+def _moves(gained: FloatArray) -> bool:
+    """Whether differences of position go on in the same direction, as motion does and noise does not."""
+    fast = _fast(gained)[SETTLING:]
+    before, after = fast[:-1], fast[1:]
+    known = np.isfinite(before + after)
+    if known.sum() < STRETCH or np.std(before[known]) < 1e-8:
+        return False
+    return float(np.corrcoef(before[known], after[known])[0, 1]) > LEAST_MEMORY
+
+
+def _fast(values: FloatArray) -> FloatArray:
+    """Values along the first axis less their mean over ``SLOW`` samples round each."""
+    slow: FloatArray = uniform_filter1d(np.where(np.isfinite(values), values, 0.0), SLOW, axis=0)
+    return values - slow
+
+
+def _missing(record: FloatArray) -> int:
+    """Samples missing at the end, which is what a record has lost where they are."""
+    return int(np.argmax(np.isfinite(record[::-1]))) if np.isfinite(record).any() else 0
+
+
+def _lags(record: FloatArray) -> IntArray:
+    """Lags to look for: as many as are missing, and a little more in any case."""
+    most = min(max(40, _missing(record) + 20), MOST_SLIP, record.size // 4)
+    return np.arange(-most // 2, most + 1)
+
+
+def _shifted(values: FloatArray, lags: IntArray) -> FloatArray:
+    """Values ahead by each lag, shape (n, lags); the ends are held."""
+    index = np.arange(values.size)[:, None] + lags
+    shifted: FloatArray = values[np.clip(index, 0, values.size - 1)]
+    return shifted
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Gain and offset of y against x, most of all where they agree."""
+    known = np.isfinite(y)
+    weight = np.ones(int(known.sum()))
+    gain, offset = 1.0, 0.0
+    for _ in range(5):
+        gain, offset = np.polyfit(x[known], y[known], 1, w=np.sqrt(weight))
+        left = y[known] - gain * x[known] - offset
+        spread = max(float(np.median(np.abs(left))), 1e-6)
+        weight = 1.0 / (1.0 + (left / (3.0 * spread)) ** 2)
+    return float(gain), float(offset)
+
+
+def _lag_path(left: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+    """The lag at each sample from the errors at each lag, shape (n, lags), NaN where nothing was recorded."""
+    known = np.isfinite(left)
+    squares = np.where(known, left, 0.0) ** 2
+    # The noise is that of the best constant lag over short stretches: slips within some of them do not matter.
+    stretch = 64
+    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, lags.size).mean(axis=1)
+    variance = max(float(np.median(whole.min(axis=1))), 1e-18)
+    path: IntArray = _path(np.minimum(squares / (2.0 * variance), MOST_ERROR), jump_cost) + lags[0]
+    return path
+
+
+def _changes(path: IntArray) -> list[tuple[int, int]]:
+    """The changes of a path of lags; where it begins is a constant delay, which is no slip."""
+    at = np.flatnonzero(np.diff(path)) + 1
+    return [(int(n), int(path[n] - path[n - 1])) for n in at]
+
+
+def as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:
+    """Slips by name, those that move the record farthest where there are too many; the rest are put at no sample."""
+    kept = sorted(sorted(slips, key=lambda slip: -abs(slip[1]))[:places])
+    found: dict[str, float] = {}
+    for k in range(places):
+        sample, lost = kept[k] if k < len(kept) else (0, 0)
+        found[f"slip_{k + 1}_sample"], found[f"slip_{k + 1}_lost"] = float(sample), float(lost)
+    return found

@@ -1,0 +1,70 @@
+"""Amplifier output limited below the rated voltage, softly or hard."""
+
+from __future__ import annotations
+
+import math
+
+from tissueid.twin import bus
+from tissueid.twin.effect import Effect, FloatArray, Parameter
+
+
+def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
+    """A limiter with a slope left beyond the limit; the state holds what it was last asked and what it gave."""
+    limit, knee, beyond, ratio = p[0], p[1], p[2], p[3]
+    mean = b[bus.VOLTAGE]
+    end = mean + b[bus.VOLTAGE_RISE]
+    for k in range(2):
+        asked = mean if k == 0 else end
+        # A held command asks the same at every step of a sample, and at the end of a step as in its mean.
+        if k == 1 and asked == s[0]:
+            s[1] = s[0]
+            s[3] = s[2]
+        elif asked != s[k]:
+            level = limit if asked > 0.0 else limit * ratio
+            logarithm = knee * math.log(abs(asked) / level) if asked != 0.0 else -700.0
+            kept = 1.0
+            if logarithm > 3.0:
+                kept = level / abs(asked)
+            elif logarithm > -18.0:
+                power = math.exp(logarithm)
+                kept = math.exp(math.log(math.tanh(power) / power) / knee)
+            s[k] = asked
+            s[2 + k] = asked * (beyond + (1.0 - beyond) * kept)
+    b[bus.VOLTAGE] = s[2]
+    b[bus.VOLTAGE_RISE] = s[3] - s[2]
+    if b[bus.VOLTAGE_TILT] != 0.0:
+        b[bus.VOLTAGE_TILT] = s[3] - s[2]
+
+
+EFFECT = Effect(
+    name="amplifier_clipping",
+    stage="drive",
+    title="Amplifier clips below its rating",
+    equation="v = u (c + (1 - c) (tanh(x^p) / x^p)^(1/p)), x = |u|/L, r L for L where u < 0; vanishes with L = inf",
+    signature="voltage against command bends at large commands, at once and without memory; odd and even distortion in "
+    "voltage that is gone at smaller amplitude; current against voltage unchanged",
+    source="Pintelon and Schoukens, System Identification, 2nd ed. (2012) ch. 3; Rapp, 2nd European Conf. on Satellite "
+    "Communications (1991) 179-184, whose limiter it follows within 0.1 % of what is clipped",
+    parameters=(
+        Parameter("limit_v", "V", math.inf, 1.0, 1000.0, True, meaning="where the output is limited to"),
+        Parameter("knee", "1", None, 0.8, 80.0, True, prior=1.5, prior_std=2.0, meaning="1: a tanh, 50: a hard limit"),
+        Parameter("slope_beyond", "1", 1.0, 0.0, 1.0, prior=0.0, prior_std=0.3, meaning="gain left beyond the limit"),
+        Parameter(
+            "ratio_below",
+            "1",
+            None,
+            0.3,
+            3.0,
+            True,
+            prior=1.0,
+            prior_std=0.4,
+            meaning="the limit of negative voltages to it",
+        ),
+    ),
+    starts=((30.0, 1.5, 0.02, 1.0), (20.0, 8.0, 0.02, 1.0)),
+    mistaken_for=("amplifier_deadband", "flux_saturation", "amplifier_drift"),
+    places=(bus.AMPLIFIER,),
+    hook=hook,
+    needs=frozenset({"command"}),
+    remedy="Check the supply under load and the amplifier's current limit; lower the amplitude until it is gone.",
+)

@@ -1,0 +1,102 @@
+"""Mains on the channels: 50 or 60 Hz and harmonics, picked up on the way to the recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy import fft, optimize
+
+from tissueid.twin import _estimates
+from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+
+HARMONICS = (1, 2, 3)
+CHANNELS = (("voltage", "V", 2e-3, 5.0), ("current", "A", 1e-3, 0.5), ("position", "m", 2e-6, 2e-3))
+"""Name, unit, noise (by which they are weighed against each other) and the most that is looked for."""
+BANDS_HZ = ((49.0, 51.0), (59.0, 61.0))
+PER_TEST = 1 + len(HARMONICS)
+PADDING = 8
+
+
+def recording(readings: Readings, values: FloatArray) -> Readings:
+    """Two quadratures a channel and harmonic, counted from the phase that the test's mains had at its start."""
+    frequency, phases, heights = values[0], values[1:PER_TEST], values[PER_TEST:].reshape(len(CHANNELS), -1)
+    angle = 2.0 * np.pi * frequency * readings.time
+    turned = [h * angle + phase for h, phase in zip(HARMONICS, phases, strict=True)]
+    hum = heights @ np.stack([wave(one) for one in turned for wave in (np.cos, np.sin)])
+    return replace(
+        readings,
+        voltage=readings.voltage + hum[0],
+        current=readings.current + hum[1],
+        position=readings.position + hum[2],
+    )
+
+
+def from_test(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
+    """Frequency and phases of the lines in what is unexplained, all channels by their noise together.
+
+    The sum over channels has the same phase to each of them in every test, whichever of them hum.
+    """
+    left = [_estimates.unexplained(signals, name, sample_rate_hz) / noise for name, _, noise, _ in CHANNELS]
+    size = left[0].size
+    time = np.arange(1, size + 1) / sample_rate_hz
+    points = fft.next_fast_len(PADDING * size, real=True)
+    spectra = [np.abs(fft.rfft(one, points)) ** 2 for one in left]
+    usable = [h for h in HARMONICS if h * BANDS_HZ[-1][1] < 0.5 * sample_rate_hz]
+    candidates = np.concatenate([np.linspace(low, high, 201) for low, high in BANDS_HZ])
+    bins = [np.round(h * candidates * points / sample_rate_hz).astype(np.int64) for h in usable]
+    power = sum((spectrum[at] for spectrum in spectra for at in bins), np.zeros(candidates.size))
+    near = float(candidates[int(np.argmax(power))])
+
+    def amplitudes(frequency: float) -> FloatArray:
+        # Complex amplitudes, shape (channels, harmonics), as real and imaginary parts.
+        columns = _estimates.waves(time, frequency, usable)
+        return np.stack([columns.T @ one for one in left]) * (2.0 / size)
+
+    found = optimize.minimize_scalar(
+        lambda f: -float(np.sum(amplitudes(float(f)) ** 2)),
+        bounds=(near - 0.15, near + 0.15),
+        method="bounded",
+        options={"xatol": 1e-4},
+    )
+    total = amplitudes(float(found.x)).sum(axis=0)
+    start = {"frequency_hz": float(found.x)} | {f"phase_{h}_rad": 0.0 for h in HARMONICS}
+    for k, h in enumerate(usable):
+        start[f"phase_{h}_rad"] = float(np.arctan2(-total[2 * k + 1], total[2 * k]))
+    return start
+
+
+EFFECT = Effect(
+    name="mains_hum",
+    stage="environment",
+    title="Mains hum on the channels",
+    equation="channel + sum over h = 1, 2, 3 of a cos(h w t + phase) + b sin(h w t + phase), w = 2 pi 50 or 60 Hz; "
+    "vanishes with every a = b = 0",
+    signature="sharp lines at 50 or 60 Hz and twice and three times that, in quiet tests as well, unrelated to the "
+    "command; each channel has its own strength, every test its own phase",
+    source="Pintelon & Schoukens, System Identification: A Frequency Domain Approach (2012), ch. 2; Horowitz & Hill, "
+    "The Art of Electronics (2015), ch. 8",
+    parameters=(
+        Parameter("frequency_hz", "Hz", None, 48.5, 61.5, per_test=True, fixed=True, meaning="read off the record"),
+        *(
+            Parameter(
+                f"phase_{h}_rad", "rad", None, -4.0, 4.0, per_test=True, fixed=True, meaning="at the test's start"
+            )
+            for h in HARMONICS
+        ),
+        *(
+            Parameter(f"{name}_{part}_{h}", unit, 0.0, -most, most, meaning=f"of harmonic {h} on the {name}")
+            for name, unit, _, most in CHANNELS
+            for h in HARMONICS
+            for part in ("cosine", "sine")
+        ),
+    ),
+    starts=tuple((hertz,) + (0.0,) * (len(HARMONICS) + 2 * len(CHANNELS) * len(HARMONICS)) for hertz in (50.0, 60.0)),
+    mistaken_for=("physiological_motion", "mount_resonance"),
+    recording=recording,
+    needs=frozenset({"voltage", "current", "position"}),
+    from_test=from_test,
+    jointly=True,
+    remedy="Break ground loops, twist and screen the leads, keep them from transformers.",
+)

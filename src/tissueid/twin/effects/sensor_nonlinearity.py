@@ -1,0 +1,81 @@
+"""A position reading that is not linear along the stroke: bowed, or waving with the sensor's own pitch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.twin import _estimates
+from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+
+MIDDLE_M = 0.012
+"""Where the deviation is counted from, in the middle of what tests reach."""
+SPAN_M = 0.005
+SHORTEST_M, LONGEST_M = 2e-4, 2e-2
+FEWEST_READINGS = 200
+
+
+def recording(readings: Readings, values: FloatArray) -> Readings:
+    """A cubic and one wave with its second harmonic added to the position, about ``MIDDLE_M``."""
+    offset, gain, bow, bend, cosine, sine, cosine_2, sine_2, period = values
+    off = readings.position - MIDDLE_M
+    share = off / SPAN_M
+    angle = 2.0 * np.pi * off / period
+    error = offset + gain * off + share * share * (bow + bend * share)
+    error += cosine * np.cos(angle) + sine * np.sin(angle)
+    error += cosine_2 * np.cos(2.0 * angle) + sine_2 * np.sin(2.0 * angle)
+    return replace(readings, position=readings.position + error)
+
+
+def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
+    """One with the wave along the stroke that takes most out of what is unexplained of all tests together."""
+    positions: list[FloatArray] = []
+    errors: list[FloatArray] = []
+    for signals in tests:
+        left = _estimates.unexplained(signals, "position", sample_rate_hz)
+        known = np.isfinite(signals["position"]) & (left != 0.0)
+        positions.append(signals["position"][known][::4] - MIDDLE_M)
+        errors.append(left[known][::4])
+    place, error = np.concatenate(positions), np.concatenate(errors)
+    if place.size < FEWEST_READINGS:
+        return ()
+    waves_per_m, (cosine, sine) = _estimates.line(error, place, (1,), 1.0 / LONGEST_M, 1.0 / SHORTEST_M)
+    return ((0.0, 0.0, 0.0, 0.0, float(cosine), float(sine), 0.0, 0.0, 1.0 / waves_per_m),)
+
+
+EFFECT = Effect(
+    name="sensor_nonlinearity",
+    stage="sensing",
+    title="Position reading not linear along the stroke",
+    equation="y = x + o + g d + b (d/5mm)^2 + c (d/5mm)^3 + p cos(2 pi d/l) + q sin(2 pi d/l) "
+    "+ the same of l/2, d = x - 12 mm; vanishes with o, g, b, c and the waves all 0",
+    signature="an error of position alone that is a function of position, the same in every test, at any speed and on "
+    "tissue as on the spring; back-EMF in current contradicts it",
+    source="Nyce, Linear Position Sensors (2004), ch. 2 (linearity) and 11; Heydemann, Applied Optics 20 (1981) "
+    "3382-3384 (cyclic error)",
+    parameters=(
+        Parameter("offset_m", "m", 0.0, -2e-3, 2e-3, prior=0.0, prior_std=2e-4, meaning="deviation at 12 mm"),
+        Parameter("gain", "1", 0.0, -0.3, 0.3, prior=0.0, prior_std=0.03, meaning="its slope there"),
+        Parameter("bow_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=5e-4, meaning="even part 5 mm from there"),
+        Parameter("bend_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=5e-4, meaning="odd part 5 mm from there"),
+        Parameter("cosine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, highest at 12 mm"),
+        Parameter("sine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, rising at 12 mm"),
+        Parameter("cosine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="wave of half the period"),
+        Parameter("sine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="the same, rising at 12 mm"),
+        Parameter("period_m", "m", None, SHORTEST_M, LONGEST_M, True, meaning="from one wave to the next"),
+    ),
+    starts=(
+        (0.0, 0.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, 2e-3),
+        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 4e-3),
+        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 2e-3),
+        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 1e-3),
+    ),
+    mistaken_for=("force_constant_position", "tissue_stiffening", "cogging"),
+    recording=recording,
+    needs=frozenset({"position"}),
+    starts_from=starts_from,
+    jointly=True,
+    remedy="Calibrate the position channel along the stroke against gauge blocks.",
+)

@@ -1,0 +1,61 @@
+"""Relaxation of the tissue: branches of springs and dashpots, as far as a power law."""
+
+from __future__ import annotations
+
+import math
+
+from tissueid.twin import bus
+from tissueid.twin.effect import Effect, FloatArray, Parameter
+
+BRANCHES = 4
+REFERENCE_M = 4e-3
+_FORCE = BRANCHES
+_KEPT = BRANCHES + 1
+_MEAN = _KEPT + BRANCHES
+_BEGUN = _MEAN + BRANCHES
+
+
+def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
+    """Every branch follows changes of a force that grows with depth, and forgets them with a time of its own."""
+    depth = b[bus.DEPTH]
+    # As the static force (exponent 1: quasi-linear) or in proportion to depth (0), alike at the reference depth.
+    exponent = b[bus.STIFFNESS_GROWTH] * (REFERENCE_M + p[3] * (depth - REFERENCE_M))
+    force = b[bus.STIFFNESS] * math.exp(min(max(exponent, -12.0), 12.0)) * depth
+    if s[_BEGUN] == 0.0:
+        s[_BEGUN] = 1.0
+        for k in range(BRANCHES):
+            decades = p[2] * (k / (BRANCHES - 1.0) - 0.5)
+            ratio = dt / (p[1] * 10.0**decades)
+            s[_KEPT + k] = math.exp(-ratio)
+            s[_MEAN + k] = (1.0 - math.exp(-ratio)) / ratio
+    change = force - s[_FORCE]
+    s[_FORCE] = force
+    total = 0.0
+    for k in range(BRANCHES):
+        s[k] = s[k] * s[_KEPT + k] + change * s[_MEAN + k]
+        total += s[k]
+    b[bus.TISSUE_FORCE] += p[0] * total / BRANCHES
+
+
+EFFECT = Effect(
+    name="viscoelasticity",
+    stage="tissue",
+    title="Relaxation of the tissue",
+    equation="F = Fe + r/4 sum of q_k, dq_k/dt = df/dt - q_k / T_k, f = K exp(g (4 mm + h (d - 4 mm))) d, T_k spread "
+    "evenly over D decades round T; vanishes with r = 0",
+    signature="stiffness rises with frequency where damping alone would not do it, with phase over a wide band; creep "
+    "after the mean is switched on; linear in small motion; nothing on the spring",
+    source="Fung, Biomechanics (1993), ch. 7 (quasi-linear viscoelasticity, continuous spectrum); thesis 3.3",
+    parameters=(
+        Parameter("ratio", "1", 0.0, 3e-4, 20.0, True, meaning="stiffness of all branches by the static one"),
+        Parameter("time_s", "s", None, 2e-3, 5.0, True, meaning="middle of the relaxation times"),
+        Parameter("decades", "1", None, 0.0, 4.0, prior=1.0, prior_std=1.0, meaning="over which they are spread"),
+        Parameter("growth", "1", None, 0.0, 1.5, prior=0.7, prior_std=0.5, meaning="1: grows as the static force does"),
+    ),
+    starts=((0.3, 0.02, 0.5, 0.7), (0.3, 0.1, 2.0, 0.7), (0.3, 0.5, 0.5, 0.7)),
+    mistaken_for=("preconditioning", "tissue_hysteresis", "mount_resonance", "added_mass"),
+    places=(bus.TISSUE,),
+    hook=hook,
+    on_spring=False,
+    remedy="Report the relaxation times with the stiffness; let the tissue rest under the mean before the test.",
+)

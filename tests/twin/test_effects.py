@@ -1,0 +1,210 @@
+"""What every effect of the library must pass, whatever it says of itself."""
+
+import ctypes
+import functools
+
+import numpy as np
+import pytest
+
+from tissueid.errors import UnusableInputError
+from tissueid.twin import bus, figures, simulation
+from tissueid.twin.effect import STAGES, Effect
+from tissueid.twin.library import effect, library
+
+RATE = 2000.0
+SURFACE = 0.009
+INSTRUMENT = figures.Instrument(weight_n=0.2)
+TISSUE = figures.Tissue(SURFACE, 0.015, 5.0, 150.0, 350.0, 250.0)
+NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
+NAMES = {
+    "drive": "latency amplifier_lag amplifier_clipping amplifier_deadband amplifier_drift",
+    "coil": "eddy_currents coil_heating inductance_position force_constant_position flux_saturation reluctance_force",
+    "mechanics": "dry_friction directional_friction quadratic_drag end_stop mount_resonance cogging",
+    "tissue": "tissue_stiffening viscoelasticity tissue_hysteresis preconditioning added_mass contact_loss "
+    "directional_damping reflex",
+    "sensing": "sensor_nonlinearity sensor_lag sensor_backlash clock_skew quantization dropped_samples",
+    "environment": "mains_hum physiological_motion",
+}
+EVERY = pytest.mark.parametrize("one", library().values(), ids=lambda one: one.name)
+
+
+def commands(size=800):
+    """A mean with noise about it that also crosses zero, smooth enough that no sample stands alone."""
+    rng = np.random.default_rng(8)
+    noise = np.convolve(rng.normal(size=size + 40), np.hanning(9) / 3.0, "same")[40:]
+    return np.r_[np.full(60, 14.0), 14.0 + 9.0 * noise[60:]]
+
+
+def play(acting=(), kind="stochastic", substeps=4):
+    """One of the tests of a session, with readings at rest on the surface to begin with."""
+    command = {"stochastic": commands(), "spring": 0.8 * (commands() - 14.0), "quiet": np.zeros(400)}[kind]
+    met = figures.spring(0.012, 1000.0, 0.005, 0.4) if kind == "spring" else TISSUE
+    start = simulation.Start(command[0] / INSTRUMENT.resistance_ohm, met.surface_m)
+    readings = simulation.simulate(
+        command, RATE, INSTRUMENT, met, start, acting, on_tissue=kind != "spring", substeps=substeps
+    ).readings
+    return {name: getattr(readings, name) for name in NOISE}
+
+
+@functools.cache
+def plain(kind="stochastic", substeps=4):
+    return play((), kind, substeps)
+
+
+def at(one: Effect, values):
+    return [simulation.Acting(one, np.array(values, np.float64))]
+
+
+def in_noises(one, other):
+    """The largest root-mean-square difference of any channel, in deviations of its noise."""
+    return max(np.sqrt(np.mean((one[name] - other[name]) ** 2)) / NOISE[name] for name in NOISE)
+
+
+def test_every_name_of_the_contract_is_in_the_library_at_its_stage():
+    found = {stage: {name for name, one in library().items() if one.stage == stage} for stage in STAGES}
+    assert found == {stage: set(names.split()) for stage, names in NAMES.items()}
+
+
+def test_a_name_that_nobody_knows_is_refused_with_those_that_there_are():
+    with pytest.raises(UnusableInputError, match=r"there is no effect 'rust': choose one of .*dry_friction"):
+        effect("rust")
+
+
+@EVERY
+def test_it_says_what_it_is(one):
+    known = {name for names in NAMES.values() for name in names.split()}
+    for text in (one.title, one.equation, one.signature, one.source, one.remedy):
+        assert len(text) > 5
+    assert one.mistaken_for
+    assert set(one.mistaken_for) <= known - {one.name}
+    assert one.needs <= {"command", "voltage", "current", "position"}
+    assert len({parameter.name for parameter in one.parameters}) == len(one.parameters)
+    assert all(parameter.unit and parameter.meaning for parameter in one.parameters)
+    assert any(parameter.neutral is not None for parameter in one.parameters)
+
+
+@EVERY
+def test_its_starts_and_priors_lie_within_its_bounds(one):
+    for start in one.starts:
+        for parameter, value in zip(one.parameters, start, strict=True):
+            assert parameter.low <= value <= parameter.high, parameter.name
+    for parameter in one.parameters:
+        assert parameter.prior is None or parameter.low <= parameter.prior <= parameter.high, parameter.name
+        assert (parameter.prior_std is None) or parameter.prior_std > 0.0
+
+
+@EVERY
+def test_it_leaves_something_in_the_records_at_its_starts(one):
+    if one.from_test is not None or one.starts_from is not None:
+        pytest.skip("where it starts is read from the record")
+    change = max(in_noises(play(at(one, s), k), plain(k)) for s in one.starts for k in ("stochastic", "spring"))
+    quiet = max(in_noises(play(at(one, start), "quiet"), plain("quiet")) for start in one.starts)
+    assert max(change, quiet) > 1.0
+
+
+@EVERY
+def test_it_stays_finite_to_the_ends_of_its_ranges(one):
+    for k, parameter in enumerate(one.parameters):
+        for end in (parameter.low, parameter.high):
+            for start in one.starts[:2]:
+                values = list(start)
+                values[k] = end
+                for kind in ("stochastic", "spring"):
+                    readings = play(at(one, values), kind)
+                    for name, signal in readings.items():
+                        assert np.isfinite(signal).all(), (name, parameter.name, end)
+                        assert np.abs(signal).max() < 1e4, (name, parameter.name, end)
+
+
+@EVERY
+def test_it_vanishes_at_its_neutral_value(one):
+    # A logarithm is only fitted to the end of its range, where next to nothing may be left.
+    ends = {}
+    for k, parameter in enumerate(one.parameters):
+        if parameter.neutral is not None:
+            towards = parameter.high if parameter.neutral > parameter.high else parameter.low
+            within = parameter.low <= parameter.neutral <= parameter.high and not parameter.logarithmic
+            ends[k] = parameter.neutral if within else towards
+    sets = [ends] if one.jointly else [{k: end} for k, end in ends.items()]
+    for start in one.starts:
+        for chosen in sets:
+            values = [chosen.get(k, value) for k, value in enumerate(start)]
+            assert in_noises(play(at(one, values)), plain()) < 0.7, (values, start)
+
+
+@EVERY
+def test_ten_times_as_many_steps_change_next_to_nothing(one):
+    for start in one.starts:
+        for kind in ("stochastic", "spring"):
+            coarse, fine = play(at(one, start), kind), play(at(one, start), kind, 40)
+            without, without_fine = plain(kind), plain(kind, 40)
+            for name in NOISE:
+                change, better = coarse[name] - without[name], fine[name] - without_fine[name]
+                own, signal = np.sqrt(np.mean(better**2)), np.std(without[name])
+                off = np.sqrt(np.mean((change - better) ** 2))
+                assert off <= max(2e-3 * own, 5e-4 * signal), (name, kind, start, off / own, off / signal)
+
+
+def _pointer(values):
+    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+@EVERY
+def test_the_compiled_hook_is_the_one_that_is_written(one):
+    if one.hook is None:
+        pytest.skip("it acts on what was recorded alone")
+    rng = np.random.default_rng(2)
+    steps, step = 400, 1e-3
+    time = np.arange(steps) * step
+    given = np.zeros((steps, bus.MOST_STATES))
+    wave = np.sin(2 * np.pi * 15.0 * time) + 0.3 * np.sin(2 * np.pi * 43.0 * time + 1.0)
+    given[:, bus.TIME] = time
+    given[:, bus.SAMPLE] = np.arange(steps) // 4
+    given[:, bus.VOLTAGE] = 8.0 * np.repeat(wave[::4], 4) + 3.0
+    given[:, bus.CURRENT] = 0.7 * wave + 0.2
+    given[:, bus.POSITION] = SURFACE + 0.002 + 3e-3 * wave
+    given[:, bus.VELOCITY] = np.gradient(given[:, bus.POSITION], step)
+    given[:, bus.ACCELERATION] = np.gradient(given[:, bus.VELOCITY], step)
+    given[:, bus.SURFACE_POSITION] = SURFACE
+    given[:, bus.DEPTH] = given[:, bus.POSITION] - SURFACE
+    given[:, bus.STROKE] = 0.032
+    for at_, value in (
+        (bus.RESISTANCE, 12.0),
+        (bus.INDUCTANCE, 1e-3),
+        (bus.FORCE_CONSTANT, 3.0),
+        (bus.FORCE, 1.0),
+        (bus.DAMPING, 3.5),
+        (bus.MASS, 0.06),
+        (bus.TISSUE_FORCE, 0.8),
+        (bus.TISSUE_DAMPING, 5.0),
+        (bus.TISSUE_MASS, 0.015),
+        (bus.STIFFNESS, 400.0),
+        (bus.STIFFNESS_GROWTH, 250.0),
+    ):
+        given[:, at_] = value * (1.0 + 0.05 * rng.random(steps))
+    # A hook that acts in several places is called in their order, step by step.
+    places = sorted(one.places)
+    where = np.tile(places, steps)
+    given = np.repeat(given, len(places), axis=0)
+    acts = False
+    for start in one.starts:
+        parameters = np.zeros(bus.MOST_PARAMETERS)
+        parameters[: len(start)] = start
+        written, state = given.copy(), np.zeros(bus.MOST_STATES)
+        for k in range(where.size):
+            one.hook(int(where[k]), written[k], parameters, state, step)
+        built, other = given.copy(), np.zeros(bus.MOST_STATES)
+        call = simulation.compiled(one.hook).ctypes
+        for k in range(where.size):
+            call(int(where[k]), _pointer(built[k]), _pointer(parameters), _pointer(other), step)
+        np.testing.assert_allclose(built, written, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(other, state, rtol=1e-9, atol=1e-12)
+        acts = acts or (written[:, : bus.SIZE] != given[:, : bus.SIZE]).any()
+    assert acts or one.from_test is not None or one.recording is not None
+
+
+@EVERY
+def test_a_test_twice_gives_the_same_twice(one):
+    first, second = play(at(one, one.starts[0])), play(at(one, one.starts[0]))
+    for name in NOISE:
+        np.testing.assert_array_equal(first[name], second[name])

@@ -1,0 +1,412 @@
+"""Effects of the stages mechanics and tissue: neutral values, signatures, energy, step size, independent solutions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.integrate import solve_ivp
+
+from tissueid.twin import bus
+from tissueid.twin.figures import Instrument, Tissue, spring
+from tissueid.twin.library import effect
+from tissueid.twin.simulation import Acting, Start, simulate
+
+RATE = 2000.0
+SURFACE = 0.0095
+TISSUE = Tissue(SURFACE, 0.015, 5.0, 200.0, 400.0, 250.0)
+DEVICE = Instrument(weight_n=0.2)
+NEUTRAL = {
+    "dry_friction": ("coulomb_n", 0.0),
+    "directional_friction": ("coulomb_n", 0.0),
+    "quadratic_drag": ("force_n", 0.0),
+    "end_stop": ("force_n", 0.0),
+    "mount_resonance": ("frame_kg", math.inf),
+    "cogging": ("sine_n", 0.0),
+    "tissue_stiffening": ("force_n", 0.0),
+    "viscoelasticity": ("ratio", 0.0),
+    "tissue_hysteresis": ("force_n", 0.0),
+    "preconditioning": ("change", 0.0),
+    "added_mass": ("mass_kg", 0.0),
+    "contact_loss": ("reach_m", math.inf),
+    "directional_damping": ("difference", 0.0),
+    "reflex": ("gain_n", 0.0),
+}
+MECHANICS = ["dry_friction", "directional_friction", "quadratic_drag", "end_stop", "mount_resonance", "cogging"]
+ON_TISSUE = [name for name in NEUTRAL if name not in MECHANICS]
+
+
+def noise(seconds=0.5, mean=15.0, amplitude=26.0, seed=1):
+    band = signal.butter(4, 200.0, fs=RATE, output="sos")
+    uniform = np.random.default_rng(seed).uniform(-1.0, 1.0, round(seconds * RATE))
+    return np.clip(mean + amplitude * signal.sosfilt(band, uniform), -46.0, 46.0)
+
+
+def play(name=None, values=None, command=None, substeps=5, tissue=TISSUE, on_tissue=True, device=DEVICE):
+    volts = noise() if command is None else command
+    acting = () if name is None else (Acting(effect(name), np.array(values, float)),)
+    start = Start(float(volts[0]) / device.resistance_ohm, tissue.surface_m)
+    return simulate(volts, RATE, device, tissue, start, acting, on_tissue=on_tissue, substeps=substeps)
+
+
+def typical(name):
+    return np.array(effect(name).starts[0])
+
+
+def change(name, values, signal_name="position", **how):
+    """Root mean square of what the effect changes, by the signal's own deviation."""
+    with_it = getattr(play(name, values, **how).readings, signal_name)
+    without = getattr(play(**how).readings, signal_name)
+    return float(np.sqrt(np.mean((with_it - without) ** 2)) / np.std(without))
+
+
+def moved(name, values, position, dt, velocity=None, setting=None):
+    """Forces of a hook along a prescribed motion, by plain Python; mass, damping and force at every step."""
+    declared = effect(name)
+    numbers, state, out = np.zeros(bus.SIZE), np.zeros(bus.MOST_STATES), []
+    speed = np.gradient(position, dt) if velocity is None else velocity
+    for n, (x, v) in enumerate(zip(position, speed, strict=True)):
+        numbers[:] = 0.0
+        numbers[bus.TIME], numbers[bus.SAMPLE] = n * dt, n * dt * RATE
+        numbers[bus.POSITION], numbers[bus.DEPTH], numbers[bus.VELOCITY] = x, x, v
+        if setting is not None:
+            setting(numbers)
+        declared.hook(declared.places[-1], numbers, np.array(values, float), state, dt)
+        out.append(numbers.copy())
+    return np.array(out)
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_it_vanishes_at_its_neutral_value(name):
+    declared = effect(name)
+    parameter, neutral = NEUTRAL[name]
+    names = [item.name for item in declared.parameters]
+    assert declared.parameters[names.index(parameter)].neutral == neutral
+    values = typical(name)
+    values[names.index(parameter)] = neutral
+    if name == "cogging":
+        values[1] = 0.0
+    with_it, without = play(name, values).readings, play().readings
+    for signal_name in ("voltage", "current", "position"):
+        np.testing.assert_allclose(getattr(with_it, signal_name), getattr(without, signal_name), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_it_vanishes_continuously(name):
+    declared = effect(name)
+    parameter, neutral = NEUTRAL[name]
+    k = [item.name for item in declared.parameters].index(parameter)
+    sizes = []
+    command = noise(mean=2.0) if name == "contact_loss" else noise()
+    for share in (1.0, 1e-2, 1e-4):
+        values = typical(name)
+        values[k] = values[k] / share if math.isinf(neutral) else values[k] * share
+        if name == "cogging":
+            values[1] *= share
+        sizes.append(change(name, values, command=command))
+    assert sizes[0] > 1e-4
+    assert sizes[1] < 0.2 * sizes[0]
+    assert sizes[2] < 0.1 * sizes[1]
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_starts_lie_inside_the_bounds_and_differ(name):
+    declared = effect(name)
+    assert 1 <= len(declared.starts) <= 4
+    assert len(set(declared.starts)) == len(declared.starts)
+    assert 1 <= len(declared.parameters) <= 4
+    for start in declared.starts:
+        for value, parameter in zip(start, declared.parameters, strict=True):
+            assert parameter.low < value < parameter.high, (parameter.name, value)
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_four_steps_a_sample_do(name):
+    for start in effect(name).starts:
+        command = noise(mean=2.0) if name == "contact_loss" else noise()
+        coarse, fine = (play(name, start, command, steps).readings.position for steps in (4, 40))
+        plain = play(None, None, command, 40).readings.position
+        error, own = (np.sqrt(np.mean(x**2)) for x in (coarse - fine, fine - plain))
+        assert error < max(0.002 * own, 0.0005 * np.std(fine)), start
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_every_corner_of_the_bounds_stays_finite(name):
+    declared = effect(name)
+    for k in range(2 ** len(declared.parameters)):
+        values = [item.high if k >> i & 1 else item.low for i, item in enumerate(declared.parameters)]
+        readings = play(name, values, noise(0.2), substeps=4).readings
+        assert np.isfinite(readings.position).all(), values
+        assert np.isfinite(readings.current).all(), values
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_small_steps_of_a_parameter_change_little(name):
+    declared = effect(name)
+    start = np.array(declared.starts[0])
+    command = noise(mean=2.0) if name == "contact_loss" else noise()
+    before = play(name, start, command).readings.position
+    own = change(name, start, command=command) * np.std(before)
+    for k, parameter in enumerate(declared.parameters):
+        one, two = start.copy(), start.copy()
+        size = 1e-3 * (start[k] if parameter.logarithmic else (parameter.high - parameter.low) / 4)
+        one[k] += size
+        two[k] += 2 * size
+        first, second = (play(name, x, command).readings.position - before for x in (one, two))
+        # Twice the step is twice the change, to a part that a fit by differences can live with.
+        off = np.sqrt(np.mean((second - 2 * first) ** 2))
+        assert off < 0.2 * np.sqrt(np.mean(second**2)) + 1e-4 * own, parameter.name
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_voltage_is_left_alone_and_current_changes_by_back_emf_only(name):
+    values = typical(name)
+    command = noise(mean=2.0) if name == "contact_loss" else noise()
+    assert change(name, values, "voltage", command=command) == 0.0
+    position = change(name, values, "position", command=command)
+    assert position > 1e-3
+    assert change(name, values, "current", command=command) < 0.1 * position
+
+
+@pytest.mark.parametrize("name", NEUTRAL)
+def test_the_spring_test_shows_mechanics_but_not_tissue(name):
+    how = {"command": noise(mean=0.0), "tissue": spring(0.012, 1000.0, 0.005, 0.5), "on_tissue": False}
+    assert (change(name, typical(name), **how) > 1e-3) == (name in MECHANICS)
+    assert (effect(name).stage == "mechanics") == (name in MECHANICS)
+
+
+@pytest.mark.parametrize("name", ["dry_friction", "directional_friction", "tissue_hysteresis"])
+def test_closed_loops_of_friction_take_energy_whatever_the_speed(name):
+    def pressed(numbers):
+        numbers[bus.TISSUE_FORCE] = 3.0
+
+    values, lost = typical(name), []
+    for hertz in (0.5, 5.0):
+        time = np.arange(0.0, 2.0 / hertz, 1.0 / (hertz * 1000.0))
+        position = 0.003 + 5e-4 * np.sin(2 * np.pi * hertz * time)
+        velocity = 2 * np.pi * hertz * 5e-4 * np.cos(2 * np.pi * hertz * time)
+        told = moved(name, values, position, time[1], velocity, pressed)
+        force = told[:, bus.TISSUE_FORCE] - 3.0 - told[:, bus.FORCE]
+        half = time.size // 2
+        lost.append(float(np.sum((force * velocity)[half:]) * time[1]))
+    assert lost[0] > 0.0
+    if name == "dry_friction":  # without its Stribeck part, which does depend on speed
+        values[2] = 0.0
+        time = np.arange(0.0, 2.0, 5e-4)
+        told = moved(name, values, 0.01 * np.sin(2 * np.pi * time), 5e-4, 0.02 * np.pi * np.cos(2 * np.pi * time))
+        assert np.sum(-told[:, bus.FORCE] * 0.02 * np.pi * np.cos(2 * np.pi * time)) * 5e-4 / 2 == pytest.approx(
+            4 * 0.01 * values[0], rel=0.02
+        )
+    else:
+        assert lost[1] == pytest.approx(lost[0], rel=0.01)
+
+
+def test_friction_holds_as_much_as_it_slides_with_and_differs_by_direction():
+    there = np.concatenate([np.linspace(0.0, 2e-3, 2000), np.linspace(2e-3, 0.0, 2000)])
+    for name, values, pair in (
+        ("dry_friction", (0.3, 2e-5, 0.0, 0.5), (-0.3, 0.3)),
+        ("directional_friction", (0.3, 0.5, 2e-5), (-0.45, 0.15)),
+    ):
+        force = moved(name, values, there, 1e-3)[:, bus.FORCE]
+        assert force[1990] == pytest.approx(pair[0], rel=1e-3)
+        assert force[-10] == pytest.approx(pair[1], rel=1e-3)
+
+
+def test_drag_is_a_power_of_speed():
+    for speed in (0.005, 0.05, 0.2):
+        told = moved("quadratic_drag", (0.4, 2.0), np.zeros(1), 1e-4, np.array([speed]))
+        assert told[0, bus.DAMPING] * speed == pytest.approx(0.4 * (speed / 0.05) ** 2, rel=1e-3)
+    # It falls with the square of amplitude while linear errors keep their share.
+    shares = []
+    for amplitude in (26.0, 6.5):
+        command = noise(amplitude=amplitude)
+        plain = play(None, None, command).readings.position[400:]
+        off = play("quadratic_drag", (0.3, 2.0), command).readings.position[400:] - plain
+        shares.append(np.std(off) / np.std(plain))
+    assert shares[1] < 0.5 * shares[0]
+
+
+def test_the_end_stop_carries_what_presses_and_never_holds_on():
+    volts = np.full(3000, 20.0)
+    rest = play("end_stop", (0.011, 10.0, 1.0, 5.0), volts).readings.position[-1]
+    pressed = 3.0 * 20.0 / 12.0 + 0.2 - 400.0 * math.exp(250.0 * (rest - SURFACE)) * (rest - SURFACE)
+    assert rest - 0.011 == pytest.approx(pressed / 1e5, abs=1e-8)
+    wave = -1e-4 * np.cos(2 * np.pi * 20 * np.arange(0.0, 0.1, 1e-4))
+    velocity = np.gradient(wave, 1e-4)
+    for side in (1.0, -1.0):
+        told = moved("end_stop", (0.011, 10.0, 1.5, 100.0), 0.011 + side * wave, 1e-4, side * velocity)
+        assert (side * told[:, bus.FORCE]).max() < 1e-3
+        assert (side * told[:, bus.FORCE]).min() < -5.0
+        assert np.sum(told[:, bus.FORCE] * side * velocity) < 0.0
+    # Out of reach it is not there.
+    assert change("end_stop", (0.020, 10.0, 1.0, 5.0)) == 0.0
+
+
+def test_starts_for_the_stop_are_read_from_the_record():
+    position = np.append(np.linspace(0.009, 0.0141, 200), np.nan)
+    starts = effect("end_stop").starts_from([{"position": position}, {"position": np.full(5, np.nan)}], RATE)
+    assert starts[0][0] == pytest.approx(0.01405)
+    assert 0.0137 < starts[1][0] < 0.0141
+    assert effect("end_stop").starts_from([{"position": np.full(5, np.nan)}, {}], RATE) == ()
+    fallen = effect("end_stop").starts_from([{"position": np.linspace(0.009, -0.03, 50)}], RATE)
+    assert fallen == ()
+
+
+def test_two_masses_on_springs_move_as_an_independent_solution_has_them():
+    hertz, ratio, frame = 25.0, 0.04, 0.8
+    device, rest = Instrument(weight_n=0.0), spring(0.012, 1000.0, 0.004, 0.5)
+    volts = noise(0.1, 0.0, 20.0)
+    mine = play("mount_resonance", (hertz, ratio, frame), volts, 20, rest, False, device).readings
+    w = 2 * math.pi * hertz
+
+    def slope(t, y):
+        current, x, v, base, base_v = y  # x against the frame, base against the ground
+        volt = volts[min(int(t * RATE + 1e-9), volts.size - 1)]
+        coil = 3.0 * current
+        base_a = (-coil + 3.5 * v - 2 * ratio * w * frame * base_v - w * w * frame * base) / frame
+        rail = coil - 3.5 * v - 1000.0 * (x + base - 0.012) - 0.5 * (v + base_v)
+        return [(volt - 12.0 * current - 3.0 * v) / 1e-3, v, rail / 0.064 - base_a, base_v, base_a]
+
+    solved = [volts[0] / 12.0, 0.012, 0.0, 0.0, 0.0]
+    position = []
+    for n in range(volts.size):
+        span = ((n + 1e-6) / RATE, (n + 1 - 1e-6) / RATE)
+        solved = solve_ivp(slope, span, solved, rtol=1e-6, atol=1e-10).y[:, -1]
+        position.append(solved[1])
+    assert np.sqrt(np.mean((mine.position - position) ** 2)) < 0.001 * np.std(position)
+    assert change("mount_resonance", (hertz, ratio, frame), tissue=rest, on_tissue=False, command=volts) > 0.03
+
+
+def test_cogging_shifts_equilibria_by_its_force():
+    rest = spring(0.012, 1000.0)
+    volts = np.full(2000, 6.0)
+    x = play("cogging", (0.3, -0.2, 3e-3), volts, tissue=rest, on_tissue=False).readings.position[-1]
+    angle = 2 * math.pi * (x - 0.0135) / 3e-3
+    wave = 0.3 * math.sin(angle) - 0.2 * math.cos(angle)
+    assert 1000.0 * (x - 0.012) == pytest.approx(3.0 * 0.5 + 0.2 + wave, abs=1e-6)
+    told = moved("cogging", (0.3, -0.2, 3e-3), 0.0135 + np.linspace(0.0, 3e-3, 3001), 1e-3)[:, bus.FORCE]
+    assert np.trapezoid(told, dx=1e-6) == pytest.approx(0.0, abs=1e-9)  # no work round a period
+
+
+def test_a_layer_engages_at_its_depth_and_a_cube_is_a_cube():
+    depth = np.array([0.001, 0.0018, 0.004, -0.004])
+    force = moved("tissue_stiffening", (0.5, 0.002, 1.0), depth, 1e-3)[:, bus.TISSUE_FORCE]
+    np.testing.assert_allclose(force, [0.0, 0.0, 1.0, -1.0], atol=0.01)
+    force = moved("tissue_stiffening", (0.5, 0.0, 3.0), depth, 1e-3)[:, bus.TISSUE_FORCE]
+    np.testing.assert_allclose(force, 0.5 * (depth / 1e-3) ** 3, rtol=1e-6)
+
+
+def test_relaxation_follows_its_branches_and_takes_energy():
+    def elastic(numbers):
+        numbers[bus.TISSUE_FORCE] = 1000.0 * numbers[bus.DEPTH]
+        numbers[bus.STIFFNESS] = 1000.0
+
+    step = np.full(4000, 0.002)
+    told = moved("viscoelasticity", (0.6, 0.1, 2.0, 1.0), step, 1e-4, np.zeros(4000), elastic)[:, bus.TISSUE_FORCE]
+    time = (np.arange(4000) + 0.5) * 1e-4
+    taus = 0.1 * 10.0 ** np.array([-1.0, -1 / 3, 1 / 3, 1.0])
+    expected = 2.0 * (1.0 + 0.6 / 4 * np.exp(-time[:, None] / taus).sum(axis=1))
+    np.testing.assert_allclose(told, expected, rtol=2e-4)
+    time = np.arange(0.0, 0.5, 1e-4)
+    loop = moved("viscoelasticity", (0.6, 0.05, 1.0, 1.0), 1e-3 * np.sin(2 * np.pi * 4 * time), 1e-4, None, elastic)
+    assert np.sum(loop[:, bus.TISSUE_FORCE] * np.gradient(1e-3 * np.sin(2 * np.pi * 4 * time))) > 0.0
+
+
+def test_stiffness_drifts_from_every_start_with_time_and_with_work():
+    def working(numbers):
+        numbers[bus.TISSUE_FORCE] = 4.0
+
+    still = np.zeros(5000)
+    told = moved("preconditioning", (-0.4, 0.5, 0.0), still, 1e-3, still, working)[:, bus.TISSUE_FORCE]
+    np.testing.assert_allclose(told, 4.0 * (1 - 0.4 * (1 - np.exp(-(np.arange(5000) + 1) * 1e-3 / 0.5))), rtol=1e-9)
+    assert moved("preconditioning", (-0.4, 0.5, 1.0), still, 1e-3, still, working)[-1, bus.TISSUE_FORCE] == 4.0
+    fast = moved("preconditioning", (-0.4, 0.5, 1.0), still, 1e-3, still + 0.05, working)[:, bus.TISSUE_FORCE]
+    np.testing.assert_allclose(fast[-1], 4.0 * 0.6, rtol=1e-3)
+    early, late = (
+        np.mean(
+            np.abs(
+                play("preconditioning", (-0.3, 1.0, 0.0), noise(2.0)).readings.position[part]
+                - play(None, None, noise(2.0)).readings.position[part]
+            )
+        )
+        for part in (slice(0, 300), slice(3000, 4000))
+    )
+    assert late > 2 * early
+
+
+def test_mass_grows_with_depth_and_keeps_energy():
+    def bare(numbers):
+        numbers[bus.TISSUE_FORCE] = 0.0
+
+    told = moved("added_mass", (0.03, 2.0), np.array([0.0015, 0.006, -0.001]), 1e-3, np.full(3, 0.1), bare)
+    np.testing.assert_allclose(told[:, bus.TISSUE_MASS], [0.0075, 0.12, 0.0])
+    # With nothing but that mass, kinetic energy is what it was.
+    x, v, dt, energy = 0.001, 0.05, 1e-5, []
+    for _ in range(4000):
+        now = moved("added_mass", (0.05, 2.0), np.array([x]), dt, np.array([v]), bare)[0]
+        mass = 0.06 + now[bus.TISSUE_MASS]
+        energy.append(0.5 * mass * v * v)
+        v -= dt * now[bus.TISSUE_FORCE] / mass
+        x += dt * v
+    assert x > 0.0025
+    assert energy[-1] == pytest.approx(energy[0], rel=5e-3)
+
+
+def test_a_probe_that_lifts_off_flies_and_comes_down_on_a_surface_that_returns():
+    volts = np.zeros(3000)
+    hanging = Instrument(weight_n=-0.3)
+    attached = play(None, None, volts, device=hanging).readings.position
+    free = play("contact_loss", (0.005, 1e-5), volts, device=hanging).readings.position
+    assert attached[-1] > SURFACE - 0.002
+    # 0.3 N against the bearing and the coil, whose shorted back-EMF brakes by kf^2 / R.
+    assert (free[-2000] - free[-1]) / 1.0 == pytest.approx(0.3 / (3.5 + 9.0 / 12.0), rel=0.01)
+    # Left behind at 2 mm, the surface is back at 2 mm exp(-1) after its time constant.
+    depth = np.concatenate([np.full(10, 0.002), np.full(600, 0.0), [0.00072], [0.00075]])
+
+    def pressing(numbers):
+        numbers[bus.TISSUE_FORCE] = 1.0
+
+    told = moved("contact_loss", (0.06, 1e-6), depth, 1e-4, np.zeros(depth.size), pressing)[:, bus.TISSUE_FORCE]
+    assert told[5] == 1.0
+    assert told[300] < 1e-3
+    assert told[-2] < 0.01
+    assert told[-1] == 1.0
+
+
+def test_contact_is_kept_at_depth():
+    assert change("contact_loss", (0.002, 1e-4)) < 1e-3
+    assert change("contact_loss", (0.005, 1e-4), command=noise(mean=2.0)) > 0.01
+
+
+def test_damping_differs_by_direction_and_never_drives():
+    def damped(numbers):
+        numbers[bus.TISSUE_DAMPING] = 6.0
+
+    told = moved("directional_damping", (0.4, 1e-3), np.zeros(3), 1e-4, np.array([0.1, 0.0, -0.1]), damped)
+    np.testing.assert_allclose(told[:, bus.TISSUE_DAMPING], [8.4, 6.0, 3.6], rtol=1e-9)
+    # Rectified speed pushes the mean out: a sign that no symmetric law has.
+    out = np.mean(play("directional_damping", (0.5, 0.005)).readings.position[300:])
+    deeper = np.mean(play("directional_damping", (-0.5, 0.005)).readings.position[300:])
+    assert out < np.mean(play().readings.position[300:]) < deeper
+
+
+def test_a_reflex_answers_a_push_one_delay_later_and_no_pull():
+    time = np.arange(0.0, 0.4, 1.25e-4)
+    bump = np.exp(-0.5 * ((time - 0.1) / 0.004) ** 2) * 0.09
+    for delay in (0.02, 0.0731, 0.15):
+        values = (0.2, delay, 0.5, 1.0)
+        answer = moved("reflex", values, np.zeros(time.size), 1.25e-4, bump)[:, bus.TISSUE_FORCE]
+        pulled = moved("reflex", values, np.zeros(time.size), 1.25e-4, -bump)[:, bus.TISSUE_FORCE]
+        # What is left at rest is the rounding of the corner, a hundredth of the gain.
+        assert np.abs(pulled).max() < 0.01 * 0.2
+        answer -= pulled
+        centre = np.sum(time * answer) / np.sum(answer)
+        assert centre == pytest.approx(0.1 + delay + 0.01, abs=2e-4)
+    held = moved("reflex", (0.2, 0.05, 1.0, 0.0), np.full(time.size, 4e-3), 1.25e-4, np.zeros(time.size))
+    assert held[380, bus.TISSUE_FORCE] == 0.0
+    assert held[-1, bus.TISSUE_FORCE] == pytest.approx(0.2, rel=0.02)
+    starts = effect("reflex").starts_from([{"position": np.append(0.009, np.full(99, 0.0135))}], RATE)
+    assert [start[2] for start in starts] == pytest.approx([1.5] * 4)
+    assert effect("reflex").starts_from([{}], RATE) == ()
