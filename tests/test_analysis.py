@@ -253,6 +253,30 @@ class TestCeiling:
             assert found is not None
             assert 99.0 < found.vaf_percent.value < 100.0
 
+    def test_a_repeat_that_broke_off_is_left_out_and_said(self, session: Session):
+        whole, _, repeat = session.tests
+        cut = {name: values[:1200] for name, values in repeat.signals.items()}
+        short = replace(repeat, number=4, status="aborted", signals=cut)
+        none = replace(repeat, number=5, status="aborted", signals=cut, preload_s=2.0)
+        lost = {name: values.copy() for name, values in repeat.signals.items()}
+        lost["position"][1000:] = np.nan
+        gappy = replace(repeat, number=6, signals=lost)
+        together = replace(session, tests=(*session.tests, short, none, gappy))
+        alone = known_ceiling(session, split(session))
+        found = known_ceiling(together, split(together))
+        assert alone is not None
+        assert found is not None
+        assert found.vaf_percent == alone.vaf_percent
+        assert found.repeats == 2
+        assert found.left_out == (
+            "test 4 was left out: it was broken off, and holds 0 % of what is compared",
+            "test 5 was left out: it was broken off, within its preload",
+            "test 6 was left out: it is short or has gaps, and holds 0 % of what is compared",
+        )
+        only = replace(session, tests=(whole, short))
+        with pytest.raises(UnusableInputError, match="no other repeat can be used: test 4 was left out"):
+            known_ceiling(only, split(only))
+
     def test_without_repeats_nothing_is_known(self, session: Session):
         assert known_ceiling(session, split(session, test=2)) is None
         assert known_ceiling(session, split(session, test=1, also=(2,))) is None

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import os
+import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -27,6 +29,8 @@ from tissueid.instrument import Found, SimulatedInstrument
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE = (1280, 800)
 COLOURS = 96
+LONGEST_S = 120.0
+"""How long the window may take for anything."""
 HELD_AT_POLL = 430
 """Where the running test is held for its picture: a good half through its stimulus."""
 
@@ -67,17 +71,17 @@ def main() -> None:
         _take(window, "window-before")
         window.ui.form.site.setCurrentText("left forearm, posterior")
         window.ui.start.click()
-        _until(pace.held.is_set)
+        _until(pace.held.is_set, "the test to come to where it is held")
         _take(window, "window-during")
         pace.go_on.set()
-        _until(lambda: window.findings is not None)
+        _until(lambda: window.findings is not None, "what was found in the test")
         _take(window, "window")
         dark = QPalette(QColor("#232a2f"), QColor("#1b2024"))
         dark.setColor(QPalette.ColorRole.WindowText, QColor("#e6eaec"))
         application.setPalette(dark)
         _take(window, "window-dark")
         window.close()
-        _until(lambda: not window.isVisible())
+        _until(lambda: not window.isVisible(), "the window to close")
 
 
 def _calibrations(folder: Path) -> Path:
@@ -103,8 +107,18 @@ def _calibrations(folder: Path) -> Path:
     return folder
 
 
-def _until(done: Callable[[], bool]) -> None:
+def _until(done: Callable[[], bool], what: str) -> None:
+    """Let the window go on until something is so.
+
+    Raises:
+        SystemExit: it never was; says what was waited for.
+    """
+    deadline = time.monotonic() + LONGEST_S
     while not done():
+        if time.monotonic() > deadline:
+            sys.stderr.write(f"make_screenshots: waited {LONGEST_S:g} s for {what}, in vain\n")
+            sys.stderr.flush()
+            os._exit(1)  # the test that is held for its picture would keep the program from ending
         _pass(20)
 
 

@@ -140,7 +140,8 @@ class Configuration(_Specification):
             first = error.errors()[0]
             if first["type"] == "value_error":
                 raise UnusableInputError(str(first["ctx"]["error"])) from error
-            raise UnusableInputError(f"the external spring: {first['msg']}, in N/m") from error
+            words = str(first["msg"]).replace("Input should be", "it must be")
+            raise UnusableInputError(f"the external spring: {words}, in N/m") from error
 
     @property
     def has_depth(self) -> bool:

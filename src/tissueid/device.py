@@ -33,6 +33,12 @@ class DeviceDescription:
         """Volts that hold a steady coil force: V = F R / (force constant), no motion, no back-EMF."""
         return force_n * self.coil_resistance_ohm / (self.force_constant_n_per_a * self.amplifier_gain)
 
+    @property
+    def greatest_force_n(self) -> float:
+        """The steady coil force that the amplifier can hold, N, in whole tenths."""
+        most = self.amplifier_limit_v / (self.voltage_for_force(1.0) * max(1.0, self.amplifier_gain))
+        return math.floor(10.0 * most) / 10.0
+
     def weight_n(self, gravity_along_stroke_m_s2: float = GRAVITY_M_S2) -> float:
         """Pull of gravity on the moving part along the stroke, N into the tissue; by default straight down."""
         return self.moving_mass_kg * gravity_along_stroke_m_s2

@@ -15,4 +15,15 @@ def refused(what: str, known: Iterable[str], error: ValidationError) -> str:
         return f"{what} has no option {option!r}: it has {', '.join(sorted(known))}"
     if first["type"] == "tuple_type":
         return f"{what}, option {option!r}: give a list, such as [1, 2, 3]"
-    return f"{what}, option {option!r}: {first['msg']}"
+    return f"{what}, option {option!r}: {reason(error)}"
+
+
+def reason(error: ValidationError) -> str:
+    """Why the first thing does not hold, in the words of this software."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    if first["type"] == "extra_forbidden":
+        return "nothing of that name belongs there"
+    words = " ".join(str(first["msg"]).removeprefix("Value error, ").removeprefix("Assertion failed, ").split())
+    if words.startswith("Input should be "):
+        words = f"it must be {words.removeprefix('Input should be ')}"
+    return words.replace("Field required", "it is missing")

@@ -27,6 +27,8 @@ _UNITS = {
     "rad/s": ("Hz", 0.5 / math.pi),
     "rad": ("°", 180.0 / math.pi),
     "N s/m": ("N·s/m", 1.0),
+    "N s/m²": ("N·s/m²", 1.0),
+    "N s²/m²": ("N·s²/m²", 1.0),
     "1": ("", 1.0),
 }
 """SI unit: what people read, and how much of it one SI unit is. A unit that is not here is shown as it is."""

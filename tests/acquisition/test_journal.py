@@ -320,6 +320,23 @@ def test_nothing_to_recover(tmp_path):
         recover(tmp_path / "t.h5")
 
 
+def test_an_empty_journal_is_taken_out_of_the_way(tmp_path):
+    journal = tmp_path / "s.h5.journal"
+    journal.write_bytes(b"")
+    with pytest.raises(UnusableInputError, match=r"was empty: nothing had been recorded\. It is removed"):
+        recover(tmp_path / "s.h5")
+    assert not journal.exists()
+    record(tmp_path / "s.h5", 2)
+
+
+def test_a_journal_without_a_whole_entry_is_kept_and_said_to_be_no_loss(tmp_path):
+    journal = tmp_path / "s.h5.journal"
+    journal.write_bytes(MAGIC)
+    with pytest.raises(UnusableInputError, match=r"before anything was recorded; delete .* if it is in the way"):
+        recover(tmp_path / "s.h5")
+    assert journal.exists()
+
+
 def test_an_empty_test_is_not_made_up(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     recorder.begin_test(Run(0, 100), **ATTRIBUTES)

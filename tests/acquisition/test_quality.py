@@ -13,10 +13,13 @@ from support import connect
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
 from tissueid.device import DeviceDescription
+from tissueid.instrument.answers import describe_faults
+from tissueid.instrument.judge import BY_CURRENT
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.quality import worst_first
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.wire import Fault
 
 
 def found(test, earlier=(), device=DEVICE):
@@ -53,6 +56,33 @@ def test_good_tests_pass_on_every_tissue(seed):
 def test_the_small_test_of_the_demo_is_not_called_noisy():
     noise = Noise(seed=2, force_min_n=2.65, force_max_n=4.15, seconds=3.0, sample_rate=RATE)
     assert judge(Desk().run(guided(noise.build(), 0.5)), DEVICE).verdict == "good"
+
+
+def test_a_test_that_ends_within_its_preload_is_told_how_long_that_was_held(good):
+    cut = {name: values[: round(0.2 * RATE)] for name, values in good.signals.items()}
+    findings = found(replace(good, signals=cut, status="aborted", notes=good.notes | {"reason": "interrupted"}))
+    assert (
+        "after 0.20 of the 0.50 s of its preload, without any stimulus: interrupted." in findings["ended_early"].words
+    )
+    assert findings["ended_early"].severity == "repeat"
+    assert "preload_short" not in findings
+
+
+@pytest.mark.parametrize("reason", [describe_faults(Fault.OVER_TEMPERATURE), f"the coil is at 80 °C {BY_CURRENT}"])
+def test_a_test_that_the_calculated_temperature_ended_is_told_so(good, reason):
+    notes = good.notes | {"reason": f"the instrument released the coil: {reason}", "limit_max_temperature_c": 80.0}
+    ended = replace(with_signal(good, "temperature", np.full(good.samples, 60.0)), status="aborted", notes=notes)
+    words = found(ended)["coil_warm"].words
+    assert "it was the calculation" in words.lower()
+    assert "limit of 80 °C" in words
+    assert "read 60 °C" in words
+    by_sensor = with_signal(ended, "temperature", np.full(good.samples, 81.0))
+    assert found(by_sensor)["coil_warm"].words == "The coil was at 81 °C."
+
+
+def test_warnings_of_the_calibration_end_like_sentences(good):
+    known = {"state": "stale", "verdict": "passed", "warnings": "a.toml: it is 100 days old: calibrate again"}
+    assert found(good, device=replace(DEVICE, calibration=known))["calibration_stale"].words.endswith("again.")
 
 
 # -- each fault has its finding ----------------------------------------------------------------------------------
@@ -171,6 +201,41 @@ def test_a_drift_is_told_from_a_jump():
     finding = found(drifting(Desk()))["reference_moved"]
     assert "drifted" in finding.words
     assert finding.value == pytest.approx(0.72e-3, rel=0.15)
+
+
+@pytest.mark.parametrize(("metres", "severity"), [(0.3e-3, "look"), (-0.3e-3, "look"), (-0.8e-3, "repeat")])
+def test_a_jump_during_the_preload_is_found(metres, severity):
+    finding = found(Desk().run(hook=lambda bench, at: move(bench, metres) if at == 500 else None))["reference_moved"]
+    assert finding.severity == severity
+    assert finding.value == pytest.approx(abs(metres), rel=0.15)
+    assert finding.words.startswith("The reference surface moved: the position jumped by ")
+    assert " at 0.3 s " in finding.words or " at 0.2 s " in finding.words
+
+
+@pytest.mark.parametrize("preload_s", [0.1, 0.3, 0.5, 2.0])
+@pytest.mark.parametrize("creep_m", [0.1e-3, 1.0e-3])
+def test_creep_during_the_preload_is_no_movement(preload_s, creep_m):
+    noise = Noise(seed=4, seconds=1.5, sample_rate=RATE)
+    test = Desk().run(guided(noise.build(), preload_s))
+    time = np.arange(test.samples) / RATE
+    given_way = creep_m * (0.5 * (1.0 - np.exp(-time / 0.05)) + 0.5 * (1.0 - np.exp(-time / 0.4)))
+    crept = with_signal(test, "position", test.signals["position"] + given_way)
+    assert "reference_moved" not in found(crept)
+
+
+def test_a_preload_that_was_lost_or_stands_still_is_not_judged():
+    test = Desk().run()
+    place = np.arange(test.samples)
+    lost = with_signal(test, "position", np.where((place > 300) & (place < 500), np.nan, test.signals["position"]))
+    assert "reference_moved" not in found(lost)
+    still = with_signal(test, "position", np.full(test.samples, 0.0125))
+    assert {"reference_moved", "not_judged"}.isdisjoint(found(still))
+
+
+def test_the_orientation_is_that_of_what_was_received_last():
+    test = turned(Desk())
+    signals = {name: np.where(np.arange(test.samples) < 5000, v, np.nan) for name, v in test.signals.items()}
+    assert "turned by 20" in found(replace(test, signals=signals))["orientation_changed"].words
 
 
 @pytest.mark.parametrize("hertz", [50.0, 60.0, 100.0])

@@ -82,6 +82,30 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
     assert logged(audit_file) == [("technician", "calibration.begun"), ("technician", "calibration.made")]
 
 
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("a figure of nothing")])
+def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
+    qtbot, technicians, calibrations, audit_file, monkeypatch, error
+):
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr("tissueid.reports.calibration_static.static_report", fails)
+    window = technicians(opener=lambda _: spring())
+    page = page_of(window)
+    press(qtbot, page.begin["static"])
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert page.headline.text() == "Static calibration passed: good for use."
+    assert window.ui.notice.isHidden()
+    (path,) = calibrations.iterdir()
+    assert read_calibration(path).verdict == "passed"
+    assert f"Its report could not be written ({error})" in page.said.text()
+    assert f"Saved in {path}." in page.said.text()
+    assert not page.report.isEnabled()
+    assert page.begin["static"].isEnabled()
+    assert window.ui.form.instrument.calibration.text() == "Calibrated today, linear region not known"
+    assert [what for _, what in logged(audit_file)] == ["calibration.begun", "calibration.made"]
+
+
 def test_without_a_stage_the_person_is_asked_and_return_goes_on(qtbot, technicians, calibrations):
     window = technicians(opener=lambda _: spring(stage=False))
     page = page_of(window)

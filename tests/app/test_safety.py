@@ -20,6 +20,7 @@ from tissueid.app.signals import LINEAR, OUTSIDE
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
+from tissueid.instrument.thermal import Winding
 from tissueid.sessions import read_session, write_session
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -61,6 +62,19 @@ def test_the_coil_warms_by_calculation_whatever_its_sensor_says():
     assert now.temperature_c == 25.0
     assert now.model_c > 100.0
     assert without.look().model_c is None
+
+
+@pytest.mark.parametrize("resistance_ohm", [10.8, 12.0, 13.9])
+def test_the_temperature_by_calculation_does_not_hang_on_how_warm_the_coil_was_when_it_was_calibrated(resistance_ohm):
+    """The judge of the host goes by the nominal resistance; what the window shows is the same."""
+    watch = SafetyWatch(dataclasses.replace(DEVICE, coil_resistance_ohm=resistance_ohm), CLINICAL)
+    judged_by = Winding(DeviceDescription())
+    for _ in range(60):
+        block = samples(2000, current=2.0)
+        watch.take(block)
+        judged_by.take(block["current"], block["temperature"], 0.0)
+    assert watch.look().model_c == pytest.approx(judged_by.temperature_c, abs=1e-6)
+    assert judged_by.temperature_c > 60.0
 
 
 def test_contact_is_known_once_the_surface_is():

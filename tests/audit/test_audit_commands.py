@@ -126,6 +126,27 @@ def test_a_test_that_cannot_be_logged_is_refused_and_leaves_nothing(tmp_path, mo
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_log_in_a_folder_that_is_not_there_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("TISSUEID_AUDIT", str(tmp_path / "missing" / "audit.jsonl"))
+    assert run_a_test(tmp_path / "s.h5") == 2
+    assert f"there is no folder {tmp_path / 'missing'}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_log_is_said_to_be_empty(tmp_path, capsys):
+    (tmp_path / "log").touch()
+    assert main(["audit", "verify", "--log", str(tmp_path / "log")]) == 0
+    told = capsys.readouterr().out
+    assert "nothing has been logged yet" in " ".join(told.split())
+    assert "head:" not in told
+
+
+def test_a_wrong_role_blames_the_option(capsys):
+    assert main(["--role", "boss", "devices", "--no-probe"]) == 2
+    said = capsys.readouterr().err
+    assert "--role is clinician or researcher or technician, not 'boss'" in said
+
+
 def test_a_recovery_is_logged_and_never_refused(audit_file, tmp_path, monkeypatch, capsys):
     for name in ("s.h5", "t.h5"):
         recorder = SessionRecorder(tmp_path / name, DeviceDescription())

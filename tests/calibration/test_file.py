@@ -70,7 +70,7 @@ def test_comments_are_allowed(tmp_path):
         ("2026-03-01T09:30:00Z", "2026-03-01T09:30:00", "'date' cannot be used: it must be a time in UTC"),
         ("2026-03-01T09:30:00Z", "yesterday", "'date' cannot be used: it must be a time such as"),
         ("valid_days = 90", "valid_days = 0", "'valid_days'"),
-        ('verdict = "passed"', "", "'verdict' cannot be used: Field required"),
+        ('verdict = "passed"', "", "'verdict' cannot be used: it is missing"),
         ("1e-300,", "", "the columns of position differ in length"),
         ("ambient_c", '"Ambient, C"', "'conditions.Ambient, C'"),
         ('format_version = "1.0"', 'format_version = "2.0"', "'format_version'"),

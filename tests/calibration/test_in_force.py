@@ -16,6 +16,7 @@ from tissueid.calibration import (
     calibrate_static,
     calibrated,
     calibration_folder,
+    in_words,
     put_in_force,
     stored_calibrations,
     write_calibration,
@@ -92,6 +93,23 @@ def test_a_static_calibration_and_a_sweep_that_disagree_are_flagged():
 def test_it_is_told_in_a_line():
     instrument = SimulatedInstrument("spring")
     assert calibrated(instrument, wanted=False, now=NOW).words.startswith("not calibrated")
+
+
+@pytest.mark.parametrize(
+    ("items", "words"),
+    [
+        ([made(0), made(0, "sweep")], "calibrated today, linear from 4.0 to 27.5 mm"),
+        (
+            [made(0, verdict="failed"), made(0, "sweep", figures={"force_constant_n_per_a": 2.9})],
+            "static calibration refused: force by the sweep, sweep of today, linear from 4.0 to 27.5 mm",
+        ),
+        ([made(0, "sweep")], "no static calibration: nominal force, sweep of today, linear from 4.0 to 27.5 mm"),
+        ([made(0, verdict="failed"), made(9), made(0, "sweep")], "calibrated 9 days ago, linear from 4.0 to 27.5 mm"),
+        ([made(0, verdict="failed")], "not calibrated: the nominal figures are used"),
+    ],
+)
+def test_the_line_says_what_force_goes_by(items, words):
+    assert in_words(put_in_force(DEVICE, items, NOW), NOW) == words
 
 
 def test_folders_are_looked_for_in_order(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from tissueid.calibration.moved_by_hand import Standing
 from tissueid.calibration.sweep import Sweep
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
+from tissueid.errors import InstrumentError
 from tissueid.sessions import Session, Test, read_session, write_session
 
 SPRING = Scenario(preset="calibration-spring", coil="finite", seed=5)
@@ -79,6 +80,7 @@ def test_it_runs_unattended_and_leaves_calibration_report_session_and_answer(dev
     assert "or less to 24.0" in told
     assert "passed: good for use" in told
     assert read_calibration(again).quantities == made.quantities
+    assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)  # and its sag
     assert main(["calibrate", "show", str(again), "--report", str(tmp_path / "shown.html")]) == 0
     assert "Dynamic sweep of" in (tmp_path / "shown.html").read_text(encoding="utf-8")
 
@@ -144,10 +146,25 @@ def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp
     measure = Sweep._measure
     monkeypatch.setattr(Sweep, "_measure", second)
     assert sweep("--device", "spring", "--out", out, "--session", kept, *SHORT) != 0
-    assert "what was measured is kept" in capsys.readouterr().err
+    said = " ".join(capsys.readouterr().err.split())
+    assert "what was measured is kept" in said
+    assert "the stage stays at 7.4 mm: bring it back to mid-stroke before a test" in said
     assert not out.exists()
     assert [test.status for test in read_session(kept).tests] == ["completed"]
     assert "needs 5 positions or more, and 1 could be measured" in complaint(capsys, "--kept", kept, "--out", out)
+
+
+def test_after_a_failure_the_stage_is_back_in_mid_stroke(device, tmp_path, monkeypatch, capsys):
+    measure = Sweep._measure
+
+    def second(self, place_m, done, *arguments):
+        measure(self, place_m, done, *arguments)
+        if done == 1:
+            raise InstrumentError("the coil's connector fell off")
+
+    monkeypatch.setattr(Sweep, "_measure", second)
+    assert "fell off" in complaint(capsys, "--device", "spring", "--out", tmp_path / "sweep.toml", *SHORT)
+    assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from tissueid.calibration import read_calibration, write_calibration
+from tissueid.calibration import keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.cli import main
 
@@ -115,11 +115,45 @@ def test_refusals_say_what_to_give(tmp_path, capsys):
 
 def test_a_failed_calibration_is_kept_and_says_so(tmp_path, capsys):
     arguments = [*STATIC, "--out", str(tmp_path / "a.toml"), "--steps", "force", "--spring", "1400"]
-    assert main(arguments) == 0
-    assert "never put in force" in capsys.readouterr().out
+    assert main(arguments) == 2
+    told = capsys.readouterr()
+    assert "never put in force" in told.out
+    assert told.err.strip().splitlines()[-1] == (
+        f"tissueid: the static calibration failed, and is kept in {tmp_path / 'a.toml'}"
+    )
     found = read_calibration(tmp_path / "a.toml")
     assert found.verdict == "failed"
     assert "more than 20 % apart" in found.problems[0]
+
+
+def test_a_failed_calibration_goes_beside_one_that_passed(kept, tmp_path, capsys):
+    out, beside, answer = (tmp_path / name for name in ("a.toml", "a.failed.toml", "a.json"))
+    out.write_bytes((kept / "a.toml").read_bytes())
+    failing = [*STATIC, "--out", str(out), "--json", str(answer), "--steps", "force", "--spring", "1400"]
+    for _ in range(2):  # a failed one is written over by the next
+        assert main(failing) == 2
+        assert f"kept in {beside}; {out}, which passed, is left as it was" in capsys.readouterr().err.splitlines()[-1]
+    assert out.read_bytes() == (kept / "a.toml").read_bytes()
+    assert read_calibration(beside).verdict == "failed"
+    assert json.loads(answer.read_text())["file"] == str(beside)
+    assert sorted(path.name for path in tmp_path.glob("*.toml")) == ["a.failed.toml", "a.toml"]
+
+
+def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
+    passed = read_calibration(kept / "a.toml")
+    for name in ("a.toml", "a.failed.toml"):
+        write_calibration(tmp_path / name, passed)
+    failed = passed.model_copy(update={"verdict": "failed", "problems": ("too noisy",)})
+    assert keep_calibration(tmp_path / "a.toml", failed) == tmp_path / "a.failed_2.toml"
+    assert keep_calibration(tmp_path / "a.toml", passed) == tmp_path / "a.toml"
+    assert read_calibration(tmp_path / "a.failed.toml").verdict == "passed"
+
+
+def test_figures_are_told_in_units_that_people_read(kept, capsys):
+    assert main(["calibrate", "show", str(kept / "a.toml")]) == 0
+    lines = {line.strip().split("  ")[0]: line.split()[-1] for line in capsys.readouterr().out.splitlines() if line}
+    assert lines["Reading of position for one ampere"] == "mm/A"
+    assert lines["Relative uncertainty of force, the reference's included"] == "%"
 
 
 class Terminal(io.StringIO):
@@ -133,7 +167,7 @@ def test_a_person_at_the_terminal_is_told_what_to_do(tmp_path, monkeypatch, caps
     monkeypatch.setattr("sys.stdin", Terminal("\n\n"))
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     arguments = [*STATIC, "--steps", "acceleration", "--orientations", "2", "--out", str(tmp_path / "a.toml")]
-    assert main(arguments) == 0
+    assert main(arguments) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "Turn the instrument over" in told
     assert "Turn the instrument back" in told

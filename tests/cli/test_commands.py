@@ -226,6 +226,35 @@ def request_to_end():
     os.kill(os.getpid(), signal.SIGTERM)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX")
+def test_more_interrupts_do_not_disturb_the_letting_go(monkeypatch, tmp_path, capsys):
+    from tissueid.instrument import SimulatedInstrument
+
+    release, poll, polls = SimulatedInstrument.release, SimulatedInstrument.poll, iter(range(1000))
+
+    def interrupted_poll(self, timeout_s):
+        if next(polls) == 200:
+            os.kill(os.getpid(), signal.SIGINT)
+        return poll(self, timeout_s)
+
+    def disturbed(self):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+            os.kill(os.getpid(), number)
+        release(self)
+
+    monkeypatch.setattr(SimulatedInstrument, "poll", interrupted_poll)
+    monkeypatch.setattr(SimulatedInstrument, "release", disturbed)
+    out = tmp_path / "s.h5"
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
+    try:
+        assert main(["test", "--device", "simulated://forearm", "--site", "x", "--out", str(out)]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert read_session(out).test().status == "aborted"
+    assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
+    assert "Traceback" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "ending", [ctrl_c, pytest.param(request_to_end, marks=pytest.mark.skipif(sys.platform == "win32", reason="POSIX"))]
 )

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.cli import main
-from tissueid.sessions import write_session
+from tissueid.sessions import read_session, write_session
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +39,23 @@ def test_what_is_not_a_page_is_not_written_over(
         assert main(["compare", str(session_file), "--engines", "lms", option, str(tmp_path / "letter.txt")]) == 2
         assert "letter.txt" in capsys.readouterr().err
     assert (tmp_path / "letter.txt").read_text(encoding="utf-8") == "dear"
+
+
+def test_a_report_does_without_an_engine_that_cannot_use_the_test(session_file: Path, tmp_path: Path, capsys) -> None:
+    session = read_session(session_file)
+    first = session.tests[0]
+    start = round(first.preload_s * first.sample_rate_hz)
+    signals = {name: values[: start + 1400].copy() for name, values in first.signals.items()}
+    signals["position"][start + 700 : start + 710] = np.nan
+    write_session(tmp_path / "gappy.h5", replace(session, tests=(replace(first, signals=signals),)))
+    page = tmp_path / "gappy.html"
+    assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "lms,spectral"]) == 0
+    assert "without spectral: " in capsys.readouterr().out
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    assert "the spectral engine could not use it: " in text
+    assert "Spectral could not use it: " in text
+    assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "spectral"]) == 2
+    assert main(["report", str(tmp_path / "gappy.h5"), "--out", str(page), "--engines", "lms,nosuch"]) == 2
 
 
 def test_report_of_other_engines(session_file: Path, tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from firmware_sim_process import firmware_process
+from support import connect_scenario
 
+from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.stimulus_file import save_stimulus
 from tissueid.cli import main
@@ -203,6 +205,29 @@ def test_what_cannot_be_run_is_said_in_one_line(arguments, words, capsys, tmp_pa
     assert last.startswith("tissueid: ")
     assert words in last
     assert [path.name for path in tmp_path.iterdir()] == ["rubbish.json"]
+
+
+@pytest.fixture
+def handheld(monkeypatch):
+    monkeypatch.setattr(
+        "tissueid.cli.test.open_instrument", lambda _: connect_scenario(Scenario(model="handheld", seed=3))
+    )
+
+
+def test_on_the_handheld_the_default_force_is_what_it_can_give(handheld, capsys, tmp_path):
+    _, session, told = run(capsys, tmp_path, "--seconds", 1)
+    volts = session.test().signals["command"]
+    assert "the highest force is 7.8 N, not 10.5: this instrument gives no more" in told
+    assert session.test().stimulus["stimulus"]["force_max_n"] == 7.8
+    assert 0.97 * 48.0 < volts.max() <= 48.0
+
+
+def test_more_than_it_can_give_is_refused_with_what_it_can(handheld, capsys, tmp_path):
+    line = [argument.replace("FOLDER", str(tmp_path)) for argument in [*A_TEST, "--max-force", "10.5"]]
+    assert main(line) == 2
+    said = capsys.readouterr().err
+    assert "reaches 10.5 N; the limit is 7.8 N: lower the force range (--max-force, --min-force) to it" in said
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from faults.cells import fault
+from faults.cells import ADVICE, fault
 from faults.desk import LIMITS, LONGEST_WAIT_S, Desk
 
 from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError
-from tissueid.wire import MessageType
+from tissueid.instrument.answers import describe_faults
+from tissueid.wire import Fault, MessageType
 
 
 @pytest.fixture
@@ -79,3 +80,8 @@ def test_what_arrived_while_a_stimulus_was_sent_does_not_wait_for_the_run(desk):
     assert run.first_index - first < 100
     assert instrument.gaps == []
     instrument.close()
+
+
+@pytest.mark.parametrize("one", [item for item in Fault if item])
+def test_every_fault_is_told_with_what_to_do_about_it(one):
+    assert ADVICE.search(describe_faults(one))

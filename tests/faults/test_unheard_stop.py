@@ -1,8 +1,8 @@
-"""A test that the device stopped is never taken for a whole one, however much of what it says is lost."""
+"""What a device did while nothing was heard of it: stopped a test, or played it to its end."""
 
 import numpy as np
 import pytest
-from faults.cells import SURFACE_M, fault, open_loop, rest
+from faults.cells import SURFACE_M, fault, feedback, open_loop, rest
 from faults.desk import Desk
 
 from tissueid import wire
@@ -68,3 +68,19 @@ def test_without_a_word_from_the_device_its_samples_tell(tmp_path, before_the_en
     assert message == "the instrument stopped the test by itself; the coil is free: measure again"
     assert test.status == "aborted"
     assert np.nanmax(np.abs(np.asarray(test.signals["command"])[-10:])) == 0.0
+
+
+@pytest.mark.parametrize("before_the_end", [60, 300, 700])
+def test_a_device_that_is_heard_again_when_its_run_is_over_is_sent_no_more_set_points(tmp_path, before_the_end):
+    desk = Desk(seed=2)
+    instrument = desk.open()
+    recorder = desk.recorder(tmp_path / "sitting.h5", instrument)
+    hang = fault("stall", seconds=0.45)
+    desk.link.moments.append((lambda link: link.running > STIMULUS_SAMPLES - before_the_end, lambda: desk.befall(hang)))
+    run_guided_test(instrument, feedback(), recorder, surface_m=SURFACE_M)
+    instrument.close()
+    (test,) = recorder.finish().tests
+    lost = np.isnan(np.asarray(test.signals["position"]))
+    assert (test.status, test.samples) == ("completed", STIMULUS_SAMPLES)
+    assert before_the_end - 40 <= np.count_nonzero(lost) <= before_the_end + 20
+    assert lost[-1]

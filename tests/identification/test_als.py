@@ -149,7 +149,7 @@ def test_a_change_factor_beyond_the_bound_is_refused(factor: float):
 
 
 def test_a_step_of_two_is_no_option():
-    with pytest.raises(UnusableInputError, match="option 'step': Input should be less than 2"):
+    with pytest.raises(UnusableInputError, match="option 'step': it must be less than 2"):
         Als.from_options({"step": 2.0})
 
 

@@ -199,6 +199,19 @@ def test_silence_is_a_lost_link():
             instrument.poll(0.05)
 
 
+def test_a_line_that_is_taken_says_that_another_program_may_have_it():
+    from support import LoopbackLink
+
+    from firmware_sim.bench import Bench
+    from firmware_sim.firmware import Firmware
+
+    link = LoopbackLink(Firmware(Bench()))
+    link.plugged = False  # a socket whose other end is taken is closed at once
+    link.write = lambda data: None
+    with pytest.raises(LinkLostError, match="in use by another program"):
+        SerialInstrument(link, clock=link.clock)
+
+
 def test_nothing_at_the_other_end():
     from support import LoopbackLink
 

@@ -47,7 +47,7 @@ class Case:
 CASES = {
     "force": Case(
         Fault.OVER_FORCE,
-        "force went beyond its limit: use a weaker",
+        "force went beyond its limit: choose a weaker",
         LimitError,
         r"the force reached 5\.\d N; the limit is 5 N",
         volts(19.5, 1.0),
@@ -249,7 +249,7 @@ def test_the_firmware_alone_ends_a_test_that_is_too_long(monkeypatch):
     firmware._armed = replace(firmware._armed, max_samples=1000)
     run = instrument.start()
     samples = []
-    with pytest.raises(FirmwareFaultError, match="the test lasted too long: use a shorter"):
+    with pytest.raises(FirmwareFaultError, match="the test lasted too long: choose a shorter"):
         while True:
             samples.append(instrument.poll(0.05))
     assert firmware.faults == Fault.OVER_TIME

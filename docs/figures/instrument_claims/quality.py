@@ -150,6 +150,10 @@ def _jump(desk: Desk, metres: float) -> Spoilt:
     return desk.run(hook=lambda bench, at: _move(bench, metres) if at == 5000 else None), (), DEVICE
 
 
+def _jump_in_preload(desk: Desk) -> Spoilt:
+    return desk.run(hook=lambda bench, at: _move(bench, -0.3e-3) if at == 500 else None), (), DEVICE
+
+
 def _drift(desk: Desk) -> Spoilt:
     return desk.run(hook=lambda bench, at: _move(bench, 0.05e-3) if at >= 1000 else None), (), DEVICE
 
@@ -236,6 +240,7 @@ def _unusual(desk: Desk) -> Spoilt:
 SPOILERS: dict[str, tuple[set[str], Callable[[Desk], Spoilt]]] = {
     "the probe lifts off (−6 to 11.5 N)": ({"probe_lifted"}, _lifting),
     "the reference surface jumps by 0.3 mm": ({"reference_moved"}, partial(_jump, metres=0.3e-3)),
+    "the reference surface jumps by 0.3 mm during the preload": ({"reference_moved"}, _jump_in_preload),
     "the reference surface drifts by 0.8 mm": ({"reference_moved"}, _drift),
     "the supply gives 55 %": ({"saturated", "drive_weak"}, _weak_supply),
     "the position sensor sticks half-way": ({"sensor_stuck"}, _stuck),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +115,10 @@ def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limit
     """
     peak = float(np.max(np.abs(values), initial=0.0))
     if unit == "N" and peak > limits.max_force_n:
-        raise LimitError(f"the stimulus reaches {peak:.1f} N; the limit is {limits.max_force_n:g} N")
+        raise LimitError(
+            f"the stimulus reaches {peak:.1f} N; the limit is {limits.max_force_n:.4g} N: lower the force range "
+            "(--max-force, --min-force) to it"
+        )
     command = to_voltage(values, device, unit)
     check_stimulus(command, device, limits)
     return command
@@ -277,6 +280,7 @@ def run_guided_test(
         CancelledError, LimitError, InstrumentError, JournalError, AuditError, UnusableInputError.
     """
     device = instrument.device
+    test = replace(test, limits=instrument.narrowed(test.limits))
     command = meanwhile(instrument, lambda: check_test(test, device), cancelled)
     if surface_m is None:
         placement = place(instrument, test.limits, progress=progress, cancelled=cancelled)

@@ -173,7 +173,7 @@ def place(
     creep = np.polynomial.polynomial.polyfit(time, late.T, 1)  # (2, levels)
     shaking = (late - creep[0][:, None] - creep[1][:, None] * time).std(axis=1)
     if float(shaking.max()) > _STILL_M:
-        raise UnusableInputError("the probe does not keep still: hold the reference surface firmly and try again")
+        raise UnusableInputError("the probe does not keep still: hold the reference surface firmly, and place it again")
     return Placement(surface, orientation)
 
 

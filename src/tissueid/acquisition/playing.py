@@ -91,7 +91,7 @@ def play(
                 whole = whole and bool(np.all(np.isnan(inside["position"]) | (inside["flags"] & Flag.PLAYING > 0)))
                 if set_points is not None:
                     set_points.take(inside)
-                    if run is planned:
+                    if run is planned and last < run.end_index:  # a device that hung may come back after the end
                         set_points.send_due(instrument)
                 on_samples(inside, min(1.0, (last - run.first_index) / run.samples))
             _heed(cancelled)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +23,10 @@ from tissueid.sessions import Session, Subject, Test, read_session, read_session
 MAX_RUN_SAMPLES = 20_000_000
 
 _Entries = Iterable[tuple[Entry, bytes]]
+
+
+class _CutOffError(UnusableInputError):
+    """The first entry of a journal is not whole: nothing was recorded yet."""
 
 
 @dataclass
@@ -142,7 +147,7 @@ def _sitting(entries: _Entries) -> tuple[Session, int]:
     with _sense():
         tests = sum(test.received > 0 for test in _open_tests(others(), keep=False))
         if sitting is None:
-            raise UnusableInputError("the journal was cut off before anything was recorded")
+            raise _CutOffError("the journal was cut off before anything was recorded")
         session = Session(
             instrument=DeviceDescription(**sitting["device"]),
             subject=Subject(**sitting["subject"]),
@@ -255,11 +260,21 @@ def recover(
     damage = Damage()
     with journal.open("rb") as held:
         lock(held)
+        empty = os.fstat(held.fileno()).st_size == 0
+    if empty:
+        journal.unlink()
+        raise UnusableInputError(
+            f"{journal} was empty: nothing had been recorded. It is removed, and not in the way any more"
+        )
+    with journal.open("rb") as held:
+        lock(held)
         try:
             session, tests = _sitting(read_entries(journal, damage))
         except UnusableInputError as error:
             if damage.places:
                 raise UnusableInputError(f"{journal} is damaged, and no session can be made of it: {error}") from error
+            if isinstance(error, _CutOffError):
+                raise UnusableInputError(f"{error}; delete {journal} if it is in the way") from error
             raise
         if target.exists():
             # The host died between the rename and the removal of the journal.

@@ -44,9 +44,12 @@ class Analysis:
     external_spring_n_per_m: float = 0.0
     configuration: str = "indentation"
 
-    def depth_profile(self) -> DepthProfile | None:
-        """Mass, damping and stiffness of the tissue against depth; None for models that hold no depth."""
-        profile = self.model.depth_profile()
+    def depth_profile(self, model: Model | None = None) -> DepthProfile | None:
+        """Mass, damping and stiffness of the tissue against depth, without an external spring.
+
+        By another ``model`` of the same record, if one is given; None for models that hold no depth.
+        """
+        profile = (model or self.model).depth_profile()
         if profile is None or not self.external_spring_n_per_m:
             return profile
         return profile_without_spring(profile, self.external_spring_n_per_m)

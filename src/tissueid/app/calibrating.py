@@ -61,11 +61,14 @@ class CalibrationPlan:
 
 @dataclass(frozen=True)
 class CalibrationOutcome:
-    """What came of it. ``remarks`` is what else is worth saying, ``state`` how the instrument is calibrated now."""
+    """What came of it. ``remarks`` is what else is worth saying, ``state`` how the instrument is calibrated now.
+
+    ``report`` is None where it could not be written; the calibration holds without it.
+    """
 
     calibration: Calibration
     path: Path
-    report: Path
+    report: Path | None
     remarks: tuple[str, ...]
     state: CalibrationState = field(default_factory=CalibrationState)
 
@@ -170,8 +173,15 @@ def calibrate(
     write_calibration(path, calibration)
     made = {"kind": plan.kind, "file": path.name, "verdict": calibration.verdict}
     trail.note("calibration.made", subject=serial_number, new=made)
-    report = path.with_suffix(".html")
-    write_report(calibration, report)
+    report: Path | None = path.with_suffix(".html")
+    try:
+        write_report(calibration, path.with_suffix(".html"))
+    except Exception as error:  # noqa: BLE001 - the calibration is made and in force, whatever befalls its picture
+        report = None
+        words = (
+            f"its report could not be written ({error}); 'tissueid calibrate show' with --report makes it from the file"
+        )
+        remarks = (*remarks, words)
     if problem := trail.settle():
         remarks = (*remarks, f"not in the audit log: {problem}")
     state = calibration_state(put_in_force(instrument.nominal, stored_calibrations(plan.folder), datetime.now(UTC)))

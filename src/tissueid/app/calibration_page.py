@@ -68,6 +68,7 @@ class CalibrationPage(QWidget):
         self.said.setMinimumWidth(1)
         self.said.setTextFormat(Qt.TextFormat.PlainText)
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._has_report = False
         self.report = QPushButton("Open its report")
         self.report.clicked.connect(self.report_wanted)
         self.figures = QTableWidget(0, 3)
@@ -141,7 +142,7 @@ class CalibrationPage(QWidget):
         self.fixed.setEnabled(not busy)
         self.room_known.setEnabled(not busy)
         self.room.setEnabled(not busy and self.room_known.isChecked())
-        self.report.setEnabled(not busy)
+        self.report.setEnabled(not busy and self._has_report)
 
     def show_talk(self, talk: Talk) -> None:
         """Where a running calibration stands, and whether it waits for a person."""
@@ -167,6 +168,7 @@ class CalibrationPage(QWidget):
             widget.style().polish(widget)
         lines = [sentence(line) for line in (*calibration.problems, *outcome.remarks)]
         self.said.setText("\n".join([*lines, f"Saved in {outcome.path}."]))
+        self._has_report = outcome.report is not None
         self.figures.setRowCount(len(calibration.quantities))
         for row, (name, quantity) in enumerate(calibration.quantities.items()):
             for column, text in enumerate(readable(name, quantity)):

@@ -77,7 +77,7 @@ def measure(
         try:
             simulated = isinstance(instrument, SimulatedInstrument)
             calibrate(instrument)
-            device, limits = instrument.device, PROFILES[plan.limits]
+            device, limits = instrument.device, instrument.narrowed(PROFILES[plan.limits])
             live.begin(SafetyWatch(device, limits, winding=not simulated))
             stimulus = plan.stimulus(device.sample_rate_hz)
             test = GuidedTest(stimulus, plan.site, configuration=plan.set_up(), limits=limits)

@@ -66,6 +66,10 @@ class PacedInstrument:
         """Pass on that the run ends here."""
         return self._paced.finish()
 
+    def narrowed(self, limits: Limits) -> Limits:
+        """The limits that hold."""
+        return self._paced.narrowed(limits)
+
     def arm(self, limits: Limits) -> None:
         """Pass the limits on."""
         self._paced.arm(limits)

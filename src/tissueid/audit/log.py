@@ -104,6 +104,8 @@ class AuditLog:
         """
         moment = when or self.clock()
         try:
+            if os.environ.get(ENVIRONMENT) == str(self.path) and not self.path.parent.exists():
+                raise FileNotFoundError(errno.ENOENT, f"there is no folder {self.path.parent}")
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with _held(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)

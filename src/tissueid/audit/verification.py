@@ -132,7 +132,8 @@ class _Walk:
                 return problem
         if self._torn:
             self.remarks.append(
-                f"line {self._place} was not finished when the computer or the program died; the next line says so"
+                f"line {self._place}, the last, was not finished when the computer or the program died; the next one "
+                "that is added will say so"
             )
         return None
 

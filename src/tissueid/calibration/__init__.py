@@ -1,7 +1,7 @@
 """Calibrations of the instrument: where its figures come from, and which are in force."""
 
 from tissueid.calibration.electrical import ElectricalCheck, check_coil
-from tissueid.calibration.file import Calibration, Quantity, read_calibration, write_calibration
+from tissueid.calibration.file import Calibration, Quantity, keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.in_force import InForce, calibrated, in_words, put_in_force, warnings_of
 from tissueid.calibration.procedure import StaticPlan
 from tissueid.calibration.static import StaticCalibration, calibrate_static
@@ -20,6 +20,7 @@ __all__ = [
     "calibration_folder",
     "check_coil",
     "in_words",
+    "keep_calibration",
     "put_in_force",
     "read_calibration",
     "stored_calibrations",

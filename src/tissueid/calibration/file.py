@@ -11,6 +11,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.options import reason
 from tissueid.whole_file import whole_file
 
 FORMAT: Literal["tissueid-calibration"] = "tissueid-calibration"
@@ -118,8 +119,7 @@ def read_calibration(path: Path) -> Calibration:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"] if part not in ("float", "tuple", "[key]")) or "content"
-        reason = str(first["msg"]).removeprefix("Value error, ").replace("\n", " ")
-        raise UnusableInputError(f"{path}: {where[:100]!r} cannot be used: {reason[:200]}") from error
+        raise UnusableInputError(f"{path}: {where[:100]!r} cannot be used: {reason(error)[:200]}") from error
 
 
 def _parsed(path: Path, data: bytes) -> dict[str, object]:
@@ -171,6 +171,30 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
             partial.write_text(as_text(calibration), encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
+
+
+def keep_calibration(path: Path, calibration: Calibration) -> Path:
+    """Write a calibration, a failed one beside one that passed and never over it; returns where it is.
+
+    What is beside it is named ``<stem>.failed.toml``, with a number where another one that passed is there.
+
+    Raises:
+        UnusableInputError: as ``write_calibration``.
+    """
+    target, number = path, 1
+    while calibration.verdict == "failed" and _passed(target):
+        target = path.with_name(f"{path.stem}.failed{'' if number == 1 else f'_{number}'}.toml")
+        number += 1
+    write_calibration(target, calibration)
+    return target
+
+
+def _passed(path: Path) -> bool:
+    """Whether a calibration that passed is there."""
+    try:
+        return read_calibration(path).verdict == "passed"
+    except UnusableInputError:
+        return False
 
 
 def as_text(calibration: Calibration) -> str:

@@ -125,6 +125,7 @@ def put_in_force(nominal: DeviceDescription, stored: Sequence[Stored], now: date
     """
     used: dict[str, list[_Used]] = {"static": [], "sweep": []}
     warnings: list[str] = []
+    refused = False
     for item in sorted(stored, key=lambda item: (item.made, item.path.name), reverse=True):
         state, reason = judged(item, nominal, now)
         calibration = item.calibration
@@ -141,8 +142,12 @@ def put_in_force(nominal: DeviceDescription, stored: Sequence[Stored], now: date
                 )
             before.append(_Used(item.path.name, calibration, state, reason))
         elif not before:
+            refused = refused or calibration.kind == "static"
             warnings.append(f"{item.path.name}: {reason}")
-    return _laid_over(nominal, used["static"], used["sweep"][:1], warnings)
+    found = _laid_over(nominal, used["static"], used["sweep"][:1], warnings)
+    if refused and not used["static"] and used["sweep"]:
+        found = replace(found, calibration=found.calibration | {"static_state": "refused"})
+    return found
 
 
 @dataclass(frozen=True)
@@ -231,7 +236,10 @@ def warnings_of(device: DeviceDescription) -> tuple[str, ...]:
 
 
 def in_words(device: DeviceDescription, now: datetime | None = None) -> str:
-    """The calibration that a device carries, in a line: "calibrated 12 days ago, linear from 4.0 to 27.5 mm"."""
+    """The calibration that a device carries, in a line: "calibrated 12 days ago, linear from 4.0 to 27.5 mm".
+
+    Where only the sweep is in force it says so, and by what force is known then.
+    """
     known = device.calibration
     dates = [str(known[name]) for name in ("static_date", "sweep_date") if known.get(name)]
     if not dates:
@@ -240,6 +248,10 @@ def in_words(device: DeviceDescription, now: datetime | None = None) -> str:
     whole = max(0, round(days.total_seconds() / 86400.0))
     age = "today" if whole == 0 else "yesterday" if whole == 1 else f"{whole} days ago"
     words = f"calibrated {age}"
+    if not known.get("static_date"):
+        force = "nominal force" if "force_constant_n_per_a" not in known else "force by the sweep"
+        static = "static calibration refused" if known.get("static_state") == "refused" else "no static calibration"
+        words = f"{static}: {force}, sweep of {age}"
     if known.get("state") == "stale":
         words = f"calibration is stale: {words}"
     low, high = known.get("linear_region_min_m"), known.get("linear_region_max_m")

@@ -22,9 +22,11 @@ from tissueid.calibration.sensors import (
 )
 from tissueid.calibration.stroke import Crossing, carrying_current, move_gently, range_findings
 from tissueid.device import GRAVITY_M_S2
-from tissueid.errors import LimitError, UnusableInputError
+from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, Limits
+from tissueid.instrument.answers import describe_faults
 from tissueid.records import Estimate
+from tissueid.wire import Fault
 
 LEVELS_V = (0.0, 4.0, 8.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -8.0, -4.0, 0.0)
 """Up and down on both sides: every level but the outermost is come to from below and from above. 3 N at most."""
@@ -238,8 +240,13 @@ class Procedure:
                 progress=lambda fraction: self._show(what + self._label, fraction),
                 cancelled=self._cancelled,
             )
-        except LimitError as error:
-            raise LimitError(f"{error}; where the spring is not fixed to the probe, say so with --push-only") from error
+        except (LimitError, FirmwareFaultError) as error:
+            if isinstance(error, FirmwareFaultError) and describe_faults(Fault.STROKE) not in str(error):
+                raise
+            raise type(error)(
+                f"{error}; is the calibration spring under the probe? Where it is not fixed to the probe, say so with "
+                "--push-only"
+            ) from error
 
     def _turned(self) -> NDArray[np.void]:
         self._tell(OVER_WORDS)

@@ -7,6 +7,7 @@ constant would act as a spring of its own.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from tissueid.calibration.levels import at_rest, mean
 from tissueid.calibration.sweep_amplitude import LEAST_SWING_M, gentle_answer, noise, room, strength
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
-from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
+from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, Limits, SerialInstrument
 from tissueid.sessions import Session
 from tissueid.stimuli import guided
@@ -89,6 +90,7 @@ class Sweep:
     """A sweep on one instrument into one session.
 
     ``remarks`` say what was left out, and why; ``has_stage`` is true until the instrument said that it has none.
+    ``stage_m`` is where the stage was brought and left, None where it was not moved or is back in mid-stroke.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class Sweep:
         self._progress = progress
         self._cancelled = cancelled
         self.has_stage = True
+        self.stage_m: float | None = None
         # By how much the weight of the coil lengthens the spring; put right at the first position.
         self._sag_m = self._device.moving_mass_kg * GRAVITY_M_S2 / self._device.calibration_spring_n_per_m
         self._seen = (np.inf, -np.inf)
@@ -117,10 +120,34 @@ class Sweep:
     def run(self) -> None:
         """Measure at all positions, upwards and, in the next repeat, downwards again.
 
+        A motorised stage then goes back to where the probe stands in mid-stroke, after a failure as well. It does not
+        where somebody stopped the sweep: nothing moves then any more, and ``stage_m`` says where it was left.
+
         Raises:
             UnusableInputError: there is no motorised stage, and nobody to move the spring.
             CancelledError, LimitError, InstrumentError, JournalError: the coil is released; what was recorded is kept.
         """
+        try:
+            self._run()
+        except CancelledError:
+            raise
+        except Exception:
+            with contextlib.suppress(TissueIDError):  # what went wrong first is what counts
+                self._go_back()
+            raise
+        self._go_back()
+
+    def _go_back(self) -> None:
+        """Bring the stage, where there is one and it was moved, to mid-stroke."""
+        if self.stage_m is None:
+            return
+        middle_m = float(np.clip(0.5 * self._device.stroke_m - self._sag_m, 0.0, self._device.stroke_m))
+        find_orientation(self._instrument)  # reads on: the soft end of the run before is over by then
+        if self._instrument.move_stage(middle_m):
+            self.stage_m = None
+            self._instrument.poll(0.0)  # what came while the stage was moving
+
+    def _run(self) -> None:
         places = self._plan.positions_m
         total = len(places) * self._plan.repeats
         for repeat in range(self._plan.repeats):
@@ -201,6 +228,7 @@ class Sweep:
                 self.has_stage = False
                 self._ask(place_m)
                 return None
+            self.stage_m = stage_m
             self._instrument.poll(0.0)  # what came while the stage was moving
             stands = mean(at_rest(self._instrument, _REST_S, cancelled=self._cancelled), "position")
             if abs(stands - place_m) <= _NEAR_M or abs(stands - stage_m) > _MOST_SAG_M:

@@ -14,6 +14,7 @@ from tissueid.calibration.findings import column
 from tissueid.calibration.force_profile import ForceConstant
 from tissueid.calibration.sweep_analysis import SweepResult, quantities_of
 from tissueid.errors import UnusableInputError
+from tissueid.options import reason
 from tissueid.records import Estimate
 
 GRID_M = 0.5e-3
@@ -62,7 +63,7 @@ def as_calibration(
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"][:2])
-        raise UnusableInputError(f"the sweep cannot be kept: {where[:80]!r}: {first['msg'][:200]}") from error
+        raise UnusableInputError(f"the sweep cannot be kept: {where[:80]!r}: {reason(error)[:200]}") from error
 
 
 def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:

@@ -50,7 +50,7 @@ _CHANNELS = {
     "temperature_c": "temperature",
     "acceleration_x_m_s2": "acceleration along the stroke",
 }
-_UNITS = {"m/s^2": "m/s²", "m/A": "m/A"}
+_UNITS = {"m/s^2": "m/s²"}
 
 
 def label_of(name: str) -> str:
@@ -64,7 +64,11 @@ def label_of(name: str) -> str:
 def readable(name: str, found: Quantity) -> tuple[str, str, str]:
     """Label, value with its deviation, and unit, as people read them."""
     unit, scale = people_unit(_UNITS.get(found.unit, found.unit))
-    if found.unit == "m" and 0.0 < max(abs(found.value), found.std or 0.0) < 1e-4:
+    if found.unit == "m/A":
+        unit, scale = "mm/A", 1e3
+    elif name == "calibration_relative_uncertainty":
+        unit, scale = "%", 100.0
+    elif found.unit == "m" and 0.0 < max(abs(found.value), found.std or 0.0) < 1e-4:
         unit, scale = "µm", 1e6
     elif found.unit in ("A", "V") and 0.0 < max(abs(found.value), found.std or 0.0) < 0.1:
         unit, scale = f"m{found.unit}", 1e3

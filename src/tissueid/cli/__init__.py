@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from tissueid.cli.commands import app
 from tissueid.errors import CancelledError, TissueIDError
 
 INTERRUPTED = 130
+_LETTING_GO_S = 2.0
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Linear algebra here is many small problems. Spread over threads that other programs hold up, each waits for the
@@ -29,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for variable in _ONE_THREAD:  # read when numpy is first imported, which commands do
         os.environ.setdefault(variable, "1")
     try:
-        with _endings_as_interrupts():
+        with _endings_as_interrupts(to_the_end=arguments is None):
             status = app(
                 args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False
             )
@@ -52,22 +54,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _endings_as_interrupts() -> Iterator[None]:
-    """A closed terminal and a request to end are met like Ctrl+C: the coil is released, the recording kept."""
+def _endings_as_interrupts(*, to_the_end: bool) -> Iterator[None]:
+    """A closed terminal and a request to end are met like Ctrl+C: the coil is released, the recording kept.
+
+    What comes within two seconds of one that was heeded is not: it would fall into the work of letting go. With
+    ``to_the_end`` the program ends after this, and after an interrupt Ctrl+C does nothing any more.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
+    heeded: float | None = None
+
     def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
+        nonlocal heeded
+        now = time.monotonic()
+        if heeded is None or now - heeded > _LETTING_GO_S:
+            heeded = now
+            raise KeyboardInterrupt
 
     signals = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else somebody has Ctrl+C ignored
+        signals.append(signal.SIGINT)
     before = {number: signal.signal(number, interrupt) for number in signals}
     try:
         yield
     finally:
         for number, handler in before.items():
-            signal.signal(number, handler)
+            over = to_the_end and heeded is not None and number == signal.SIGINT
+            signal.signal(number, signal.SIG_IGN if over else handler)
 
 
 def _complain(message: str, status: int) -> int:

@@ -54,6 +54,9 @@ def verify_log(
         write_json(json_file, _answer(path, result, len(heads), without))
     if result.broken is not None:
         raise UnusableInputError(f"{path}: {result.broken.words}")
+    if not result.lines:
+        people.print(f"{path} holds no whole line: nothing has been logged yet", markup=False, soft_wrap=True)
+        return
     known = f", and all {len(heads)} heads are in it" if heads else ""
     people.print(f"{path}: {result.lines} lines, all as they were written{known}", markup=False, soft_wrap=True)
     people.print(f"head: {result.head}", markup=False, soft_wrap=True)

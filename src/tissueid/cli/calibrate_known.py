@@ -23,6 +23,8 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
     if not people.is_terminal:
         people.width = 120
     rows = table(f"Calibrations in {chosen}", "file", "serial number", "kind", "made", "state")
+    for column in rows.columns:
+        column.justify = "left"
     answers: list[dict[str, object]] = []
     newest: set[tuple[str, str]] = set()
     for item in stored_calibrations(chosen):

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from tissueid.calibration import StaticCalibration, StaticPlan, calibrate_static, write_calibration
+from tissueid.calibration import StaticCalibration, StaticPlan, calibrate_static, keep_calibration
 from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import check_writable
 from tissueid.calibration.procedure import STEPS, Ask
 from tissueid.calibration.words import readable, verdict_of
+from tissueid.cli.calibrate_verdict import check_passed
 from tissueid.cli.logged import end_noted, logged, noted
 from tissueid.cli.output import (
     check_different,
@@ -77,7 +78,11 @@ class StaticOptions:
 
 
 def run_static(url: str, out: Path, report: Path | None, json_file: Path | None, options: StaticOptions) -> None:
-    """Calibrate, keep it, and tell it. A failed calibration is kept as well, and says so."""
+    """Calibrate, keep it, and tell it. A failed calibration is kept as well, beside one that passed.
+
+    Raises:
+        UnusableInputError: what is asked cannot be done, or the calibration failed.
+    """
     options.plan(_DEFAULT)  # what is wrong with the options is said before anything moves
     check_different(out, report, json_file)
     check_writable(out)
@@ -97,20 +102,21 @@ def run_static(url: str, out: Path, report: Path | None, json_file: Path | None,
     calibration = found.calibration.model_copy(
         update={"conditions": found.calibration.conditions | ({"audit_head": head} if head else {})}
     )
-    write_calibration(out, calibration)
+    kept = keep_calibration(out, calibration)
     noted(
         "technician",
         "calibration.made",
         subject=calibration.serial_number,
-        new={"kind": "static", "file": out.name, "verdict": calibration.verdict},
+        new={"kind": "static", "file": kept.name, "verdict": calibration.verdict},
     )
     if report is not None:
         from tissueid.reports.calibration_static import static_report
 
         static_report(calibration).write(report)
-    _tell(found, out, json_file)
+    _tell(found, kept, json_file)
     if json_file is not None:
-        write_json(json_file, answer(found, out))
+        write_json(json_file, answer(found, kept))
+    check_passed(calibration, out, kept)
 
 
 def answer(found: StaticCalibration, out: Path) -> dict[str, object]:

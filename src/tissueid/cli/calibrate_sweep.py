@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.text import Text
 
 from tissueid.acquisition import SessionRecorder
-from tissueid.calibration import Calibration, write_calibration
+from tissueid.calibration import Calibration, keep_calibration
 from tissueid.calibration.file import check_writable
 from tissueid.calibration.in_force import go_by_static, static_conditions
 from tissueid.calibration.moved_by_hand import Standing, wait_until_there
@@ -24,6 +24,7 @@ from tissueid.calibration.sweep import Bring, Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.words import notes_of, verdict_of
+from tissueid.cli.calibrate_verdict import check_passed
 from tissueid.cli.logged import end_noted, logged, noted, trail
 from tissueid.cli.output import (
     check_different,
@@ -99,7 +100,11 @@ class SweepOptions:
 
 
 def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path | None, options: SweepOptions) -> None:
-    """Sweep, or take a sweep that was kept; analyse it, keep the calibration, and tell it."""
+    """Sweep, or take a sweep that was kept; analyse it, keep the calibration, and tell it.
+
+    Raises:
+        UnusableInputError: what is asked cannot be done, or the calibration failed.
+    """
     plan = options.plan()
     options.spring(DeviceDescription())  # what is wrong with the options is said before anything moves
     if (url is None) == (options.kept is None):
@@ -134,21 +139,22 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
         valid_days=options.valid_days,
         now=made,
     )
-    write_calibration(out, calibration)
+    place = keep_calibration(out, calibration)
     noted(
         "technician",
         "calibration.made",
         subject=calibration.serial_number,
-        new={"kind": "sweep", "file": out.name, "verdict": calibration.verdict},
+        new={"kind": "sweep", "file": place.name, "verdict": calibration.verdict},
     )
     if report is not None:
         from tissueid.reports.calibration import sweep_report
 
         sweep_report(calibration).write(report)
-    _tell(result, calibration, out, options.session, json_file)
+    _tell(result, calibration, place, options.session, json_file)
     if json_file is not None:
         seconds = {"seconds": time.perf_counter() - begin, "measuring_seconds": measured - begin}
-        write_json(json_file, answer(calibration, out) | seconds)
+        write_json(json_file, answer(calibration, place) | seconds)
+    check_passed(calibration, out, place)
 
 
 def _made(session: Session) -> datetime:
@@ -200,6 +206,12 @@ def _recorded(
             try:
                 sweep.run()
             except BaseException as error:
+                if sweep.stage_m is not None:
+                    console.print(
+                        f"the stage stays at {1e3 * sweep.stage_m:.1f} mm: bring it back to mid-stroke before a test",
+                        markup=False,
+                        soft_wrap=True,
+                    )
                 if recorder.finish_or_discard(error) is not None and options.session is not None:
                     console.print(
                         f"what was measured is kept: {path}; analyse it with --kept", markup=False, soft_wrap=True

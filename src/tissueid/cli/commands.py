@@ -10,7 +10,10 @@ import typer
 from tissueid import __version__
 from tissueid.cli.audit import audit
 from tissueid.cli.calibrate import calibrate
+from tissueid.cli.gap import gap
+from tissueid.cli.interchange import export_command, import_command
 from tissueid.cli.logged import take_role
+from tissueid.cli.twins import twin
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -20,6 +23,10 @@ app = typer.Typer(
 )
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(audit, name="audit")
+app.add_typer(gap, name="gap")
+app.add_typer(twin, name="twin")
+app.command("import")(import_command)
+app.command("export")(export_command)
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[
@@ -139,6 +146,9 @@ def run_test(
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="prints the parameters as they converge")] = False,
     repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
+    rest: Annotated[
+        float, typer.Option(min=0, max=600, metavar="SECONDS", help="between repeats: lets the coil cool")
+    ] = 0.0,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
     subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="never a name")] = "anonymous",
     configuration: Annotated[
@@ -175,6 +185,7 @@ def run_test(
             stop_when=tuple(stop_when or ()),
             live=live,
             repeats=repeats,
+            rest_s=rest,
             limits=limits,
             subject=subject,
             configuration=configuration,

@@ -193,6 +193,8 @@ def _tell(found: EngineComparison, no_ceiling: str, out: Console) -> None:
             f"No model can do better than {best} % on unseen samples: "
             f"that is how far {found.ceiling.repeats} repeats agree."
         )
+        for line in found.ceiling.left_out:
+            out.print(f"  {line[:1].upper()}{line[1:]}.", markup=False)
     elif no_ceiling:
         out.print(no_ceiling, markup=False)
     for note, number in notes.items():

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from tissueid.audit import ROLE_ENVIRONMENT, AuditLog, Role, Trail, default_path, role_in_force
+from tissueid.audit import ROLE_ENVIRONMENT, ROLES, AuditLog, Role, Trail, default_path, role_in_force
 from tissueid.cli.output import console
-from tissueid.errors import CancelledError
+from tissueid.errors import CancelledError, UnusableInputError
 
 
 def take_role(role: str) -> None:
@@ -18,8 +18,9 @@ def take_role(role: str) -> None:
     Raises:
         UnusableInputError: there is no such role.
     """
+    if role.strip().lower() not in ROLES:
+        raise UnusableInputError(f"--role is {' or '.join(ROLES)}, not {role!r}")
     os.environ[ROLE_ENVIRONMENT] = role
-    role_in_force("researcher")
 
 
 def trail(role: Role = "researcher") -> Trail:

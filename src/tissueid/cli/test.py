@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from tissueid.acquisition import (
@@ -21,11 +23,12 @@ from tissueid.acquisition import (
 )
 from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.placing import Placement, place
+from tissueid.acquisition.resting import foresee, rest, temperature_c
 from tissueid.acquisition.stimulus_file import load_stimulus
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.calibration import calibrated, in_words, warnings_of
 from tissueid.cli.logged import tell, trail
-from tissueid.cli.output import check_json, people_read, progress_bars, write_json
+from tissueid.cli.output import check_json, console, people_read, progress_bars, write_json
 from tissueid.cli.played import answer_of, out_of_reach, tests_table
 from tissueid.cli.quality import findings_lines
 from tissueid.cli.stimulus import designed
@@ -36,7 +39,7 @@ from tissueid.configuration import Configuration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.online.stopping import StopRule
-from tissueid.instrument import PROFILES, Instrument, Limits, open_instrument
+from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.sessions import Session, Subject
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, get_stimulus, guided
 from tissueid.stimuli.kinds.noise import Noise
@@ -70,6 +73,7 @@ class TestPlan:
     stop_when: tuple[str, ...] = ()
     live: bool = False
     repeats: int = 1
+    rest_s: float = 0.0
     limits: str = "clinical"
     subject: str = "anonymous"
     configuration: str = "indentation"
@@ -96,6 +100,8 @@ class TestPlan:
         check_json(self.json_file)
         if self.json_file is not None and self.json_file.absolute() == self.out.absolute():
             raise UnusableInputError("the session and the JSON cannot be the same file")
+        if self.rest_s > 0.0 and self.repeats == 1:
+            raise UnusableInputError("--rest is between repeats: it goes with --repeats")
         own = bool(self.stimulus or self.options or self.distribution)
         if self.stimulus_file is not None and (own or self.common.given()):
             raise UnusableInputError(f"{self.stimulus_file} is a saved stimulus: its options are in it")
@@ -166,10 +172,10 @@ def run_tests(plan: TestPlan) -> None:
     """Place once, then run what is asked for, all into one session."""
     plan.check()
     rule = StopRule.from_words(plan.stop_when) if plan.stop_when else None
-    limits = PROFILES[plan.limits]
     steps: tuple[Step, ...] = ()
     instrument = open_instrument(plan.url)
     try:
+        limits = instrument.narrowed(PROFILES[plan.limits])
         in_force = calibrated(instrument, plan.calibrations, wanted=plan.calibration)
         run: _Runner
         if plan.multistep is not None:
@@ -193,6 +199,15 @@ def run_tests(plan: TestPlan) -> None:
     finally:
         instrument.close()
     _tell(plan, session)
+    _answer(plan, session, steps)
+
+
+def _answer(plan: TestPlan, session: Session, steps: tuple[Step, ...] = ()) -> None:
+    """The answer as JSON, where it is asked for.
+
+    Raises:
+        UnusableInputError: it cannot be written.
+    """
     if plan.json_file is not None:
         tests = [answer_of(test, plan.depth_range_m, _step(steps, test.number)) for test in session.tests]
         write_json(plan.json_file, {"session": str(plan.out), "session_id": session.session_id, "tests": tests})
@@ -202,11 +217,16 @@ def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopR
     """The same test as often as asked, checked and ready to be run."""
     test = meanwhile(instrument, lambda: _prepared(plan, instrument.device, limits))
     preload_s = test.opening.preload_s
+    if words := _too_warm(plan, instrument, test):
+        console.print(f"warning: {words}", markup=False, soft_wrap=True)
 
     def run(recorder: SessionRecorder, cancelled: Callable[[], bool]) -> tuple[Step, ...]:
         placement: Placement | None = None
         with progress_bars() as show:
             for repeat in range(plan.repeats):
+                if repeat and plan.rest_s:
+                    resting = f"rest before test {repeat + 1} of {plan.repeats}"
+                    rest(instrument, plan.rest_s, progress=partial(show, resting), cancelled=cancelled)
                 with Watch(instrument, preload_s, rule, plan.live, plan.external_spring_n_per_m) as watch:
                     if placement is None:
                         placing = show_progress(show, "placing the probe")
@@ -228,13 +248,50 @@ def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopR
     return run
 
 
+def _too_warm(plan: TestPlan, instrument: Instrument, test: GuidedTest) -> str:
+    """What the repeats make of the coil, in a line; empty where they leave it cool enough, or nobody knows.
+
+    A simulation in this process has no coil, and of what a feedback stimulus will play nothing is known.
+    """
+    if isinstance(instrument, SimulatedInstrument) or not isinstance(test.stimulus, Stimulus):
+        return ""
+    begin_c = temperature_c(instrument)
+    if math.isnan(begin_c):
+        return ""
+    command = check_test(test, instrument.device)
+    return foresee(
+        command,
+        instrument.nominal,
+        repeats=plan.repeats,
+        rest_s=plan.rest_s,
+        begin_c=begin_c,
+        limit_c=test.limits.max_temperature_c,
+    ).words
+
+
+def _default_forces(plan: TestPlan, device: DeviceDescription, limits: Limits) -> dict[str, float]:
+    """The range of force that nobody gave, N; where the instrument cannot give all of it, less, and it is said."""
+    greatest = min(device.greatest_force_n, math.floor(10.0 * limits.max_force_n) / 10.0)
+    forces = {"force_min_n": _DEFAULTS.min_force_n, "force_max_n": _DEFAULTS.max_force_n}
+    own = any(option.partition("=")[0].strip() == "force_max_n" for option in plan.options)
+    if greatest < _DEFAULTS.max_force_n and plan.common.max_force is None and not own:
+        forces["force_max_n"] = greatest
+        console.print(
+            f"the highest force is {greatest:g} N, not {_DEFAULTS.max_force_n:g}: this instrument gives no more "
+            "(--max-force chooses a lower one)",
+            markup=False,
+            soft_wrap=True,
+        )
+    return forces
+
+
 def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> GuidedTest:
     """The test, which could be played.
 
     Raises:
         LimitError, UnusableInputError: it could not.
     """
-    stimulus = _stimulus(plan, device.sample_rate_hz)
+    stimulus = _stimulus(plan, device, limits)
     test = GuidedTest(stimulus, plan.site, configuration=plan.instrument_configuration(), limits=limits)
     check_test(test, device)
     return test
@@ -246,7 +303,7 @@ def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> _Runne
     assert plan.depth_range_m is not None
     given = {name: value for name, (_, value) in plan.common.given().items()}
     seed = int(given.pop("seed", _DEFAULTS.seed))
-    options = {"force_min_n": _DEFAULTS.min_force_n, "force_max_n": _DEFAULTS.max_force_n} | given
+    options = _default_forces(plan, instrument.device, limits) | given
     design = DepthDesign.from_options(
         {
             "depth_min_m": plan.depth_range_m[0],
@@ -280,7 +337,7 @@ def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> _Runne
     return run
 
 
-def _stimulus(plan: TestPlan, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+def _stimulus(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Stimulus | FeedbackKind:
     """What is to be played, with its preload, or generated.
 
     Raises:
@@ -292,14 +349,9 @@ def _stimulus(plan: TestPlan, sample_rate_hz: float) -> Stimulus | FeedbackKind:
             return loaded
         return guided(loaded, PRELOAD_S)
     name = plan.stimulus or Noise.name
-    defaults: dict[str, object] = {"sample_rate": sample_rate_hz}
+    defaults: dict[str, object] = {"sample_rate": device.sample_rate_hz}
     if name == Noise.name:
-        defaults |= {
-            "force_min_n": _DEFAULTS.min_force_n,
-            "force_max_n": _DEFAULTS.max_force_n,
-            "seconds": _DEFAULTS.seconds,
-            "seed": _DEFAULTS.seed,
-        }
+        defaults |= _default_forces(plan, device, limits) | {"seconds": _DEFAULTS.seconds, "seed": _DEFAULTS.seed}
     specification = specified(name, plan.common, plan.all_options(), defaults)
     if isinstance(specification, FeedbackKind):
         return specification
@@ -330,6 +382,10 @@ def _keep(recorder: SessionRecorder, plan: TestPlan, error: BaseException) -> No
         raise JournalError(f"{error or 'interrupted'}; and {trouble}") from error
     if session is not None:
         _tell(plan, session)
+        try:
+            _answer(plan, session)
+        except UnusableInputError as trouble:  # why the test ended is said last, and counts for more
+            console.print(str(trouble), markup=False, soft_wrap=True)
 
 
 def _tell(plan: TestPlan, session: Session) -> None:

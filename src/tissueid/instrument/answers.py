@@ -11,10 +11,10 @@ from tissueid.wire import Fault, MessageType, Result, State
 
 _FAULT_WORDS = {
     Fault.WATCHDOG: "the computer was silent for too long: close other programs, then measure again",
-    Fault.OVER_FORCE: "the force went beyond its limit: use a weaker stimulus",
+    Fault.OVER_FORCE: "the force went beyond its limit: choose a weaker stimulus",
     Fault.STROKE: "the probe reached the end of its stroke: place it nearer to the middle",
     Fault.OVER_TEMPERATURE: "the coil is too hot: let it cool for some minutes",
-    Fault.OVER_TIME: "the test lasted too long: use a shorter stimulus",
+    Fault.OVER_TIME: "the test lasted too long: choose a shorter stimulus",
     Fault.BUTTON: "the button was pressed: let go of it, then measure again",
     Fault.STARVED: "the computer fell behind with the stimulus: close other programs, then measure again",
     Fault.BROWN_OUT: "the supply voltage sagged: check the power supply and its plug",

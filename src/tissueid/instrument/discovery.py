@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 from platformdirs import user_cache_path
 from serial.tools import list_ports
@@ -18,6 +18,7 @@ from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
 from tissueid.instrument.simulated import SimulatedInstrument, simulated_tissues
+from tissueid.instrument.twin_file import SUFFIX, read_twin
 
 IN_PROCESS = "simulated://"
 
@@ -36,6 +37,8 @@ class Found:
 def open_instrument(url: str) -> Instrument:
     """Open what a URL names: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
 
+    ``simulated:///PATH/twin.toml?seed=N`` plays a twin that a diagnosis left (``gap accept``).
+
     Raises:
         InstrumentError, ProtocolVersionError, UnusableInputError: nothing there that can be used.
     """
@@ -47,6 +50,9 @@ def open_instrument(url: str) -> Instrument:
         seed = query.get("seed", ["0"])[0]
         if not seed.isdigit():
             raise UnusableInputError(f"the seed in {url} must be a whole number")
+        file = unquote(f"{parts.netloc}{parts.path}")
+        if file.endswith(SUFFIX):
+            return SimulatedInstrument(read_twin(Path(file)), seed=int(seed))
         return SimulatedInstrument(parts.netloc or "forearm", seed=int(seed))
     if not url.strip():
         raise UnusableInputError("say which instrument; 'tissueid devices' lists them")

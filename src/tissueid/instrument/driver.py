@@ -149,6 +149,10 @@ class SerialInstrument:
         self._watch.judge.ask(command_v)
         send_setpoints(self._talk, self._sender, self._token, offset, self._hello.codes(command_v))
 
+    def narrowed(self, limits: Limits) -> Limits:
+        """These limits, or the instrument's own where it goes less far."""
+        return self._hello.narrowed(limits)
+
     def arm(self, limits: Limits) -> None:
         """Agree on the limits, here and in the firmware; where the device goes less far, its own hold.
 
@@ -160,7 +164,7 @@ class SerialInstrument:
         if self._watch.error is not None:
             raise self._watch.error
         check_limits(limits, self.nominal)
-        limits = self._hello.narrowed(limits)
+        limits = self.narrowed(limits)
         for figures in most_cautious(self.nominal, self.device):
             check_stimulus(self._command, figures, limits, self._following)
             if self._following:
@@ -334,10 +338,16 @@ class SerialInstrument:
             send_hello(self._talk)
             deadline = self._clock() + ANSWER_S
             while self._answer is None and self._clock() < deadline:
-                self._pump(0.05)
+                try:
+                    self._pump(0.05)
+                except LinkLostError as error:
+                    raise LinkLostError(f"{error}. Is the instrument in use by another program?") from error
             if self._answer is not None:
                 return read_hello(self._answer, self._link.name)
-        raise LinkLostError(f"no instrument answers on {self._link.name}; check the cable and the power")
+        raise LinkLostError(
+            f"no instrument answers on {self._link.name}; check the cable and the power, and that no other program "
+            "uses it"
+        )
 
     # -- bytes in -----------------------------------------------------------------------------------------
 

@@ -95,6 +95,9 @@ class Instrument(Protocol):
     def finish(self) -> int:
         """End the run now as its stimulus would end, by a soft release; returns how many samples it had played."""
 
+    def narrowed(self, limits: Limits) -> Limits:
+        """These limits, or the instrument's own where it goes less far."""
+
     def arm(self, limits: Limits) -> None:
         """Agree on the limits; the next ``start`` plays the stimulus."""
 

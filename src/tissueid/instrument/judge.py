@@ -14,6 +14,9 @@ from tissueid.instrument.thermal import PLAUSIBLE_C, Winding
 
 NO_TEMPERATURE = "the coil's temperature sensor gives no usable reading{}: check its plug and cable"
 
+BY_CURRENT = "by its current"
+"""Of a temperature that was calculated, not read."""
+
 
 class Judge:
     """One for each opening of an instrument, so that the winding stays warm from test to test.
@@ -89,7 +92,7 @@ class Judge:
             raise InstrumentError(NO_TEMPERATURE.format(""))
         if self.winding_c > limits.max_temperature_c:
             raise LimitError(
-                f"the coil is at {self.winding_c:.0f} °C by its current; "
+                f"the coil is at {self.winding_c:.0f} °C {BY_CURRENT}; "
                 f"the limit is {limits.max_temperature_c:g} °C: let it cool"
             )
         if run is not None:

@@ -78,6 +78,10 @@ class ReplayInstrument:
         self._running = False
         return min(self._cursor, self._loaded)
 
+    def narrowed(self, limits: Limits) -> Limits:
+        """These limits: it has none of its own."""
+        return limits
+
     def arm(self, limits: Limits) -> None:
         """Accept: nothing moves in a replay."""
         del limits

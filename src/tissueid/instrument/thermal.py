@@ -32,7 +32,9 @@ class Winding:
     """Temperature of the winding, degC, NaN until a plausible reading was there to begin from.
 
     It goes on for as long as an instrument is open, tests or none. A sensor that is warmer is believed; one that is
-    cooler is not, once the model has begun. The coil's size follows from the device's resistance.
+    cooler is not, once the model has begun. The coil's size follows from the device's resistance: heat, copper and
+    cooling go by it alike, so the temperature follows from the current alone, and a resistance that was measured warm,
+    by a calibration, gives the same as the nominal one.
     """
 
     def __init__(self, device: DeviceDescription) -> None:
@@ -60,3 +62,8 @@ class Winding:
             self.temperature_c += (heat_w - lost_w) * part.size * self._interval_s / self._heat_capacity
         if readings.size:
             self.temperature_c = max(self.temperature_c, sensor)
+
+    def rest(self, seconds: float) -> None:
+        """No current for so long."""
+        kept = float(np.exp(-seconds / (self._heat_capacity * self._thermal_resistance)))
+        self.temperature_c = AMBIENT_C + (self.temperature_c - AMBIENT_C) * kept

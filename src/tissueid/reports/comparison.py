@@ -207,7 +207,7 @@ def _ceiling(found: EngineComparison) -> str:
     spread = "" if std is None else f" ± {fixed(std, 2)}"
     return (
         f"No model can do better than {fixed(best, 2)}{spread} % on unseen samples: so far {found.ceiling.repeats} "
-        "repeats agree."
+        f"repeats agree.{''.join(f' {line[:1].upper()}{line[1:]}.' for line in found.ceiling.left_out)}"
     )
 
 

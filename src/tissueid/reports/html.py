@@ -27,6 +27,7 @@ def report_html(
     *,
     comparison: Comparison | None = None,
     title: str | None = None,
+    refused: Mapping[str, str] | None = None,
 ) -> str:
     """The report as HTML text.
 
@@ -42,7 +43,10 @@ def report_html(
     tests = [(number, engines) for number, engines in analyses.items() if engines]
     if not tests:
         raise UnusableInputError("there is nothing to report: no test was analysed")
-    pages = [test_page(session, number, engines, full=place == 0) for place, (number, engines) in enumerate(tests)]
+    pages = [
+        test_page(session, number, engines, full=place == 0, refused=refused or {})
+        for place, (number, engines) in enumerate(tests)
+    ]
     number, engines = tests[0]
     main = session.test(number)
     return template("report.html.j2").render(
@@ -64,13 +68,14 @@ def write_report(
     *,
     comparison: Comparison | None = None,
     title: str | None = None,
+    refused: Mapping[str, str] | None = None,
 ) -> None:
     """Write the report so that ``path`` is whole or untouched; arguments and errors as :func:`report_html`.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    write_whole(path, report_html(session, analyses, comparison=comparison, title=title))
+    write_whole(path, report_html(session, analyses, comparison=comparison, title=title, refused=refused))
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tissueid.analysis import Analysis
 from tissueid.identification.base import Model
@@ -22,6 +22,8 @@ class Material:
     test: Test
     analyses: Mapping[str, Analysis]
     predictions: tuple[Prediction, ...]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Engines that could not use the test, and why."""
 
     @property
     def spectra(self) -> SpectralModel | None:

@@ -43,10 +43,15 @@ class TestPage:
     warnings: tuple[str, ...]
 
 
-def test_page(session: Session, number: int, analyses: Mapping[str, Analysis], *, full: bool) -> TestPage:
-    """Draw and word everything about one test; a short page leaves the finer figures out."""
+def test_page(
+    session: Session, number: int, analyses: Mapping[str, Analysis], *, full: bool, refused: Mapping[str, str]
+) -> TestPage:
+    """Draw and word everything about one test; a short page leaves the finer figures out.
+
+    ``refused`` are engines that could not use the test, and why: what they would have drawn says so.
+    """
     test = session.test(number)
-    material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)))
+    material = Material(session, test, analyses, tuple(_predictions(session, test, analyses)), refused)
     key = f"test{number}"
     groups = _full_groups(material, key) if full else _short_groups(material, key)
     quality = quality_of(test)
@@ -63,7 +68,10 @@ def test_page(session: Session, number: int, analyses: Mapping[str, Analysis], *
         groups=groups,
         parameters=parameter_table(analyses),
         scores=score_table(analyses),
-        warnings=tuple(_warnings(analyses)),
+        warnings=(
+            *_warnings(analyses),
+            *(f"{engine_label(name)} could not use it: {why}" for name, why in refused.items()),
+        ),
     )
 
 
@@ -136,7 +144,8 @@ def _of_engines(material: Material, key: str, group: Group, *, short: bool = Fal
     for one in all_figures():
         there = any(isinstance(a.model, one.model) for a in material.analyses.values())
         if one.group == group and one.standard and not there and (one.short or not short):
-            reason = f"the {one.standard} engine was not run on this test"
+            why = material.refused.get(one.standard)
+            reason = f"the {one.standard} engine {f'could not use it: {why}' if why else 'was not run on this test'}"
             places.append((one.place, absent(f"{key}-{one.key}", one.heading, reason, wide=one.wide)))
     for _, drawn in sorted(places, key=lambda item: item[0]):
         yield drawn

@@ -294,9 +294,11 @@ def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Ar
     voltage = np.asarray(values, dtype=np.float64) * (device.voltage_for_force(1.0) if unit == "N" else 1.0)
     peak = float(np.max(np.abs(voltage), initial=0.0))
     if peak > device.amplifier_limit_v:
+        least = "lower the voltage range (--max-volts) to that"
+        if unit == "N":
+            least = f"lower the highest force (--max-force) to {device.greatest_force_n:.1f} N"
         raise LimitError(
-            f"the stimulus asks for {peak:.3g} V and the amplifier gives {device.amplifier_limit_v:g} V: "
-            f"lower the {'force' if unit == 'N' else 'voltage'} range"
+            f"the stimulus asks for {peak:.3g} V and the amplifier gives {device.amplifier_limit_v:g} V: {least}"
         )
     return voltage
 

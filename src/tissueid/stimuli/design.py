@@ -94,7 +94,7 @@ def predicted_precision(tissue: LocalTissue, cutoff_hz: float, force_noise_n_per
         predicted = _predicted(tissue, cutoff_hz, force_noise_n_per_root_hz)
     if not (np.all((predicted.noise > _LEAST) & (predicted.noise < _MOST)) and np.all(predicted.distortion < _MOST)):
         raise UnusableInputError(
-            f"no test can be designed for a tissue of {tissue.mass_kg:g} kg, {tissue.damping_n_s_per_m:g} N s/m and "
+            f"no test can be designed for a tissue of {tissue.mass_kg:g} kg, {tissue.damping_n_s_per_m:g} N·s/m and "
             f"{tissue.stiffness_n_per_m:g} N/m with {force_noise_n_per_root_hz:g} N of noise per root Hz and a cut-off "
             f"of {cutoff_hz:g} Hz: it would answer to none, or to one of the three alone"
         )

@@ -7,7 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from tissueid.acquisition.quality.evidence import Evidence, longest
+from tissueid.instrument.answers import describe_faults
+from tissueid.instrument.judge import BY_CURRENT
 from tissueid.sessions.quality import QualityFinding, Severity
+from tissueid.wire import Fault
 from tissueid.wording import fixed, grouped
 
 LOST_SHARE, LOST_REPEAT_SHARE = 0.01, 0.10
@@ -42,11 +45,15 @@ def ended(evidence: Evidence) -> Iterator[QualityFinding]:
     seconds = max(0.0, (test.samples - evidence.first) / evidence.rate)
     why = test.notes.get("reason")
     said = f": {why}" if isinstance(why, str) and why else ""
+    when = f"{fixed(seconds, 1)} s of its stimulus"
+    if test.samples <= round(test.preload_s * evidence.rate):
+        held_s = test.samples / evidence.rate
+        when = f"{fixed(held_s, 2)} of the {fixed(test.preload_s, 2)} s of its preload, without any stimulus"
     how = "was broken off" if test.status == "aborted" else "was recovered after its recording was interrupted"
     yield QualityFinding(
         "ended_early",
         "repeat" if seconds < SHORTEST_S else "look",
-        f"The test {how} after {fixed(seconds, 1)} s of its stimulus{said}.",
+        f"The test {how} after {when}{said}.",
         "Run it again when the cause is mended; what was recorded can be analysed, but is shorter than planned.",
         seconds,
     )
@@ -263,7 +270,17 @@ def warm(evidence: Evidence) -> Iterator[QualityFinding]:
     # Means, so that the noise of single samples does not count.
     begin, end = float(known[:tenth].mean()), float(known[-tenth:].mean())
     hottest = max(begin, end)
-    if hottest > WARM_C:
+    limit_c = _limit(evidence, "limit_max_temperature_c", np.nan)
+    if _too_hot(evidence) and float(known.max()) < limit_c:
+        yield QualityFinding(
+            "coil_warm",
+            "look",
+            f"It was the calculation that ended the test: by its current the winding came to the limit of "
+            f"{fixed(limit_c, 0)} °C. The sensor beside it, which lags, read {fixed(hottest, 0)} °C.",
+            "Let the coil cool for some minutes, and rest between repeats (--rest).",
+            limit_c,
+        )
+    elif hottest > WARM_C:
         yield QualityFinding(
             "coil_warm",
             "look" if hottest > HOT_C else "note",
@@ -282,12 +299,22 @@ def warm(evidence: Evidence) -> Iterator[QualityFinding]:
         )
 
 
+def _too_hot(evidence: Evidence) -> bool:
+    """Whether the coil's temperature broke the test off, by the instrument's word or the host's own."""
+    reason = evidence.test.notes.get("reason")
+    if evidence.test.status != "aborted" or not isinstance(reason, str):
+        return False
+    return describe_faults(Fault.OVER_TEMPERATURE) in reason or BY_CURRENT in reason
+
+
 def calibrated(evidence: Evidence) -> Iterator[QualityFinding]:
     """No calibration, or one that should not be relied on."""
     calibration = evidence.device.calibration
     state = calibration.get("state")
     verdict = calibration.get("verdict")
     warnings = str(calibration.get("warnings") or "").strip()
+    if warnings and not warnings.endswith((".", "!", "?")):
+        warnings += "."
     if not calibration or state == "none":
         yield QualityFinding(
             "calibration_none",

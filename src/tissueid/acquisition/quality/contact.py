@@ -10,6 +10,7 @@ from scipy import linalg, stats
 from tissueid.acquisition.quality.evidence import Array, Evidence, longest
 from tissueid.device import angle_deg
 from tissueid.sessions.quality import QualityFinding
+from tissueid.stimuli.base import RISE_S
 from tissueid.wording import fixed
 
 LOST_FORCE_N = 0.10
@@ -26,6 +27,14 @@ MOVED_SHARE = 0.10
 _BLOCK_S = 0.05
 _POWERS = (1, 2, 3)
 _FEWEST_BLOCKS = 24
+
+_AFTER_RISE_S = 0.07
+"""What follows the rise of the preload at once belongs to it."""
+_HELD_BLOCK_S = 0.02
+_FEWEST_HELD_BLOCKS, _MOST_HELD_BLOCKS = 10, 150
+_FINEST_M = 1e-9
+_HELD_WITHIN = 0.2
+"""A load that changes by more is not held: an old record, or another kind of test."""
 
 SHOCK_M_S2 = 3.0
 TURNED_DEG = 10.0
@@ -72,10 +81,10 @@ def moved(evidence: Evidence) -> Iterator[QualityFinding]:
     """The reference surface moved: the position's baseline shifts by what neither force nor creep accounts for."""
     if not evidence.mechanical or evidence.test.kind in ("free_air", "quiet"):
         return
-    found = baseline_shift(evidence)
-    if found is None:
+    found = [shift for shift in (baseline_shift(evidence), preload_shift(evidence)) if shift is not None]
+    if not found:
         return
-    shift, at_s, sudden = found
+    shift, at_s, sudden = max(found, key=lambda item: abs(item[0]))
     how = f"jumped by {_mm(shift)} mm at {fixed(at_s, 1)} s" if sudden else f"drifted by {_mm(shift)} mm"
     yield QualityFinding(
         "reference_moved",
@@ -135,6 +144,42 @@ def baseline_shift(evidence: Evidence) -> tuple[float, float, bool] | None:
     return shift, place_s, sudden
 
 
+def preload_shift(evidence: Evidence) -> tuple[float, float, bool] | None:
+    """A jump while the preload was held: its size, m, when it was, s from the start of the test, True; None for none.
+
+    Under a load that does not change the position follows the logarithm of time, as creep does. A step between two
+    blocks of 20 ms that exceeds all else that the position does meanwhile is movement; a drift cannot be told from
+    creep here.
+    """
+    first = round((RISE_S + _AFTER_RISE_S) * evidence.rate)
+    length = max(round(_HELD_BLOCK_S * evidence.rate), (evidence.first - first) // _MOST_HELD_BLOCKS, 1)
+    count = (evidence.first - first) // length
+    if count < _FEWEST_HELD_BLOCKS:
+        return None
+    part = slice(evidence.first - count * length, evidence.first)
+    force = evidence.force[part].reshape(count, length).mean(axis=1)
+    if not evidence.received[part].reshape(count, length).any(axis=1).all():
+        return None
+    if np.ptp(force) > _HELD_WITHIN * abs(float(force.mean())):
+        return None
+    y = evidence.position[part].reshape(count, length).mean(axis=1)
+    at = (part.start + (np.arange(count) + 0.5) * length) / evidence.rate
+    q = linalg.qr(np.column_stack([np.ones(count), np.log(at), force]), mode="economic")[0]
+    rest = y - q @ (q.T @ y)
+    steps = (at[:, None] > at[None, 1:-2]).astype(np.float64)
+    steps -= q @ (q.T @ steps)
+    norm = np.einsum("ij,ij->j", steps, steps)
+    gain = (rest @ steps) ** 2 / norm
+    best = int(np.argmax(gain))
+    freedom = count - q.shape[1] - 1
+    shift = float(rest @ steps[:, best] / norm[best])
+    noise = max((rest @ rest - gain[best]) / freedom, _FINEST_M**2)
+    certain = gain[best] / noise > float(stats.f.isf(1e-4 / count, 1, freedom))
+    if not certain or abs(shift) < max(MOVED_M, abs(float(y[-1] - y[0]) - shift)):
+        return None
+    return shift, float(at[best + 1]) + 0.5 * length / evidence.rate, True
+
+
 def shaken(evidence: Evidence) -> Iterator[QualityFinding]:
     """A knock that the accelerometer felt, or an instrument that was turned since it was placed."""
     across, along = evidence.signal("acceleration_y"), evidence.signal("acceleration_x")
@@ -155,8 +200,8 @@ def shaken(evidence: Evidence) -> Iterator[QualityFinding]:
     placed = [evidence.test.notes.get(f"gravity_{name}_stroke_m_s2") for name in ("along", "across")]
     if not all(isinstance(value, float) for value in placed):
         return
-    quarter = max(1, across.size // 4)
-    now = float(np.nanmean(along[-quarter:])), float(np.nanmean(across[-quarter:]))
+    last = slice(-max(1, across.size // 4), None)  # of what was received
+    now = float(along[np.isfinite(along)][last].mean()), float(across[np.isfinite(across)][last].mean())
     turned = angle_deg(now, (float(placed[0] or 0.0), float(placed[1] or 0.0)))
     if turned > TURNED_DEG:
         yield QualityFinding(
@@ -175,6 +220,8 @@ def unsettled(evidence: Evidence) -> Iterator[QualityFinding]:
     if position is None or test.kind != "stochastic" or test.configuration != "indentation":
         return
     if evidence.first < 2 * window:
+        if test.samples < round(test.preload_s * evidence.rate):
+            return  # it ended within its preload, and how long that was held is told
         yield QualityFinding(
             "preload_short",
             "note",

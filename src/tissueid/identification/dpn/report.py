@@ -9,6 +9,7 @@ import numpy as np
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.bands import KnownCurves
 from tissueid.records import Estimate
+from tissueid.wording import number, people_unit
 
 _DOUBT = 3.0
 """Standard deviations by which a change with depth must stand out to be told as one."""
@@ -83,25 +84,33 @@ def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[
         gains: score statistic and explained share of the squared error of terms that were switched off.
     """
     low, high = known.central()
+    middle = float(np.median(known.position))
     ends = np.array([low, high])
     said = []
     changes, covariance = known.changes(low, high)
     told = np.abs(changes) > _DOUBT * np.sqrt(np.diag(covariance))  # nothing, where the covariance is unknown
     for name, change, stands_out in zip(UNITS, changes, told, strict=True):
         first, last = getattr(known, name)(ends).value
-        unit = UNITS[name]
-        if not stands_out:
-            said.append(f"{name} shows no change with depth: {math.sqrt(first * last):.3g} {unit}")
-        else:
+        unit, scale = people_unit(UNITS[name])
+        where = f"between {1e3 * low:.2f} and {1e3 * high:.2f} mm"
+        growth = known.growth(name, middle)
+        if stands_out:
             way = "grows" if change > 0.0 else "falls"
+            said.append(f"{name} {way} from {number(first * scale, 3)} to {number(last * scale, 3)} {unit} {where}")
+        elif growth.std is not None and abs(growth.value) > _DOUBT * growth.std:
+            way = "grows" if growth.value > 0.0 else "falls"
             said.append(
-                f"{name} {way} from {first:.3g} to {last:.3g} {unit} between {1e3 * low:.2f} and {1e3 * high:.2f} mm"
+                f"{name} {way} by {number(abs(growth.value) / 10.0, 2)} % a millimetre at {1e3 * middle:.2f} mm; that "
+                f"it differs from end to end, {where}, is not certain"
             )
+        else:
+            shown = number(math.sqrt(first * last) * scale, 3)
+            said.append(f"{name} shows no change with depth that is certain: {shown} {unit}")
     if told.all() and _common(changes, covariance):
         said.append("mass, damping and stiffness grow by one common factor: a Wiener system would say the same")
     if known.curves.direction.size:
-        middle = np.array([float(np.median(known.position))])
-        factor = float(known.damping(middle, 1).value[0] / known.damping(middle, -1).value[0])
+        here = np.array([middle])
+        factor = float(known.damping(here, 1).value[0] / known.damping(here, -1).value[0])
         said.append(f"damping on the way in is {factor:.2f} times that on the way out")
     if known.curves.inertia.size:
         said.append(

@@ -24,6 +24,7 @@ from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.records import Estimate, Record
+from tissueid.wording import number
 
 _EACH = 4
 """Parameters of a level: mass, damping, stiffness and the output about which they hold."""
@@ -122,7 +123,7 @@ def _findings(ordered: list[LevelFit]) -> tuple[str, ...]:
     ]
     if first.fit.mechanical:
         words.append(
-            f"stiffness goes from {first.fit.system.stiffness:.3g} to {last.fit.system.stiffness:.3g} N/m and damping "
-            f"from {first.fit.system.damping:.3g} to {last.fit.system.damping:.3g} N s/m"
+            f"stiffness goes from {number(first.fit.system.stiffness, 3)} to {number(last.fit.system.stiffness, 3)} "
+            f"N/m and damping from {number(first.fit.system.damping, 3)} to {number(last.fit.system.damping, 3)} N·s/m"
         )
     return tuple(words)

@@ -163,7 +163,8 @@ class Spectral(Engine):
         starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
         if starts.size < 2:
             raise UnusableInputError(
-                f"{starts.size} segment of {self.window:g} s without a gap: coherence takes two, shorten the window"
+                f"{starts.size} segment{'' if starts.size == 1 else 's'} of {self.window:g} s without a gap: coherence "
+                "takes two, shorten the window"
             )
         taper = signal.get_window(self.taper, length)
         index = starts[:, None] + np.arange(length)

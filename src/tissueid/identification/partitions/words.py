@@ -18,6 +18,7 @@ from tissueid.identification.partitions.tissue import Contrast
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import vaf_percent
 from tissueid.records import Estimate, Record
+from tissueid.wording import number
 
 _SIGNIFICANT = 2.6
 """Standard deviations (99 % of a normal variable) beyond which a change with depth or direction is called one."""
@@ -118,14 +119,14 @@ def found_words(local: LocalEstimates, partitions: Partitions, linear: SecondOrd
     known = np.flatnonzero(local.local.known)
     first, last = known[np.argmin(local.local.position[known])], known[np.argmax(local.local.position[known])]
     words = []
-    for index, name, unit in ((2, "stiffness", "N/m"), (1, "damping", "N s/m"), (0, "mass", "g")):
+    for index, name, unit in ((2, "stiffness", "N/m"), (1, "damping", "N·s/m"), (0, "mass", "g")):
         values = np.exp(local.local.log_parameters[:, index]) * (1e3 if unit == "g" else 1.0)
         change = float(np.log(values[last] / values[first]))
         spread = float(np.linalg.norm(local.local.root[last, index] - local.local.root[first, index]))
         where = f"from {1e3 * local.local.position[first]:.2f} to {1e3 * local.local.position[last]:.2f} mm"
         if abs(change) > _SIGNIFICANT * spread:
             going = "rises" if change > 0.0 else "falls"
-            words.append(f"{name} {going} from {values[first]:.3g} to {values[last]:.3g} {unit} {where}")
+            words.append(f"{name} {going} from {number(values[first], 3)} to {number(values[last], 3)} {unit} {where}")
         else:
             words.append(f"{name} does not change beyond its uncertainty {where}")
     if local.contrast is not None:

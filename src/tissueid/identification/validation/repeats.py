@@ -58,6 +58,8 @@ class Ceiling:
     shifts: tuple[int, ...]
     noise: Array
     findings: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+    """Which repeats were not used, and why."""
 
     def explained_percent(self, vaf_percent: float) -> float:
         """Share of what can be explained that a model of this VAF explains."""

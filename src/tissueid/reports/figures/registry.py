@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 from tissueid.analysis import Analysis
 from tissueid.identification.base import Array, Model
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.external_spring import profile_without_spring
 from tissueid.records import Record
 from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.style import drawing
@@ -59,8 +58,7 @@ class Subject(Generic[M_co]):
     @property
     def profile(self) -> DepthProfile | None:
         """Mass, damping and stiffness against depth, without an external spring; None for models that hold none."""
-        profile, spring = self.model.depth_profile(), self.analysis.external_spring_n_per_m
-        return profile_without_spring(profile, spring) if profile is not None and spring else profile
+        return self.analysis.depth_profile(self.model)
 
     @property
     def fitted_input(self) -> Array:

@@ -1,0 +1,275 @@
+"""Files of named twins: TOML that says what is believed of an instrument, what it meets, and from which session."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.options import reason
+from tissueid.twin.bus import MOST_EFFECTS
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.library import library
+from tissueid.twin.named import NamedTwin
+from tissueid.twin.simulation import Acting, values_by_name
+from tissueid.whole_file import whole_file
+
+FORMAT: Literal["tissueid-twin"] = "tissueid-twin"
+SUFFIX = ".toml"
+MOST_BYTES = 256 * 1024
+MOST_NAMED = MOST_EFFECTS - 1
+"""One place is the housing's when it is played."""
+
+_Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
+_Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+_Std = Annotated[float, Field(ge=0.0, le=1e12, allow_inf_nan=False)]
+_Line = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+_POSITIVE = ("resistance_ohm", "inductance_h", "force_constant_n_per_a", "moving_mass_kg", "amplifier_gain", "stroke_m")
+_LEAST = 1e-9
+_MOST = {"resistance_ohm": 1e4, "inductance_h": 10.0, "force_constant_n_per_a": 1e4, "moving_mass_kg": 1e3}
+_TISSUE_BOUNDS = {
+    "surface_m": (-1.0, 1.0),
+    "mass_kg": (0.0, 1e3),
+    "damping_n_s_per_m": (0.0, 1e5),
+    "damping_growth_per_m": (-1e4, 1e4),
+    "stiffness_n_per_m": (0.0, 1e7),
+    "stiffness_growth_per_m": (-1e4, 1e4),
+}
+_STEPS_A_SAMPLE = 500.0
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Source(_Part):
+    """Where a twin comes from."""
+
+    session_id: _Line = ""
+    tests: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
+    verdict: _Line = ""
+    closed: _Finite | None = None
+    """Share of the gap that its effects close on held-out data."""
+    probability: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    improves: _Line = ""
+    """Name and version of the twin that it was made from."""
+
+
+class EffectPart(_Part):
+    """An effect with its parameters, SI."""
+
+    name: _Figure
+    parameters: Annotated[dict[_Figure, _Finite], Field(max_length=64)]
+    stds: Annotated[dict[_Figure, _Std], Field(max_length=64)] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _is_known(self) -> EffectPart:
+        known = library().get(self.name)
+        if known is None:
+            raise ValueError(f"there is no effect {self.name!r}")
+        values_by_name(known, self.parameters)
+        for parameter in known.parameters:
+            value = self.parameters[parameter.name]
+            slack = 1e-6 * (parameter.high - parameter.low)
+            if not parameter.low - slack <= value <= parameter.high + slack:
+                raise ValueError(
+                    f"{self.name}: {parameter.name} is {parameter.low:g} to {parameter.high:g}, not {value:g}"
+                )
+        return self
+
+
+class TwinFile(_Part):
+    """The content of a file of a named twin."""
+
+    format: Literal["tissueid-twin"] = FORMAT
+    format_version: Literal["1.0"] = "1.0"
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}$")]
+    version: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    created: _Line = ""
+    software: _Line = ""
+    sample_rate_hz: Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
+    source: Source = Source()
+    instrument: dict[_Figure, _Finite]
+    tissue: dict[_Figure, _Finite]
+    stds: Annotated[dict[_Figure, _Std], Field(max_length=64)] = Field(default_factory=dict)
+    effects: Annotated[tuple[EffectPart, ...], Field(max_length=MOST_NAMED)] = ()
+
+    @field_validator("instrument")
+    @classmethod
+    def _is_an_instrument(cls, figures: dict[str, float]) -> dict[str, float]:
+        _complete("instrument", figures, {item.name for item in fields(Instrument)})
+        for name in _POSITIVE:
+            if not _LEAST <= figures[name] <= _MOST.get(name, 1e6):
+                raise ValueError(f"{name} is {_LEAST:g} to {_MOST.get(name, 1e6):g}, not {figures[name]:g}")
+        for name in ("amplifier_limit_v", "bearing_damping_n_s_per_m"):
+            if figures[name] < 0.0:
+                raise ValueError(f"{name} is 0 or more, not {figures[name]:g}")
+        return figures
+
+    @field_validator("tissue")
+    @classmethod
+    def _is_tissue(cls, figures: dict[str, float]) -> dict[str, float]:
+        _complete("tissue", figures, set(_TISSUE_BOUNDS))
+        for name, (low, high) in _TISSUE_BOUNDS.items():
+            if not low <= figures[name] <= high:
+                raise ValueError(f"{name} is {low:g} to {high:g}, not {figures[name]:g}")
+        return figures
+
+    @model_validator(mode="after")
+    def _can_be_played(self) -> TwinFile:
+        mass = self.instrument["moving_mass_kg"] + self.tissue["mass_kg"]
+        if self.tissue["stiffness_n_per_m"] / mass > (_STEPS_A_SAMPLE * self.sample_rate_hz) ** 2:
+            raise ValueError("its stiffness is too great for its mass to be played")
+        names = [item.name for item in self.effects]
+        if len(set(names)) < len(names):
+            raise ValueError("an effect stands in it twice")
+        return self
+
+    @property
+    def twin(self) -> NamedTwin:
+        """As the chain takes it."""
+        stds = dict(self.stds)
+        for item in self.effects:
+            stds |= {f"{item.name}.{name}": value for name, value in item.stds.items()}
+        return NamedTwin(
+            self.name,
+            self.version,
+            Instrument(**self.instrument),
+            Tissue(**self.tissue),
+            tuple(_acting(item) for item in self.effects),
+            self.sample_rate_hz,
+            stds,
+        )
+
+
+def _complete(what: str, figures: dict[str, float], wanted: set[str]) -> None:
+    if set(figures) != wanted:
+        odd = ", ".join(sorted(set(figures) ^ wanted))
+        raise ValueError(f"the figures of the {what} are too many or too few: {odd}")
+
+
+def _acting(part: EffectPart) -> Acting:
+    known = library()[part.name]
+    values = values_by_name(known, part.parameters)
+    low, high = (np.array([getattr(item, end) for item in known.parameters]) for end in ("low", "high"))
+    return Acting(known, np.clip(values, low, high))
+
+
+def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> TwinFile:
+    """The content of the file of a twin.
+
+    Raises:
+        UnusableInputError: it has more effects than can be played.
+    """
+    if len(twin.acting) > MOST_NAMED:
+        raise UnusableInputError(f"a twin holds at most {MOST_NAMED} effects, not {len(twin.acting)}")
+    effects = tuple(
+        EffectPart(
+            name=item.effect.name,
+            parameters={p.name: float(v) for p, v in zip(item.effect.parameters, item.values, strict=True)},
+            stds={
+                p.name: twin.stds[f"{item.effect.name}.{p.name}"]
+                for p in item.effect.parameters
+                if f"{item.effect.name}.{p.name}" in twin.stds
+            },
+        )
+        for item in twin.acting
+    )
+    return TwinFile(
+        name=twin.name,
+        version=twin.version,
+        created=created,
+        software=software,
+        sample_rate_hz=twin.sample_rate_hz,
+        source=source,
+        instrument=asdict(twin.instrument),
+        tissue=asdict(twin.tissue),
+        stds={name: value for name, value in twin.stds.items() if "." not in name},
+        effects=effects,
+    )
+
+
+def read_twin(path: Path) -> TwinFile:
+    """Read a twin from wherever it came.
+
+    Raises:
+        UnusableInputError: no such file, too large, not TOML, not a twin; says which field is wrong.
+    """
+    if path.exists() and not path.is_file():
+        raise UnusableInputError(f"{path} is not a file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise UnusableInputError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+    if len(data) > MOST_BYTES:
+        raise UnusableInputError(f"{path} is too large for a twin: at most {MOST_BYTES // 1024} KiB")
+    try:
+        content = tomllib.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise UnusableInputError(f"{path} is not a twin: it is no TOML") from error
+    if content.get("format") != FORMAT:
+        raise UnusableInputError(f"{path} is not a twin: its format is not {FORMAT!r}")
+    try:
+        return TwinFile.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "content"
+        raise UnusableInputError(f"{path}: {where[:100]!r} cannot be used: {reason(error)[:200]}") from error
+
+
+def check_twin_writable(path: Path) -> None:
+    """Refuse, before any work, a file that a twin cannot be written to.
+
+    Raises:
+        UnusableInputError: a folder, no folder for it, another suffix, or a file that is no twin.
+    """
+    if path.is_dir():
+        raise UnusableInputError(f"{path} is a folder; name a file")
+    if path.suffix != SUFFIX:
+        raise UnusableInputError(f"a twin is written to a {SUFFIX} file, not {path.name}")
+    if not path.parent.is_dir():
+        raise UnusableInputError(f"there is no folder {path.parent}")
+    if path.exists():
+        try:
+            read_twin(path)
+        except UnusableInputError:
+            raise UnusableInputError(f"{path} is there already and is not a twin; it is not written over") from None
+
+
+def write_twin(path: Path, content: TwinFile) -> None:
+    """Write a twin, whole or not at all; only over another twin.
+
+    Raises:
+        UnusableInputError: something else is there, the folder is missing, or it cannot be written.
+    """
+    check_twin_writable(path)
+    try:
+        with whole_file(path, synced=True) as partial:
+            partial.write_text(tomli_w.dumps(content.model_dump(mode="python", exclude_none=True)), encoding="utf-8")
+    except OSError as error:
+        raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
+
+
+def device_of(content: TwinFile) -> DeviceDescription:
+    """The device that a twin believes in."""
+    figures = content.instrument
+    return DeviceDescription(
+        model=f"twin {content.name}, version {content.version}",
+        coil_resistance_ohm=figures["resistance_ohm"],
+        coil_inductance_h=figures["inductance_h"],
+        force_constant_n_per_a=figures["force_constant_n_per_a"],
+        moving_mass_kg=figures["moving_mass_kg"],
+        bearing_damping_n_s_per_m=figures["bearing_damping_n_s_per_m"],
+        amplifier_gain=figures["amplifier_gain"],
+        amplifier_limit_v=figures["amplifier_limit_v"],
+        stroke_m=figures["stroke_m"],
+        sample_rate_hz=content.sample_rate_hz,
+    )

@@ -1,0 +1,112 @@
+"""Rest between repeats: what is foreseen of the coil, against the simulated instrument's own model of it."""
+
+import math
+
+import numpy as np
+import pytest
+from support import connect, connect_scenario
+
+from firmware_sim.scenario import Scenario
+from tissueid.acquisition import NoiseChoice
+from tissueid.acquisition.resting import foresee, rest, temperature_c
+from tissueid.cli import main
+from tissueid.device import DESKTOP, HANDHELD
+from tissueid.errors import CancelledError
+from tissueid.sessions import read_session
+from tissueid.stimuli.base import to_voltage
+
+
+def command(device, most_n=10.5, seconds=4.0):
+    stimulus = NoiseChoice(max_force_n=most_n, seconds=seconds).stimulus(device.sample_rate_hz)
+    return to_voltage(stimulus.values, device)
+
+
+def foreseen(repeats, rest_s=0.0, device=DESKTOP, begin_c=23.0, **noise):
+    return foresee(command(device, **noise), device, repeats=repeats, rest_s=rest_s, begin_c=begin_c, limit_c=80.0)
+
+
+def test_the_coil_warms_as_its_heat_capacity_says():
+    joules = float(np.sum(command(DESKTOP) ** 2)) / 2000.0 / 12.0
+    first = foreseen(1).temperatures_c[0]
+    assert first == pytest.approx(23.0 + joules / 16.5, abs=1.0)  # less what it lost, more what warm copper adds
+    assert foreseen(1).words == ""
+
+
+def test_five_default_repeats_on_the_desktop_need_a_rest():
+    found = foreseen(5)
+    assert found.first_too_warm == 5
+    assert "test 5 of 5 warms the coil" in found.words
+    assert f"--rest {found.rest_s:.0f} keeps it below" in found.words
+    assert foreseen(4).words == ""
+    assert foreseen(5, rest_s=found.rest_s).words == ""
+    assert foreseen(5, rest_s=found.rest_s - 5.0).words != ""
+
+
+def test_what_no_rest_helps_is_said():
+    found = foreseen(1, begin_c=70.0)
+    assert found.rest_s is None
+    assert "ask for less force, or shorter tests" in found.words
+
+
+def test_many_repeats_come_to_a_balance():
+    found = foreseen(100)
+    assert found.rest_s is not None
+    assert foreseen(100, rest_s=found.rest_s).first_too_warm is None
+
+
+def test_a_smaller_coil_warms_by_its_own_size():
+    assert foreseen(3, device=HANDHELD, most_n=7.9).temperatures_c[-1] > foreseen(3, most_n=7.9).temperatures_c[-1]
+
+
+def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
+    instrument = connect()
+    assert temperature_c(instrument) == pytest.approx(23.0, abs=1.0)
+    before, seen = instrument._link.now, []
+    rest(instrument, 2.0, progress=seen.append)
+    assert instrument._link.now - before == pytest.approx(2.0, abs=0.1)
+    assert seen[-1] == 1.0
+    with pytest.raises(CancelledError, match="cancelled between two tests"):
+        rest(instrument, 2.0, cancelled=lambda: True)
+
+
+@pytest.fixture
+def desktop(monkeypatch):
+    monkeypatch.setattr("support.TICK_S", 0.02)
+    monkeypatch.setattr("tissueid.cli.test.open_instrument", lambda _: connect_scenario(Scenario(seed=3)))
+
+
+def run(tmp_path, *arguments):
+    files = ["--out", tmp_path / "s.h5", "--json", tmp_path / "s.json"]
+    return main([*map(str, ["test", "--device", "x", "--site", "arm", *files, *arguments])])
+
+
+def test_without_rest_it_is_foretold_stopped_and_all_is_kept(desktop, tmp_path, capsys):
+    assert run(tmp_path, "--repeats", 2, "--min-force", 8.5, "--max-force", 12) == 2
+    told = capsys.readouterr().err
+    assert "warning: by calculation test 2 of 2 warms the coil" in told
+    tests = read_session(tmp_path / "s.h5").tests
+    assert [test.status for test in tests] == ["completed", "aborted"]
+    assert "it was the calculation that ended the test" in str(tests[-1].notes["quality"]).lower()
+    assert (tmp_path / "s.json").read_text().count('"status": "completed"') == 1
+
+
+@pytest.mark.soak
+def test_with_the_rest_that_is_advised_all_repeats_are_completed(desktop, tmp_path, capsys):
+    advised = foreseen(5).rest_s
+    assert run(tmp_path, "--repeats", 5, "--rest", advised) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert [test.status for test in read_session(tmp_path / "s.h5").tests] == 5 * ["completed"]
+
+
+def test_rest_without_repeats_is_refused(desktop, tmp_path, capsys):
+    assert run(tmp_path, "--rest", 5) == 2
+    assert "it goes with --repeats" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unreadable_sensor_foretells_nothing():
+    instrument = connect()
+    blank = instrument.poll(0.05).copy()
+    blank["temperature"] = np.nan
+    instrument.poll = lambda _: blank
+    assert math.isnan(temperature_c(instrument))

@@ -1,0 +1,88 @@
+"""The page of a diagnosis, on a short recording of the simulated laboratory."""
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from reports.page_check import checked
+
+from firmware_sim.drawing import NOMINAL, draw_scenario
+from firmware_sim.effects import LISTED
+from tissueid.device import DeviceDescription
+from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
+from tissueid.gap.observed import observe
+from tissueid.gap.workers import Alone
+from tissueid.reports.gap import gap_html, write_gap_report
+from tissueid.reports.gap_panels import gap_panels
+from tissueid.sessions import Session, Test
+
+EFFECT = "quadratic_drag"
+SAMPLES = 3000
+
+
+@cache
+def diagnosis() -> Diagnosis:
+    scenario = draw_scenario(3, without=tuple(name for name in LISTED if name != EFFECT))
+    recording = scenario.record()[0]
+    signals = {
+        name: getattr(recording, name)[:SAMPLES] for name in ("time", "command", "voltage", "current", "position")
+    }
+    test = Test(1, "stochastic", signals, 2000.0, preload_s=0.5, surface_position_m=recording.surface_m)
+    device = DeviceDescription(**{**NOMINAL, "serial_number": "<b>A&B</b>"})
+    return diagnose(observe(Session(device, tests=(test,))), Alone(), candidates=[EFFECT])
+
+
+def as_effect() -> Diagnosis:
+    found = diagnosis()
+    ranking = tuple(replace(item, indistinguishable=("dry_friction",)) for item in found.ranking)
+    step = NextExperiment("spring", "the spring shows the moving part alone", (EFFECT, "dry_friction"))
+    return replace(found, verdict="effect", combination=(EFFECT,), ranking=ranking, next_experiment=step)
+
+
+def test_the_page_tells_where_which_how_far_and_what_next():
+    text = checked(gap_html(as_effect())).text
+    for words in (
+        "The gap is explained: ",
+        "Moving part",
+        "Where it lies",
+        "Which cause",
+        "How far it closes",
+        "What to do next",
+        "Play a test of the kind “spring”",
+        "This data cannot tell it from",
+        "Gap before",
+        "Floor",
+    ):
+        assert words in text
+
+
+def test_every_picture_is_drawn():
+    drawn = {panel.key: panel.picture() for panel in gap_panels(as_effect())}
+    assert set(drawn) == {"chain", "frequency", "depth", "speed", "surface", "time", "ranking", "overlay"}
+    assert all(picture.figure is not None for picture in drawn.values())
+
+
+def test_no_gap_and_unexplained_are_said_so():
+    found = diagnosis()
+    page = checked(gap_html(replace(found, verdict="no_gap", combination=(), best=None, ranking=())))
+    assert "No gap" in page.text
+    assert "Nothing needs to be done" in page.text
+    page = checked(gap_html(replace(found, verdict="unexplained", combination=(), next_experiment=None)))
+    assert "no known effect explains" in page.text
+    assert "none of the known effects fits it" in page.text
+
+
+def test_remarks_and_names_from_files_are_text():
+    page = gap_html(replace(as_effect(), remarks=("test 4 is left out: <script>",)))
+    assert "<script>" not in page
+    assert "<b>A&B</b>" not in page
+    assert "test 4 is left out" in checked(page).text
+
+
+def test_the_page_is_written_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "gap.html"
+    write_gap_report(as_effect(), target)
+    assert target.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    with pytest.raises(FileNotFoundError):
+        write_gap_report(as_effect(), tmp_path / "missing" / "gap.html")
+    assert [item.name for item in tmp_path.iterdir()] == ["gap.html"]
