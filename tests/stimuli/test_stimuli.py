@@ -139,6 +139,9 @@ def test_volts_for_newtons_and_the_limit_of_the_amplifier():
     device = DeviceDescription()
     force = np.array([0.0, 3.0, -6.0])
     np.testing.assert_allclose(to_voltage(force, device), [device.voltage_for_force(f) for f in force])
-    with pytest.raises(LimitError, match=r"asks for 60 V and the amplifier gives 48 V: lower the highest force \(--max-force\) to 12\.0 N"):
+    with pytest.raises(
+        LimitError,
+        match=r"asks for 60 V and the amplifier gives 48 V: lower the highest force \(--max-force\) to 12\.0 N",
+    ):
         to_voltage(np.array([15.0]), device)
     assert to_voltage(np.array([]), device).size == 0

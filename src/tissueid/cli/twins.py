@@ -74,7 +74,7 @@ def accept_named(
         search = Search(observed, people, names, lambda step: show(step.what, _share(step)))
         baseline = best = search.baseline(known)
         for name in names:
-            tried = Search(observed, people, [name], lambda step: show(step.what, _share(step))).partners(best, 1)
+            tried = Search(observed, people, [name], lambda step: show(step.what, _share(step))).partners([best])
             if not tried:
                 raise UnusableInputError(f"these records hold no trace of the effect {name}")
             best = tried[0]

@@ -25,14 +25,18 @@ class Thresholds:
     """A candidate must lower the score by this much before it is anything but chance."""
     least_score: float = 0.08
     """With less than this left by the baseline there is no gap."""
+    at_the_floor: float = 0.12
+    """A candidate that leaves less than this explains the gap: nothing is left to be explained."""
     explained_closed: float = 0.75
-    """Share of the gap that a candidate must close on held-out data to explain it."""
+    """Otherwise, the share of the gap that a candidate must close on held-out data to explain it ..."""
     explained_share: float = 0.5
     """... and the share of the score that it may leave at most."""
     pair_gain: float = 0.25
     """What a second effect must lower the score by, in nats ..."""
     pair_share: float = 0.5
     """... and as a share of what the first one left."""
+    nearly_all: float = 0.985
+    """Where a single effect closes this share of the gap no second one is looked for."""
     temperature: float = 0.06
     """Differences in score below this are no evidence for one rival against another."""
     complexity: float = 0.01
@@ -73,8 +77,9 @@ def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds =
 
 def explains(baseline: Candidate, best: Candidate, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
     """Whether a candidate explains the gap on held-out data."""
-    enough = best.score <= max(thresholds.explained_share * baseline.score, thresholds.least_score)
-    return enough and closed >= thresholds.explained_closed
+    if best.score <= thresholds.at_the_floor:
+        return True
+    return best.score <= thresholds.explained_share * baseline.score and closed >= thresholds.explained_closed
 
 
 def better_pair(single: Candidate, pair: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:

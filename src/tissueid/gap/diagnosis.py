@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from tissueid.gap.decision import Verdict, better_pair, cost, explains, is_gap, probabilities
+from tissueid.gap.ceiling import ceiling
+from tissueid.gap.decision import THRESHOLDS, Verdict, better_pair, cost, explains, is_gap, probabilities
+from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.observed import Observed, Purpose
-from tissueid.gap.scoring import Candidate, closed, errors, floor, gap, quiet_tests
+from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
 from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Found, Progress, Search
 from tissueid.gap.where import Where, where
@@ -25,6 +26,8 @@ ALIKE = 0.97
 """Surviving signatures with a cosine above this are one to this data, where the scores differ little as well."""
 ALIKE_SCORE = 0.10
 RESAMPLES = 400
+CERTAIN = 0.9
+"""From this probability on a cause needs no further test."""
 LEADERS = 2
 """So many of the best single effects are tried with a partner."""
 
@@ -56,15 +59,6 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class NextExperiment:
-    """The test that would separate the leading rivals best, and why."""
-
-    kind: str
-    why: str
-    separates: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """What the diagnosis of a session found."""
 
@@ -80,6 +74,8 @@ class Diagnosis:
     found: Found = field(repr=False)
     best: Candidate | None = field(repr=False)
     """The accepted explanation, or the best attempt at one; None where nothing was refitted."""
+    ceiling: float = float("nan")
+    """Share of the gap that something flexible closes on the same samples, or the best candidate if that is more."""
 
 
 def diagnose(
@@ -113,27 +109,52 @@ def diagnose(
     verdict: Verdict = "no_gap"
     if there_is:
         verdict = "effect" if best is not None and explains(baseline, best, figures.announced) else "unexplained"
+    ranking = _ranking(observed, found)
     return Diagnosis(
         verdict,
         figures,
-        where(observed, baseline),
-        _ranking(observed, found),
+        _blamed(where(observed, baseline), best if verdict == "effect" else None, known),
+        ranking,
         tuple(name for name in best.effects if name not in known) if verdict == "effect" and best is not None else (),
-        None,
+        _next(observed, found, ranking, verdict, known),
         observed.remarks,
         time.monotonic() - began,
         observed,
         found,
         best,
+        _ceiling(baseline, figures) if there_is else float("nan"),
     )
+
+
+def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
+    flexible = ceiling(baseline)
+    return float(np.nanmax([flexible, figures.closed])) if np.isfinite([flexible, figures.closed]).any() else flexible
+
+
+def _next(
+    observed: Observed, found: Found, ranking: Sequence[Ranked], verdict: Verdict, known: Sequence[str]
+) -> NextExperiment | None:
+    # None where nothing is in doubt: no gap, or one cause that stands clear of its rivals.
+    if verdict == "no_gap" or (verdict == "effect" and ranking and ranking[0].probability >= CERTAIN):
+        return None
+    singles = [item for item in found.candidates if len(set(item.effects) - set(known)) == 1]
+    return next_experiment(observed, singles, probabilities(found.baseline, singles))
+
+
+def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where:
+    # A cause that is found says more about its stage than the evidence by stages alone.
+    if best is None:
+        return found
+    stages = [effect(name).stage for name in best.effects if name not in known]
+    return found if found.stage in stages else replace(found, stage=stages[0])
 
 
 def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found, Candidate]:
     # A second effect, beside the best ones; and with a third the search ends, for lack of evidence.
     leaders = sorted(found.candidates, key=cost)[:LEADERS]
-    if best.score < 2 * 0.08:
+    if best.score <= THRESHOLDS.at_the_floor or announced(found.baseline, best) >= THRESHOLDS.nearly_all:
         return found, best
-    pairs = [pair for leader in leaders for pair in search.partners(leader)]
+    pairs = search.partners(leaders, found.signatures)
     candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
     pair = min(pairs, key=cost, default=None)
     if pair is not None and better_pair(best, pair):
@@ -147,21 +168,22 @@ def figures_of(observed: Observed, baseline: Candidate, best: Candidate | None) 
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     after = before if best is None else gap(best.checked_by, quiet)
     shut = closed(before, after, least)
-    announced, interval = float("nan"), (float("nan"), float("nan"))
+    promised, interval = float("nan"), (float("nan"), float("nan"))
     if best is not None:
-        announced = closed(
-            gap(baseline.chosen_by, quiet), gap(best.chosen_by, quiet), floor(baseline.chosen_by, quiet)
-        )
+        promised = announced(baseline, best)
         interval = closed_interval(observed, baseline, best)
-    return GapFigures(before, after, least, shut, interval, announced)
+    return GapFigures(before, after, least, shut, interval, promised)
+
+
+def announced(baseline: Candidate, best: Candidate) -> float:
+    """Share of the gap closed on the samples of the choice: what is announced before the check."""
+    quiet = quiet_tests(baseline.fit.parameters.observed.tests)
+    return closed(gap(baseline.chosen_by, quiet), gap(best.chosen_by, quiet), floor(baseline.chosen_by, quiet))
 
 
 def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) -> tuple[float, float]:
     """95 % interval of the closed share: the stretches of the check, drawn again with replacement."""
-    stretches = [
-        (one, other)
-        for one, other in zip(_stretches(observed, baseline), _stretches(observed, best), strict=True)
-    ]
+    stretches = list(zip(_stretches(baseline), _stretches(best), strict=True))
     if len(stretches) < 2:
         return float("nan"), float("nan")
     quiet = quiet_tests(observed.tests)
@@ -179,23 +201,18 @@ def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) ->
     return float(low), float(high)
 
 
-def _stretches(observed: Observed, candidate: Candidate) -> list[list[Any]]:
+def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
     # Errors of every connected stretch of the check.
     found = []
-    for test, predicted in zip(observed.tests, candidate.fit.predictions, strict=True):
+    tests = candidate.fit.parameters.observed.tests
+    for k, test in enumerate(tests):
         serving = test.serving(Purpose.CHECK)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], serving.astype(np.int8), [0]])))
         for first, end in zip(edges[::2], edges[1::2], strict=True):
-            purpose = np.zeros_like(test.purpose)
-            purpose[first:end] = Purpose.CHECK
-            alone = _with_purpose(observed, test.number, purpose)
-            found.append(errors(alone, [predicted], Purpose.CHECK))
+            alone = [replace(other, purpose=np.zeros_like(other.purpose)) for other in tests]
+            alone[k].purpose[first:end] = Purpose.CHECK
+            found.append(errors(candidate.fit, Purpose.CHECK, tests=alone))
     return found
-
-
-def _with_purpose(observed: Observed, number: int, purpose: np.ndarray) -> Observed:
-    test = next(item for item in observed.tests if item.number == number)
-    return replace(observed, tests=(replace(test, purpose=purpose),))
 
 
 def _ranking(observed: Observed, found: Found) -> tuple[Ranked, ...]:

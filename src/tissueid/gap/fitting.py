@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from tissueid.gap.observed import Observed, ObservedTest, Purpose
 from tissueid.gap.parameters import Parametrisation, parametrise
+from tissueid.gap.playing import played
 from tissueid.twin.effect import Effect
-from tissueid.twin.simulation import Start, simulate
 
 FloatArray = NDArray[np.float64]
 Predictions = list[dict[str, FloatArray]]
 
-STEP_S = 1.25e-4
-"""Longest integration step: at 2 kHz four in a sample."""
 MOST_STEPS = 40
 TOLERANCE = 1e-4
 """A step that lowers the cost by less than this share of it is the last."""
@@ -26,33 +24,12 @@ WORST = 1e6
 
 
 def predict(parameters: Parametrisation, theta: FloatArray, tests: Sequence[ObservedTest] | None = None) -> Predictions:
-    """What the twin of a vector predicts for each test, channel by channel, from the command alone."""
-    instrument = parameters.instrument(theta)
+    """What the twin of a vector predicts for each test, channel by channel, from what drives it alone."""
     found = []
     for test in parameters.observed.tests if tests is None else tests:
-        substeps = max(1, int(np.ceil(1.0 / (test.sample_rate_hz * STEP_S))))
-        result = simulate(
-            test.command,
-            test.sample_rate_hz,
-            instrument,
-            parameters.met(theta, test),
-            starting_point(test, instrument.resistance_ohm),
-            parameters.acting(theta, test),
-            on_tissue=test.fixture == "tissue",
-            substeps=substeps,
-        ).readings
-        found.append({name: getattr(result, name) for name in parameters.observed.channels})
+        readings = played(parameters, theta, test)
+        found.append({name: getattr(readings, name) for name in parameters.observed.channels})
     return found
-
-
-def starting_point(test: ObservedTest, resistance_ohm: float) -> Start:
-    """Where a test starts: at rest at the surface, unless its first readings lie elsewhere."""
-    position = test.signals["position"]
-    first = position[np.isfinite(position)][:3]
-    at = float(np.median(first)) if first.size else test.surface_m
-    if abs(at - test.surface_m) < 1e-4:
-        at = test.surface_m
-    return Start(float(test.command[0]) / resistance_ohm, at, 0.0)
 
 
 @dataclass(frozen=True)
@@ -81,7 +58,7 @@ class Cancelled(Exception):  # noqa: N818 - a signal to stop, not an error that 
 def fit(
     observed: Observed,
     effects: Sequence[Effect] = (),
-    starts: Sequence[int] = (),
+    starts: Sequence[Sequence[float]] = (),
     *,
     near: Fit | None = None,
     most_steps: int = MOST_STEPS,
@@ -92,12 +69,12 @@ def fit(
     Args:
         observed: the tests.
         effects: candidates to add to the baseline.
-        starts: which starting point of each.
+        starts: where the search starts in each one's parameters; its first declared starting point where none is given.
         near: another fit whose common coordinates are where this one starts.
         most_steps: most accepted steps.
         cancelled: asked now and then; True stops with ``Cancelled``.
     """
-    parameters = parametrise(observed, effects, starts)
+    parameters = parametrise(observed, effects, starts, () if near is None else near.predictions)
     theta = parameters.array("start")
     if near is not None:
         for k, item in enumerate(parameters.coordinates):
@@ -108,23 +85,34 @@ def fit(
     return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
 
 
-def differences(baseline: Fit, effect: Effect, start: int) -> FloatArray:
-    """By how much an effect at a starting point changes the residuals of a fit, shape as ``Fit.residuals``."""
-    effects = [*baseline.parameters.effects, effect]
-    starts = [0] * len(baseline.parameters.effects) + [start]
-    parameters = parametrise(baseline.parameters.observed, effects, starts)
+def differences(baseline: Fit, effect: Effect, start: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """By how much an effect at a starting point changes the residuals of a fit, shape as ``Fit.residuals``.
+
+    And its derivatives there by the effect's own coordinates, shape (residuals, coordinates).
+    """
+    before = baseline.parameters
+    effects = [*before.effects, effect]
+    starts = [*(item.starts[0] for item in before.effects), start]
+    parameters = parametrise(before.observed, effects, starts, baseline.predictions)
     theta = parameters.array("start")
-    for name, k in baseline.parameters.index.items():
+    for name, k in before.index.items():
         theta[parameters.index[name]] = baseline.theta[k]
-    search = _Search(parameters, parameters.array("low"), parameters.array("high"), lambda: False)
-    return search.residuals(theta)[0] - baseline.residuals
+    search = _Search(parameters, parameters.array("low"), parameters.array("high"), lambda: False, before)
+    residuals = search.residuals(theta)[0]
+    new = [k for k, item in enumerate(parameters.coordinates) if item.name not in before.index]
+    return residuals - baseline.residuals, search.slopes(theta, residuals, new)
 
 
 class _Search:
     """Levenberg-Marquardt steps within bounds; the Jacobian is renewed by secants while that serves."""
 
     def __init__(
-        self, parameters: Parametrisation, low: FloatArray, high: FloatArray, cancelled: Callable[[], bool]
+        self,
+        parameters: Parametrisation,
+        low: FloatArray,
+        high: FloatArray,
+        cancelled: Callable[[], bool],
+        weighed_as: Parametrisation | None = None,
     ) -> None:
         self._parameters = parameters
         self._low, self._high = low, high
@@ -135,13 +123,21 @@ class _Search:
         observed = parameters.observed
         self._tests = observed.tests
         self._channels = observed.channels
-        self._weights = {name: 1.0 / max(observed.noise.get(name, 0.0), _least(name)) for name in self._channels}
+        self._weights = [self._weights_of(weighed_as or parameters, test) for test in self._tests]
         self._masks = [
             {name: test.serving(Purpose.FIT) & np.isfinite(test.signals[name]) for name in self._channels}
             for test in self._tests
         ]
         counts = [sum(int(mask.sum()) for mask in masks.values()) for masks in self._masks]
+        self._fitted = [count > 0 for count in counts]
         self._ends = np.cumsum([0, *counts])
+
+    def _weights_of(self, parameters: Parametrisation, test: ObservedTest) -> dict[str, float]:
+        beside = parameters.irreducible(parameters.array("start"), test.number)
+        return {
+            name: 1.0 / max(float(np.hypot(parameters.observed.noise[name], beside.get(name, 0.0))), _least(name))
+            for name in self._channels
+        }
 
     def run(self, theta: FloatArray, near: Fit | None, most_steps: int) -> Fit:
         residuals, predictions = self.residuals(theta)
@@ -176,6 +172,7 @@ class _Search:
                 damping *= 10.0
                 if damping > 1e5:
                     break
+        predictions = self._unfitted(theta, predictions)
         return Fit(self._parameters, theta, cost, predictions, residuals, jacobian, steps)
 
     def _cost(self, theta: FloatArray, residuals: FloatArray) -> float:
@@ -204,36 +201,62 @@ class _Search:
             damping *= 3.0
 
     def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None) -> FloatArray:
+        # Columns that another fit has already are taken from there.
+        names = [item.name for item in self._parameters.coordinates]
+        known = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}
+        new = [k for k in range(theta.size) if known.get(k) is None]
         jacobian = np.empty((residuals.size, theta.size))
-        for k, item in enumerate(self._parameters.coordinates):
-            known = None if near is None else near.parameters.index.get(item.name)
-            if near is not None and known is not None:
-                jacobian[:, k] = near.jacobian[:, known]
-                continue
+        jacobian[:, new] = self.slopes(theta, residuals, new)
+        for k, column in known.items():
+            if near is not None and column is not None:
+                jacobian[:, k] = near.jacobian[:, column]
+        return jacobian
+
+    def slopes(self, theta: FloatArray, residuals: FloatArray, places: Sequence[int]) -> FloatArray:
+        """Derivatives of the residuals by the coordinates at some places, shape (residuals, places)."""
+        found = np.empty((residuals.size, len(places)))
+        for column, k in enumerate(places):
             if self._cancelled():
                 raise Cancelled
             step = self._steps[k] if theta[k] + self._steps[k] <= self._high[k] else -self._steps[k]
             other = theta.copy()
             other[k] += step
-            moved, _ = self.residuals(other, item.test, residuals)
-            jacobian[:, k] = (moved - residuals) / step
-        return jacobian
+            moved, _ = self.residuals(other, self._parameters.coordinates[k].test, residuals)
+            found[:, column] = (moved - residuals) / step
+        return found
 
     def residuals(
         self, theta: FloatArray, only: int | None = None, others: FloatArray | None = None
     ) -> tuple[FloatArray, Predictions]:
-        """Residuals and predictions of all tests, or of one while the others' residuals stay as they are."""
-        chosen = [k for k, test in enumerate(self._tests) if only is None or test.number == only]
-        predictions = predict(self._parameters, theta, [self._tests[k] for k in chosen])
+        """Residuals and predictions of the tests that are fitted, or of one while the others' residuals stay.
+
+        The predictions of a test that was left alone are empty.
+        """
+        chosen = [k for k, test in enumerate(self._tests) if self._fitted[k] and only in (None, test.number)]
+        predictions: Predictions = [{} for _ in self._tests]
+        for k, predicted in zip(
+            chosen, predict(self._parameters, theta, [self._tests[k] for k in chosen]), strict=True
+        ):
+            predictions[k] = predicted
         values = np.empty(self._ends[-1]) if others is None else others.copy()
-        for k, predicted in zip(chosen, predictions, strict=True):
+        for k in chosen:
             rows = []
             for name in self._channels:
                 mask = self._masks[k][name]
-                error = (predicted[name][mask] - self._tests[k].signals[name][mask]) * self._weights[name]
+                error = (predictions[k][name][mask] - self._tests[k].signals[name][mask]) * self._weights[k][name]
                 rows.append(np.clip(np.nan_to_num(error, nan=WORST, posinf=WORST, neginf=-WORST), -WORST, WORST))
             values[self._ends[k] : self._ends[k + 1]] = np.concatenate(rows)
         return values, predictions
+
+    def _unfitted(self, theta: FloatArray, predictions: Predictions) -> Predictions:
+        # With what the fitted twin predicts for the tests that are held out whole.
+        others = [k for k, is_fitted in enumerate(self._fitted) if not is_fitted]
+        found = list(predictions)
+        for k, predicted in zip(
+            others, predict(self._parameters, theta, [self._tests[k] for k in others]), strict=True
+        ):
+            found[k] = predicted
+        return found
 
 
 def _least(channel: str) -> float:

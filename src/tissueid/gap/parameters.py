@@ -6,19 +6,23 @@ bounds a bounded explanation is lost in an unbounded one, and the fit runs away.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.observed import Observed, ObservedTest
-from tissueid.twin.effect import Effect
+from tissueid.gap.equivalent import FORCE_N, MOST_DELAY_SAMPLES
+from tissueid.gap.observed import Belief, Observed, ObservedTest
+from tissueid.twin.effect import Effect, Parameter
 from tissueid.twin.figures import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
 from tissueid.twin.simulation import Acting
 
 FloatArray = NDArray[np.float64]
+Starts = tuple[tuple[float, ...], ...]
 
+DELAY = "input_delay_s"
+"""By how much the output of a bare record comes late, which its sampling leaves open."""
 WITHIN_STDS = 3.0
 """Instrument figures are looked for so many calibration uncertainties round the nominal ones."""
 
@@ -64,6 +68,19 @@ _SPRING = (
 )
 
 
+INSTRUMENT_COORDINATES = dict(_INSTRUMENT)
+"""Coordinates (logarithms of a ratio to the nominal figure) by the name that the device has for the figure."""
+TISSUE_COORDINATES = {name: name.removeprefix("tissue_") for name, *_ in _TISSUE}
+LOGARITHMIC_TISSUE = tuple(item[0] for item in _TISSUE if item[4])
+SPRING_COORDINATES = {name: (likely, std) for name, likely, _, _, _, std in _SPRING}
+"""The fixture's own: what is likely of each, and its standard deviation."""
+_ABOVE_MOTION = ("amplifier_gain", "resistance_ohm", "inductance_h", "force_constant_n_per_a")
+"""Of no account where the current is what drives a test; its force only scales mass, damping and stiffness alike."""
+_WIDE = 3.5
+"""Figures of an equivalent mass are looked for so many times e round those that least squares gave."""
+_REST_M = 2e-4
+
+
 @dataclass(frozen=True)
 class Parametrisation:
     """All coordinates of a fit, in order, and how they make a twin of each test."""
@@ -72,6 +89,8 @@ class Parametrisation:
     effects: tuple[Effect, ...]
     coordinates: tuple[Coordinate, ...]
     index: dict[str, int] = field(repr=False)
+    constants: dict[str, float] = field(repr=False, default_factory=dict)
+    """Parameters of effects that are read from the record and not searched for."""
 
     @property
     def size(self) -> int:
@@ -102,6 +121,9 @@ class Parametrisation:
             stiffness = nominal * float(np.exp(self._at(theta, "spring_stiffness_ratio")))
             mass, damping = self._at(theta, "spring_mass_kg"), self._at(theta, "spring_damping_n_s_per_m")
             return spring(test.surface_m, stiffness, mass, damping)
+        if self.observed.equivalent is not None:
+            rest = test.surface_m + self._at(theta, "rest_m")
+            return spring(rest, float(np.exp(self._at(theta, "tissue_stiffness_n_per_m"))))
         values = [
             float(np.exp(self._at(theta, name))) if logarithmic else self._at(theta, name)
             for name, _, _, _, logarithmic, _ in _TISSUE
@@ -117,19 +139,86 @@ class Parametrisation:
         values = np.empty(len(effect.parameters))
         for k, parameter in enumerate(effect.parameters):
             name = f"{effect.name}.{parameter.name}" + (f"@{test}" if parameter.per_test else "")
+            if name in self.constants:
+                values[k] = self.constants[name]
+                continue
             value = self._at(theta, name)
             values[k] = np.exp(value) if parameter.logarithmic else value
         return values
 
+    def irreducible(self, theta: FloatArray, test: int) -> dict[str, float]:
+        """Standard deviation by channel, SI, that the effects leave in a test however well they are known."""
+        squares: dict[str, float] = {}
+        for effect in self.effects:
+            if effect.irreducible is not None:
+                for name, std in effect.irreducible(self.effect_values(theta, effect, test)).items():
+                    squares[name] = squares.get(name, 0.0) + std**2
+        return {name: float(np.sqrt(square)) for name, square in squares.items()}
+
+    def value(self, theta: FloatArray, name: str) -> float:
+        """A coordinate by its name, as it is fitted; where there is none, what is held instead (0 by default)."""
+        return float(theta[self.index[name]]) if name in self.index else self.constants.get(name, 0.0)
+
     def _at(self, theta: FloatArray, name: str) -> float:
-        return float(theta[self.index[name]])
+        return self.value(theta, name)
 
 
-def parametrise(observed: Observed, effects: Sequence[Effect] = (), starts: Sequence[int] = ()) -> Parametrisation:
-    """The coordinates of baseline and effects; ``starts`` chooses one of each effect's starting points."""
+def starts_of(observed: Observed, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Starts:
+    """All starting points of an effect: those it declares and those it finds in the signals."""
+    if effect.starts_from is None:
+        return effect.starts
+    signals = [_signals(test, predicted) for test, predicted in zip(observed.tests, predictions, strict=True)]
+    return (*effect.starts, *effect.starts_from(signals, observed.tests[0].sample_rate_hz))
+
+
+def parametrise(
+    observed: Observed,
+    effects: Sequence[Effect] = (),
+    starts: Sequence[Sequence[float]] = (),
+    predictions: Sequence[Mapping[str, FloatArray]] = (),
+) -> Parametrisation:
+    """The coordinates of baseline and effects.
+
+    Args:
+        observed: the tests.
+        effects: effects beside the baseline.
+        starts: where the search starts, for each effect; its first declared starting point where there is none.
+        predictions: what a fitted baseline predicts for each test, where there is one.
+    """
+    found = _of_mass(observed) if observed.equivalent is not None else _of_instrument(observed)
+    constants: dict[str, float] = {}
+    signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(observed.tests)]
+    for k, effect in enumerate(effects):
+        start = starts[k] if k < len(starts) else effect.starts[0]
+        read = [_read(effect, known, test.sample_rate_hz) for test, known in zip(observed.tests, signals, strict=True)]
+        for parameter, begin in zip(effect.parameters, start, strict=True):
+            _add(observed, effect, parameter, begin, read, found, constants)
+    found = [_believed(item, observed.beliefs) for item in found]
+    constants |= {name: held.value for name, held in observed.beliefs.items() if name in constants and "@" not in name}
+    index = {item.name: k for k, item in enumerate(found)}
+    return Parametrisation(observed, tuple(effects), tuple(found), index, constants)
+
+
+def _believed(item: Coordinate, beliefs: Mapping[str, Belief]) -> Coordinate:
+    """The coordinate as a saved twin has it: its start, and its prior where the twin knows how sure that is."""
+    held = beliefs.get(item.name)
+    if held is None:
+        return item
+    start = min(max(held.value, item.low), item.high)
+    if held.std is None:
+        return replace(item, start=start)
+    return replace(item, start=start, prior=start, prior_std=min(held.std, item.prior_std))
+
+
+def _of_instrument(observed: Observed) -> list[Coordinate]:
+    """Coordinates of instrument, tissue and fixture."""
     spread = observed.instrument.calibration_relative_uncertainty
     wide = WITHIN_STDS * spread
-    found = [Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT]
+    driven = {test.driven_by for test in observed.tests}
+    left_out = _ABOVE_MOTION if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
+    found = [
+        Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT if ours not in left_out
+    ]
     weight = observed.instrument.moving_mass_kg * STANDARD_GRAVITY
     # The device may be held at any angle: nothing in a session says which.
     found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, weight, 0.0, weight))
@@ -137,10 +226,32 @@ def parametrise(observed: Observed, effects: Sequence[Effect] = (), starts: Sequ
         found += [_scaled(*item) for item in _TISSUE]
     if any(test.fixture == "spring" for test in observed.tests):
         found += [_scaled(*item) for item in _SPRING]
-    for k, effect in enumerate(effects):
-        found += _of_effect(observed, effect, starts[k] if k < len(starts) else 0)
-    index = {item.name: k for k, item in enumerate(found)}
-    return Parametrisation(observed, tuple(effects), tuple(found), index)
+    return found
+
+
+def _of_mass(observed: Observed) -> list[Coordinate]:
+    """Coordinates of an equivalent mass on a spring, of its rest, and of what the input is late by."""
+    about = observed.equivalent
+    assert about is not None
+    rate = observed.tests[0].sample_rate_hz
+    stiffness = float(np.log(about.stiffness_n_per_m))
+    late = MOST_DELAY_SAMPLES / rate
+    return [
+        Coordinate("moving_mass_kg", 0.0, -_WIDE, _WIDE, 1e-4, 0.3),
+        Coordinate("bearing_damping_n_s_per_m", 0.0, -_WIDE, _WIDE, 1e-3, 0.5),
+        Coordinate("tissue_stiffness_n_per_m", stiffness, stiffness - _WIDE, stiffness + _WIDE, 1e-4, 0.3),
+        Coordinate("weight_n", 0.0, -3.0 * FORCE_N, 3.0 * FORCE_N, 1e-3, FORCE_N, 0.0, FORCE_N),
+        Coordinate("rest_m", 0.0, -5.0 * _REST_M, 5.0 * _REST_M, 1e-6, _REST_M, 0.0, _REST_M),
+        Coordinate(DELAY, about.delay_s, about.delay_s - late, about.delay_s + late, 1e-3 / rate, 0.2 / rate),
+    ]
+
+
+def _signals(test: ObservedTest, predicted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    return {
+        "command": test.command,
+        **test.signals,
+        **{f"predicted_{name}": values for name, values in predicted.items()},
+    }
 
 
 def _scaled(name: str, likely: float, low: float, high: float, logarithmic: bool, std: float) -> Coordinate:
@@ -149,39 +260,45 @@ def _scaled(name: str, likely: float, low: float, high: float, logarithmic: bool
     return Coordinate(name, likely, low, high, 1e-3 * std, std, likely, std)
 
 
-def _of_effect(observed: Observed, effect: Effect, start: int) -> list[Coordinate]:
-    found = []
-    for k, parameter in enumerate(effect.parameters):
-        low, high, begin = parameter.low, parameter.high, effect.starts[start][k]
-        prior, std = parameter.prior, parameter.prior_std
-        if parameter.logarithmic:
-            low, high, begin = np.log(low), np.log(high), np.log(begin)
-            prior = None if prior is None else float(np.log(prior))
-        # A derivative by a thousandth of the range, or of the value where a logarithm is fitted.
-        step = 1e-3 if parameter.logarithmic else 2e-4 * (high - low)
-        reach = 0.7 if parameter.logarithmic else 0.1 * (high - low)
-        fitted = Coordinate(
-            f"{effect.name}.{parameter.name}",
-            begin,
-            low,
-            high,
-            step,
-            reach,
-            begin if prior is None else prior,
-            np.inf if std is None else std,
-        )
-        if not parameter.per_test:
-            found.append(fitted)
-            continue
-        for test in observed.tests:
-            at = fitted.start
-            if effect.from_test is not None:
-                signals = {"command": test.command, **test.signals}
-                read = effect.from_test(signals, test.sample_rate_hz).get(parameter.name, effect.starts[start][k])
-                at = float(np.log(read)) if parameter.logarithmic else float(read)
-            found.append(
-                Coordinate(
-                    f"{fitted.name}@{test.number}", at, low, high, step, reach, fitted.prior, fitted.prior_std, test.number
-                )
-            )
-    return found
+def _read(effect: Effect, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
+    if effect.from_test is None or not effect.needs <= set(signals):
+        return {}
+    return effect.from_test(signals, sample_rate_hz)
+
+
+def _add(
+    observed: Observed,
+    effect: Effect,
+    parameter: Parameter,
+    begin: float,
+    read: Sequence[Mapping[str, float]],
+    found: list[Coordinate],
+    constants: dict[str, float],
+) -> None:
+    # Coordinates of one parameter, one or one a test; or its constants.
+    name = f"{effect.name}.{parameter.name}"
+    if not parameter.per_test:
+        if parameter.fixed:
+            constants[name] = begin
+        else:
+            found.append(_coordinate(name, parameter, begin, None))
+        return
+    for test, values in zip(observed.tests, read, strict=True):
+        at = values.get(parameter.name, begin)
+        if parameter.fixed:
+            constants[f"{name}@{test.number}"] = at
+        else:
+            found.append(_coordinate(f"{name}@{test.number}", parameter, at, test.number))
+
+
+def _coordinate(name: str, parameter: Parameter, begin: float, test: int | None) -> Coordinate:
+    low, high, prior = parameter.low, parameter.high, parameter.prior
+    begin = min(max(begin, low), high)
+    if parameter.logarithmic:
+        low, high, begin = float(np.log(low)), float(np.log(high)), float(np.log(begin))
+        prior = None if prior is None else float(np.log(prior))
+    std = np.inf if parameter.prior_std is None else parameter.prior_std
+    # A derivative by a thousandth of the range, or of the value where a logarithm is fitted.
+    step = 1e-3 if parameter.logarithmic else 2e-4 * (high - low)
+    reach = 0.7 if parameter.logarithmic else 0.1 * (high - low)
+    return Coordinate(name, begin, low, high, step, reach, begin if prior is None else prior, std, test)

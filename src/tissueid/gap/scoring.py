@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.fitting import Fit, Predictions
-from tissueid.gap.observed import Observed, ObservedTest, Purpose
+from tissueid.gap.fitting import Fit
+from tissueid.gap.observed import ObservedTest, Purpose
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ class ChannelError:
 
     ``square`` is the mean squared error (SI squared), ``noise`` the sensor noise (std, SI), ``spread`` the standard
     deviation of the recorded signal over the whole test, ``samples`` how many samples it was taken over.
+    ``irreducible`` (std, SI) is what an effect leaves besides, however well it is known: the rest of a rounding, say.
     """
 
     test: int
@@ -33,17 +34,23 @@ class ChannelError:
     noise: float
     spread: float
     samples: int
+    irreducible: float = 0.0
 
     @property
     def ratio(self) -> float:
-        """Mean squared error over noise variance, at least 1."""
-        return max(self.square / self.noise**2, LEAST_RATIO)
+        """Mean squared error over the variance of noise and what is irreducible, at least 1."""
+        return max(self.square / (self.noise**2 + self.irreducible**2), LEAST_RATIO)
 
 
-def errors(observed: Observed, predictions: Predictions, *purposes: Purpose) -> list[ChannelError]:
-    """Errors by test and channel on the samples that serve any of the purposes; left out where there are none."""
+def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[ObservedTest] | None = None) -> list[ChannelError]:
+    """Errors by test and channel on the samples that serve any of the purposes; left out where there are none.
+
+    ``tests`` are the fit's own, with other purposes perhaps.
+    """
     found = []
-    for test, predicted in zip(observed.tests, predictions, strict=True):
+    observed = fitted.parameters.observed
+    for test, predicted in zip(observed.tests if tests is None else tests, fitted.predictions, strict=True):
+        beside = fitted.parameters.irreducible(fitted.theta, test.number)
         chosen = np.isin(test.purpose, purposes)
         for name in observed.channels:
             mask = chosen & np.isfinite(test.signals[name])
@@ -58,6 +65,7 @@ def errors(observed: Observed, predictions: Predictions, *purposes: Purpose) -> 
                     observed.noise[name],
                     float(np.nanstd(test.signals[name])),
                     int(mask.sum()),
+                    beside.get(name, 0.0),
                 )
             )
     return found
@@ -130,13 +138,13 @@ class Candidate:
         return sum(effect.order for effect in self.fit.parameters.effects)
 
 
-def judged(observed: Observed, fitted: Fit) -> Candidate:
+def judged(fitted: Fit) -> Candidate:
     """A fit with its held-out errors."""
     return Candidate(
         tuple(effect.name for effect in fitted.parameters.effects),
         fitted,
-        tuple(errors(observed, fitted.predictions, Purpose.CHOICE)),
-        tuple(errors(observed, fitted.predictions, Purpose.CHECK)),
+        tuple(errors(fitted, Purpose.CHOICE)),
+        tuple(errors(fitted, Purpose.CHECK)),
     )
 
 

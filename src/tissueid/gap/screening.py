@@ -9,21 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.gap.fitting import Fit, differences
+from tissueid.gap.parameters import starts_of
 from tissueid.twin.effect import Effect
 
 FloatArray = NDArray[np.float64]
+
+
+SECOND_START = 0.7
+"""A second starting point of an effect is tried as well where it is aligned by this share of the first one's."""
 
 
 @dataclass(frozen=True)
 class Signature:
     """What an effect at one of its starting points would add to the residuals, after a refit of everything else.
 
-    ``surviving``, shape (residuals,), is in noise deviations; ``alignment`` its squared cosine with what the baseline
-    leaves: the share that it could take away if it were linear.
+    ``surviving``, shape (residuals,), is in noise deviations: that combination of the effect itself and of its
+    derivatives by its parameters which comes nearest to what the baseline leaves. ``alignment`` is its squared cosine
+    with that: the share that the effect could take away if it were linear.
     """
 
     effect: str
-    start: int
+    start: tuple[float, ...]
     surviving: FloatArray
     alignment: float
 
@@ -39,18 +45,27 @@ class Screen:
         self._left = self.surviving(baseline.residuals)
         self._size = float(self._left @ self._left)
 
-    def signatures(self, effect: Effect) -> list[Signature]:
-        """The signature of each starting point of an effect."""
+    def signatures(self, effect: Effect, starts: Sequence[tuple[float, ...]] | None = None) -> list[Signature]:
+        """The signature of an effect at each starting point; at all that it has where None are given."""
+        if starts is None:
+            starts = starts_of(self._baseline.parameters.observed, effect, self._baseline.predictions)
         found = []
-        for start in range(len(effect.starts)):
-            added = differences(self._baseline, effect, start)
-            surviving = self.surviving(added)
-            size = float(surviving @ surviving)
-            along = float(surviving @ self._left) ** 2 / (size * self._size) if size > 0.0 and self._size > 0.0 else 0.0
+        for start in starts:
+            added, slopes = differences(self._baseline, effect, start)
+            span = self.surviving(np.column_stack([added, slopes]))
+            sizes = np.linalg.norm(span, axis=0)
+            span = span[:, sizes > 1e-9 * max(float(sizes.max()), 1e-300)]
+            if not span.shape[1]:
+                found.append(Signature(effect.name, start, np.zeros_like(self._left), 0.0))
+                continue
+            shares, *_ = np.linalg.lstsq(span / np.linalg.norm(span, axis=0), self._left, rcond=1e-6)
+            surviving = (span / np.linalg.norm(span, axis=0)) @ shares
+            along = float(surviving @ surviving) / self._size if self._size > 0.0 else 0.0
             found.append(Signature(effect.name, start, surviving, along))
         return found
 
     def surviving(self, values: FloatArray) -> FloatArray:
+        """What is left of a change of the residuals once everything else was refitted, shape (residuals,)."""
         return values - self._basis @ (self._basis.T @ values)
 
 
@@ -60,10 +75,11 @@ def cosine(one: FloatArray, other: FloatArray) -> float:
     return abs(float(one @ other)) / size if size > 0.0 else 0.0
 
 
-def best_starts(signatures: Sequence[Signature]) -> list[Signature]:
-    """The best aligned start of every effect, best first."""
-    best: dict[str, Signature] = {}
-    for item in signatures:
-        if item.effect not in best or item.alignment > best[item.effect].alignment:
-            best[item.effect] = item
-    return sorted(best.values(), key=lambda item: -item.alignment)
+def contenders(signatures: Sequence[Signature]) -> list[Signature]:
+    """The best aligned start of every effect and, where it is aligned nearly as well, the second; best first."""
+    found: dict[str, list[Signature]] = {}
+    for item in sorted(signatures, key=lambda item: -item.alignment):
+        of_effect = found.setdefault(item.effect, [])
+        if not of_effect or (len(of_effect) == 1 and item.alignment >= SECOND_START * of_effect[0].alignment):
+            of_effect.append(item)
+    return sorted((item for items in found.values() for item in items), key=lambda item: -item.alignment)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-from tissueid.gap.fitting import Fit, fit
+from tissueid.gap.fitting import MOST_STEPS, Fit, fit
 from tissueid.gap.observed import Observed
 from tissueid.gap.scoring import Candidate, judged
-from tissueid.gap.screening import Screen, Signature, best_starts
+from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
 from tissueid.twin.effect import Effect
 from tissueid.twin.library import effect, library
@@ -19,10 +19,14 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 SINGLES = 12
-"""So many candidates are refitted, the best aligned ones; the others' signatures explain too little to win."""
-LEAST_ALIGNMENT = 0.01
-NEXT = 4
-"""So many partners are refitted beside each leading candidate."""
+"""So many starting points are tried, the best aligned ones; the others' signatures explain too little to win."""
+LEAST_ALIGNMENT = 0.02
+HEAT = 6
+"""Steps of the search that every candidate gets; the best of them go on to the end."""
+FINAL = 4
+PARTNERS = 4
+"""So many partners of each leading candidate are tried."""
+FINAL_PAIRS = 2
 
 
 @dataclass(frozen=True)
@@ -40,8 +44,9 @@ class Task:
 
     observed: Observed
     names: tuple[str, ...]
-    starts: tuple[int, ...]
+    starts: tuple[tuple[float, ...], ...]
     near: Fit
+    most_steps: int
 
     def __str__(self) -> str:
         return " + ".join(self.names)
@@ -49,18 +54,32 @@ class Task:
 
 def refit(task: Task) -> Candidate:
     """Do one task; runs in a worker's process."""
-    return judged(task.observed, fit(task.observed, [effect(name) for name in task.names], task.starts, near=task.near))
+    effects = [effect(name) for name in task.names]
+    return judged(fit(task.observed, effects, task.starts, near=task.near, most_steps=task.most_steps))
 
 
-def screen(near: Fit, name: str) -> list[Signature]:
-    """Signatures of an effect's starting points against what a fit leaves; runs in a worker's process."""
-    return Screen(near).signatures(effect(name))
+@dataclass(frozen=True)
+class Look:
+    """Signatures to be taken: of an effect at one starting point, or at all of its own where None."""
+
+    name: str
+    start: tuple[float, ...] | None = None
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def screen(near: Fit, look: Look) -> list[Signature]:
+    """Signatures of an effect against what a fit leaves; runs in a worker's process."""
+    return Screen(near).signatures(effect(look.name), None if look.start is None else [look.start])
 
 
 def applicable(observed: Observed, item: Effect) -> bool:
     """Whether what was recorded can tell an effect at all."""
     has = set(observed.channels)
     if not item.needs <= has | {"command"}:
+        return False
+    if observed.equivalent is not None and item.stage == "environment":
         return False
     if item.stage == "drive":
         return "voltage" in has
@@ -109,32 +128,54 @@ class Search:
         """The baseline refitted; with ``known`` effects that a saved twin has already."""
         self._progress(Progress("baseline", 0, 1))
         effects = [effect(name) for name in known]
-        found = judged(self._observed, fit(self._observed, effects, cancelled=self._cancelled))
+        found = judged(fit(self._observed, effects, cancelled=self._cancelled))
         self._progress(Progress("baseline", 1, 1))
         return found
 
     def singles(self, baseline: Candidate) -> Found:
         """Every candidate alone."""
-        signatures = self._screened(baseline.fit)
-        worth = [item for item in best_starts(signatures) if item.alignment >= LEAST_ALIGNMENT][:SINGLES]
-        tasks = [self._task(baseline, item) for item in worth]
-        return Found(baseline, tuple(signatures), self._refitted("candidates", tasks))
+        signatures = self._screened(baseline.fit, {})
+        heats = self._heats("candidates", baseline, signatures, SINGLES)
+        candidates = self._finals("leading candidates", heats, FINAL)
+        return Found(baseline, tuple(signatures), candidates)
 
-    def partners(self, candidate: Candidate, count: int = NEXT) -> tuple[Candidate, ...]:
-        """The candidate with one more effect each, best first."""
-        signatures = [item for item in self._screened(candidate.fit) if item.effect not in candidate.effects]
-        worth = [item for item in best_starts(signatures) if item.alignment >= LEAST_ALIGNMENT][:count]
-        return self._refitted("pairs", [self._task(candidate, item) for item in worth])
+    def partners(self, leaders: Sequence[Candidate], signatures: Sequence[Signature] = ()) -> tuple[Candidate, ...]:
+        """The leading candidates with one more effect each, best first.
 
-    def _task(self, near: Candidate, item: Signature) -> Task:
-        return Task(self._observed, (*near.effects, item.effect), (*(0 for _ in near.effects), item.start), near.fit)
+        ``signatures`` against the baseline say at which starting point each effect is looked at; all are without them.
+        """
+        starts = {item.effect: item.start for item in sorted(signatures, key=lambda item: item.alignment)}
+        heats = [
+            pair
+            for leader in leaders
+            for pair in self._heats("pairs", leader, self._screened(leader.fit, starts), PARTNERS)
+        ]
+        return self._finals("leading pairs", heats, FINAL_PAIRS)
 
-    def _screened(self, near: Fit) -> list[Signature]:
-        found = self._tell("screening", partial(screen, near), self._names)
+    def _heats(self, what: str, near: Candidate, signatures: Sequence[Signature], count: int) -> list[Candidate]:
+        worth = [item for item in contenders(signatures) if item.alignment >= LEAST_ALIGNMENT][:count]
+        before = [held.starts[0] for held in near.fit.parameters.effects]
+        tasks = [
+            Task(self._observed, (*near.effects, item.effect), (*before, item.start), near.fit, HEAT) for item in worth
+        ]
+        return self._tell(what, refit, tasks)
+
+    def _finals(self, what: str, heats: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
+        best: dict[frozenset[str], Candidate] = {}
+        for item in sorted(heats, key=lambda item: item.score):
+            best.setdefault(frozenset(item.effects), item)
+        ranked = list(best.values())
+        going_on = [item for item in ranked[:count] if item.fit.steps >= HEAT]
+        tasks = [Task(self._observed, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
+        finished = self._tell(what, refit, tasks)
+        others = [item for item in ranked if item not in going_on]
+        return tuple(sorted((*finished, *others), key=lambda item: item.score))
+
+    def _screened(self, near: Fit, starts: Mapping[str, tuple[float, ...]]) -> list[Signature]:
+        there = {item.name for item in near.parameters.effects}
+        looks = [Look(name, starts.get(name)) for name in self._names if name not in there]
+        found = self._tell("screening", partial(screen, near), looks)
         return [item for items in found for item in items]
-
-    def _refitted(self, what: str, tasks: Sequence[Task]) -> tuple[Candidate, ...]:
-        return tuple(sorted(self._tell(what, refit, tasks), key=lambda item: item.score))
 
     def _tell(self, what: str, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
         count = 0

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import firwin
 
-from tissueid.gap.fitting import STEP_S, Fit, starting_point
+from tissueid.gap.fitting import Fit
 from tissueid.gap.observed import ObservedTest
-from tissueid.twin.simulation import Given, simulate
+from tissueid.gap.playing import STEP_S, played
+from tissueid.twin.simulation import NOTHING_GIVEN, Given
 
 FloatArray = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ SPRING = ("spring_mass_kg", "spring_damping_n_s_per_m", "spring_stiffness_ratio"
 MOTION_HZ = 350.0
 """Motion above this is below the position's noise: force falls off, and what moves is a mass."""
 _TAPS = 61
-_STEPS = 8
+_STEPS = 14
 _TOLERANCE = 1e-4
 _LEAST_SIGMA = {"voltage": 1e-4, "current": 1e-5, "position": 1e-8}
 
@@ -62,6 +63,8 @@ class Substituted:
 
 def upstream(test: ObservedTest, *names: str) -> Given:
     """Measured signals of a test without gaps: ``voltage``, ``current``, and ``motion`` for position and velocity."""
+    if not names:
+        return NOTHING_GIVEN
     position, velocity = motion(test) if "motion" in names else (None, None)
     return Given(
         bridged(test.signals["voltage"]) if "voltage" in names else None,
@@ -80,9 +83,9 @@ def bridged(values: FloatArray) -> FloatArray:
     return np.interp(where, where[known], values[known])
 
 
-def motion(test: ObservedTest) -> tuple[FloatArray, FloatArray]:
-    """Position (m) and velocity (m/s) that the position reading shows below ``MOTION_HZ``, shape (n,) each."""
-    position = bridged(test.signals["position"])
+def motion(test: ObservedTest, instead: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Position (m) and velocity (m/s) below ``MOTION_HZ``, shape (n,) each: of the reading, or of one ``instead``."""
+    position = bridged(test.signals["position"] if instead is None else instead)
     taps = min(_TAPS, 2 * (position.size // 8) + 1)
     kernel = firwin(taps, min(MOTION_HZ, 0.4 * test.sample_rate_hz), fs=test.sample_rate_hz)
     half = taps // 2
@@ -94,6 +97,20 @@ def motion(test: ObservedTest) -> tuple[FloatArray, FloatArray]:
     # Differences by the spectrum would ring at the ends; a long antisymmetric kernel is as exact below the cut.
     rate = differentiator(taps, test.sample_rate_hz, kernel)
     return smooth, np.convolve(padded, rate, "valid")
+
+
+def motion_noise(hz: FloatArray, noise_m: float, rate_hz: float) -> FloatArray:
+    """Power of the velocity's noise a sample at frequencies, shape as ``hz``, (m/s)^2: white noise differentiated."""
+    kernel = firwin(_TAPS, min(MOTION_HZ, 0.4 * rate_hz), fs=rate_hz)
+    passed = np.abs(np.fft.rfft(kernel, 4096))
+    passed = np.interp(hz, np.fft.rfftfreq(4096, 1.0 / rate_hz), passed)
+    return np.asarray((2.0 * np.pi * hz * passed * noise_m) ** 2)
+
+
+def velocity_noise(noise_m: float, rate_hz: float) -> float:
+    """Standard deviation of the velocity that white noise of the position makes, m/s."""
+    hz = np.linspace(0.0, rate_hz / 2.0, 2049)
+    return float(np.sqrt(np.mean(motion_noise(hz, noise_m, rate_hz))))
 
 
 def differentiator(taps: int, rate_hz: float, smoothing: FloatArray) -> FloatArray:
@@ -137,37 +154,28 @@ def substitute(
     masks = [_used(test, channel) for test in tests]
     sigma = max(noise, _LEAST_SIGMA[channel])
 
-    def played(values: FloatArray) -> list[dict[str, FloatArray]]:
+    def simulated(values: FloatArray) -> list[dict[str, FloatArray]]:
         whole = start.copy()
         whole[places] = values
-        instrument = parameters.instrument(whole)
         found = []
         for test, given in zip(tests, givens, strict=True):
-            readings = simulate(
-                test.command,
-                test.sample_rate_hz,
-                instrument,
-                parameters.met(whole, test),
-                starting_point(test, instrument.resistance_ohm),
-                parameters.acting(whole, test),
-                given=given,
-                on_tissue=test.fixture == "tissue",
-                substeps=_substeps(test, names),
-            ).readings
+            readings = played(parameters, whole, test, given, _substeps(test, names))
             found.append({name: np.asarray(getattr(readings, name)) for name in (channel, *keep)})
         return found
 
     def residuals(values: FloatArray) -> FloatArray:
         rows = [
             np.clip(np.nan_to_num((one[channel] - test.signals[channel])[mask] / sigma, nan=1e6), -1e6, 1e6)
-            for one, test, mask in zip(played(values), tests, masks, strict=True)
+            for one, test, mask in zip(simulated(values), tests, masks, strict=True)
         ]
         return np.concatenate([*rows, (values - prior) / std])
 
     if places:
         steps = parameters.array("step")[places]
-        start[places] = bounded_least_squares(residuals, np.clip(start[places], low, high), low, high, steps, most_steps)
-    predictions = {test.number: one for test, one in zip(tests, played(start[places]), strict=True)}
+        start[places] = bounded_least_squares(
+            residuals, np.clip(start[places], low, high), low, high, steps, most_steps
+        )
+    predictions = {test.number: one for test, one in zip(tests, simulated(start[places]), strict=True)}
     return Substituted(channel, tuple(tests), start, predictions)
 
 

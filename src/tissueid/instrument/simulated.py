@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid import twin
 from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError, UnusableInputError
 from tissueid.instrument.answers import describe_faults
@@ -16,6 +15,10 @@ from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
+from tissueid.instrument.twin_file import TwinFile, device_of
+from tissueid.twin.figures import Instrument, Tissue, spring
+from tissueid.twin.player import Player
+from tissueid.twin.simulation import Start
 from tissueid.wire import Fault
 
 BLOCK = 20
@@ -28,16 +31,12 @@ _OUT_OF_REACH_M = 1.0
 
 _TISSUES = {
     # Averages of thesis 3.1.3 for the posterior forearm; the softer anterior site after Table 3.1.
-    "forearm": twin.TwinParameters(),
-    "anterior-forearm": twin.TwinParameters(stiffness_n_per_m=350.0, stiffness_growth_per_m=200.0),
-    "spring": twin.TwinParameters(
-        mass_kg=0.060,
-        stiffness_n_per_m=1000.0,
-        stiffness_growth_per_m=0.0,
-        damping_n_s_per_m=0.0,
-        surface_m=0.005,
-    ),
+    "forearm": Tissue(),
+    "anterior-forearm": Tissue(stiffness_n_per_m=350.0, stiffness_growth_per_m=200.0),
+    "spring": spring(0.005, 1000.0),
 }
+_SETTLING = 4000
+"""Samples in which the probe comes to rest."""
 
 
 def simulated_tissues() -> tuple[str, ...]:
@@ -46,27 +45,46 @@ def simulated_tissues() -> tuple[str, ...]:
 
 
 class SimulatedInstrument:
-    """The baseline twin as an instrument: every poll delivers the next 20 samples at once.
+    """The twin as an instrument: every poll delivers the next 20 samples at once.
+
+    ``tissue`` is what the baseline twin meets, or a twin out of a file, with the effects that it has.
 
     Raises:
         UnusableInputError: no such tissue.
     """
 
-    def __init__(self, tissue: str = "forearm", *, seed: int = 0) -> None:
-        if tissue not in _TISSUES:
+    def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int = 0) -> None:
+        if isinstance(tissue, str) and tissue not in _TISSUES:
             raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(_TISSUES)}")
-        self.device = replace(
-            DeviceDescription(),
-            model="desktop indenter (in-process simulation)",
-            serial_number=f"TWIN-{seed}",
-        )
+        if isinstance(tissue, str):
+            self.device = replace(
+                DeviceDescription(),
+                model="desktop indenter (in-process simulation)",
+                serial_number=f"TWIN-{seed}",
+            )
+            player = Player(
+                Instrument(),
+                _TISSUES[tissue],
+                Start(0.0, _TISSUES[tissue].surface_m),
+                sample_rate_hz=self.device.sample_rate_hz,
+            )
+        else:
+            named = tissue.twin
+            self.device = replace(device_of(tissue), serial_number=f"TWIN-{seed}")
+            player = Player(
+                # How it was held in the session is nothing of the instrument's: here it stands upright.
+                replace(named.instrument, weight_n=self.device.weight_n()),
+                named.tissue,
+                Start(0.0, named.tissue.surface_m),
+                named.acting,
+                sample_rate_hz=named.sample_rate_hz,
+            )
+        self._player = player
         self.nominal = self.device
         self._judge = Judge(self.nominal, winding=False)
         self._corrections: Corrections = {}
         self.gaps: list[Gap] = []
-        self._parameters = _TISSUES[tissue]
         self._random = np.random.default_rng(seed)
-        self._state = twin.State(0.0, self._parameters.surface_m, 0.0)
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
@@ -132,6 +150,10 @@ class SimulatedInstrument:
             check_command(command_v, figures, self._limits)
         self._playback.take(offset, command_v)
 
+    def narrowed(self, limits: Limits) -> Limits:
+        """These limits: it has none of its own."""
+        return limits
+
     def arm(self, limits: Limits) -> None:
         """Agree on the limits.
 
@@ -173,9 +195,7 @@ class SimulatedInstrument:
         if self._energised:
             samples["command"], samples["flags"] = self._playback.block(BLOCK)
             self._energised = not self._playback.over
-        signals, self._state = twin.simulate(
-            samples["command"], self._parameters, self.device.sample_rate_hz, self._state
-        )
+        signals = self._player.play(samples["command"])
         for name, values in zip(("voltage", "current", "position"), signals, strict=True):
             samples[name] = values + _NOISE[name] * self._random.standard_normal(BLOCK)
         samples["temperature"] = _COIL_C
@@ -217,13 +237,13 @@ class SimulatedInstrument:
         stroke = self.device.stroke_m
         if position_m is not None and not 0.0 <= position_m <= stroke:
             raise InstrumentError(f"the stage cannot go there: positions are 0 to {stroke * 1e3:g} mm")
-        self._parameters = replace(self._parameters, surface_m=_OUT_OF_REACH_M if position_m is None else position_m)
+        self._player.meet(_OUT_OF_REACH_M if position_m is None else position_m)
         self._settle()
         return True
 
     def _settle(self) -> None:
         """Let the probe come to rest on the tissue, as a clinician would before looking at the screen."""
-        _, self._state = twin.simulate(np.zeros(4000), self._parameters, self.device.sample_rate_hz, self._state)
+        self._player.play(np.zeros(_SETTLING))
 
     def release(self) -> None:
         """Free the coil: from the next sample on the command is zero."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
-from tissueid.twin.chain import State, TwinParameters, simulate
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.player import Player
+from tissueid.twin.simulation import Start, simulate
 
-__all__ = ["State", "TwinParameters", "simulate"]
+__all__ = ["Instrument", "Player", "Start", "Tissue", "simulate"]

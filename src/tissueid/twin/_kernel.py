@@ -66,12 +66,14 @@ def integrate(  # type: ignore[no-untyped-def]
     for k in range(b.MOST_EFFECTS):
         used |= places[k]
     current, position, velocity, acceleration = state
+    # Samples that were played before, where a command comes in pieces.
+    first = bus[b.SAMPLE]
     for n in range(command.size):
         target = min(max(figures[GAIN] * command[n], -figures[LIMIT]), figures[LIMIT])
         before = max(n - 1, 0)
         for m in range(substeps):
-            bus[b.TIME] = n * period + m * step
-            bus[b.SAMPLE] = n
+            bus[b.TIME] = (first + n) * period + m * step
+            bus[b.SAMPLE] = first + n
             bus[b.VOLTAGE] = target
             bus[b.CURRENT] = current
             bus[b.VELOCITY] = velocity

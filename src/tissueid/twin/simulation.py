@@ -100,15 +100,35 @@ def simulate(
     Raises:
         ValueError: more than four effects, or arrays that do not fit each other.
     """
-    if len(acting) > bus.MOST_EFFECTS:
-        raise ValueError(f"at most {bus.MOST_EFFECTS} effects act at once, not {len(acting)}")
     command = np.ascontiguousarray(command_v, np.float64)
     size = command.size
-    measured = np.zeros((4, size if _any(given) else 1))
-    for row, values in enumerate((given.voltage, given.current, given.position, given.velocity)):
-        if values is not None:
-            measured[row] = values
-    flags = np.array([given.voltage is not None, given.current is not None, given.position is not None])
+    state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
+    out = run(prepared(acting, on_tissue), command, instrument, tissue, sample_rate_hz, substeps, state, given)
+    readings = Readings(np.arange(1, size + 1) / sample_rate_hz, out[0], out[1], out[2], sample_rate_hz)
+    for item in acting:
+        if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
+            readings = item.effect.recording(readings, item.values)
+    return Simulated(readings, out[3])
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Effects as the compiled loop takes them; ``states`` is what they keep from step to step, and the bus."""
+
+    hooks: tuple[Any, ...]
+    places: NDArray[np.bool_]
+    parameters: NDArray[np.float64]
+    states: NDArray[np.float64]
+
+
+def prepared(acting: Sequence[Acting], on_tissue: bool) -> Prepared:
+    """Effects ready to run, at the start of a test.
+
+    Raises:
+        ValueError: more than four effects.
+    """
+    if len(acting) > bus.MOST_EFFECTS:
+        raise ValueError(f"at most {bus.MOST_EFFECTS} effects act at once, not {len(acting)}")
     hooks = tuple(compiled(item.effect.hook) if _takes_part(item, on_tissue) else compiled(_idle) for item in acting)
     places = np.zeros((bus.MOST_EFFECTS, bus.PLACES), np.bool_)
     parameters = np.zeros((bus.MOST_EFFECTS, bus.MOST_PARAMETERS))
@@ -117,8 +137,30 @@ def simulate(
             places[k, list(item.effect.places)] = True
             parameters[k, : item.values.size] = item.values
     states = np.zeros((bus.MOST_EFFECTS + 1, bus.MOST_STATES))
+    return Prepared(hooks + (compiled(_idle),) * (bus.MOST_EFFECTS - len(hooks)), places, parameters, states)
+
+
+def run(
+    effects: Prepared,
+    command: NDArray[np.float64],
+    instrument: Instrument,
+    tissue: Tissue,
+    sample_rate_hz: float,
+    substeps: int,
+    state: NDArray[np.float64],
+    given: Given = NOTHING_GIVEN,
+) -> NDArray[np.float64]:
+    """One piece of a command, shape (n,): voltage, current, position and velocity, shape (4, n).
+
+    ``state``, shape (4,), and the effects' own are where it goes on from, and are left where it ends.
+    """
+    size = command.size
+    measured = np.zeros((4, size if _any(given) else 1))
+    for row, values in enumerate((given.voltage, given.current, given.position, given.velocity)):
+        if values is not None:
+            measured[row] = values
+    flags = np.array([given.voltage is not None, given.current is not None, given.position is not None])
     out = np.empty((4, size))
-    state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
     _integrate(
         command,
         measured,
@@ -128,17 +170,13 @@ def simulate(
         1.0 / sample_rate_hz,
         substeps,
         state,
-        hooks + (compiled(_idle),) * (bus.MOST_EFFECTS - len(hooks)),
-        places,
-        parameters,
-        states,
+        effects.hooks,
+        effects.places,
+        effects.parameters,
+        effects.states,
         out,
     )
-    readings = Readings(np.arange(1, size + 1) / sample_rate_hz, out[0], out[1], out[2], sample_rate_hz)
-    for item in acting:
-        if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
-            readings = item.effect.recording(readings, item.values)
-    return Simulated(readings, out[3])
+    return out
 
 
 def _any(given: Given) -> bool:

@@ -1,0 +1,51 @@
+"""A diagnosis as scripts read it: plain values under the contract's names, SI."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tissueid.gap.diagnosis import Diagnosis
+
+
+def as_answer(found: Diagnosis) -> dict[str, Any]:
+    """The JSON of ``tissueid gap diagnose``."""
+    figures = found.gap
+    return {
+        "verdict": found.verdict,
+        "gap": {
+            "before": figures.before,
+            "after": figures.after,
+            "floor": figures.floor,
+            "closed": figures.closed,
+            "closed_ci": list(figures.closed_ci),
+            "announced": figures.announced,
+        },
+        "where": found.where.as_answer(),
+        "ranking": [
+            {
+                "effect": item.effect,
+                "stage": item.stage,
+                "probability": item.probability,
+                "closed": item.closed,
+                "closed_ci": list(item.closed_ci),
+                "indistinguishable": list(item.indistinguishable),
+                "parameters": item.parameters,
+            }
+            for item in found.ranking
+        ],
+        "combination": list(found.combination),
+        "next_experiment": None
+        if found.next_experiment is None
+        else {
+            "kind": found.next_experiment.kind,
+            "why": found.next_experiment.why,
+            "separates": list(found.next_experiment.separates),
+            "gain_nats": found.next_experiment.gain_nats,
+            "separation": found.next_experiment.separation,
+            "gains": found.next_experiment.gains,
+            "command_line": found.next_experiment.command_line,
+        },
+        "ceiling": found.ceiling,
+        "remarks": list(found.remarks),
+        "seconds": found.seconds,
+    }

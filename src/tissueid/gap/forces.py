@@ -1,0 +1,411 @@
+"""Which kind of force is missing: families of forces along the recorded motion, each tried on held-out stretches.
+
+The force that the baseline lacks is looked for as a function of depth, of velocity, of the motion's past, of time or of
+the current (restoring-force surface: Masri and Caughey 1979; Kerschen et al. 2006, section 4). No family is a model of
+an effect: each is a set of shapes wide enough for any of a kind, so that the stage stands even when no known effect
+fits (model-error modelling: Ljung 1999). Each shape is carried to the position by the motion's own equation,
+linearised along the record, because there the noise is white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+
+from tissueid.gap.fitting import Fit
+from tissueid.gap.observed import ObservedTest, Purpose
+from tissueid.gap.playing import played
+from tissueid.gap.rhythm import lines
+from tissueid.gap.stagewise import Substituted, bridged, motion
+from tissueid.twin.effect import Stage
+
+FloatArray = NDArray[np.float64]
+
+_RIDGE = 1e-7
+"""Of the columns' mean square: families may hold shapes that are nearly the same."""
+_PER_COLUMN = 0.002
+"""Nats that every shape must earn; a wide family is not better for being wide."""
+_MEMORIES_S = (0.005, 0.02, 0.08, 0.3, 1.2)
+_PLAYS_M = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
+_SLIPS_M_S = (0.001, 0.005, 0.02)
+_DELAYS_S = (0.015, 0.025, 0.035, 0.05, 0.07, 0.1)
+_PITCHES_M = np.geomspace(0.0008, 0.008, 18)
+_PITCHES = 0.8
+"""The longest period along the stroke, as a share of what was travelled: longer ones are any bent law."""
+_FRAMES_HZ = np.geomspace(12.0, 120.0, 14)
+_FRAME_DAMPING = 0.05
+_RHYTHMS_HZ = np.concatenate([np.linspace(0.7, 2.0, 14), np.linspace(4.0, 13.0, 37)])
+
+
+@dataclass(frozen=True)
+class Family:
+    """Forces of one kind: ``gain`` is what they take away on held-out stretches, nats a sample and test."""
+
+    stage: Stage
+    kind: str
+    """``friction``, ``depth`` and so on: what the force depends on."""
+    gain: float
+    left: float
+    """Residual that stays, in noise deviations (root mean square), held out."""
+    before: float
+    """The same without the family, after the baseline's own figures were let free."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """One test along its recorded motion: arrays of shape (n,), SI."""
+
+    test: ObservedTest
+    depth: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    current: FloatArray
+    time: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
+    mass: float
+    growth_stiffness: FloatArray
+    growth_damping: FloatArray
+    residual: FloatArray
+    as_force: bool = False
+    """Whether the residual is the force itself (N), and nothing has to be carried to the position."""
+
+
+def course(baseline: Fit, answer: Substituted, test: ObservedTest, *, recorded: bool = False) -> Course:
+    """The simulated motion of a test, or the recorded one, with the baseline's equation linearised along it."""
+    parameters, theta = baseline.parameters, answer.theta
+    instrument, met = parameters.instrument(theta), parameters.met(theta, test)
+    residual = answer.residual(test)
+    # The simulated motion: the recorded one carries the very residual that the shapes are to explain.
+    position, velocity = motion(test, None if recorded else answer.predicted[test.number]["position"])
+    acceleration = np.gradient(velocity, 1.0 / test.sample_rate_hz)
+    depth = position - met.surface_m
+    stiff = np.exp(np.clip(met.stiffness_growth_per_m * depth, -12.0, 12.0))
+    damp = np.exp(np.clip(met.damping_growth_per_m * depth, -12.0, 12.0))
+    tangent = met.stiffness_n_per_m * stiff * (1.0 + met.stiffness_growth_per_m * depth)
+    tangent = tangent + met.damping_n_s_per_m * met.damping_growth_per_m * damp * velocity
+    return Course(
+        test,
+        depth,
+        position,
+        velocity,
+        acceleration,
+        bridged(test.signals["current"]) if "current" in test.signals else np.zeros_like(depth),
+        np.arange(depth.size) / test.sample_rate_hz,
+        tangent,
+        instrument.bearing_damping_n_s_per_m + met.damping_n_s_per_m * damp,
+        instrument.moving_mass_kg + met.mass_kg,
+        stiff,
+        damp,
+        residual - lines(residual, test.sample_rate_hz).waveform,
+    )
+
+
+def bare_course(baseline: Fit, answer: Substituted, test: ObservedTest) -> Course:
+    """A bare record along its recorded motion, with the force that is missing there (Masri and Caughey 1979)."""
+    parameters, theta = baseline.parameters, answer.theta
+    instrument, met = parameters.instrument(theta), parameters.met(theta, test)
+    position, velocity = motion(test)
+    _, acceleration = motion(test, velocity)
+    depth = position - met.surface_m
+    ones = np.ones_like(depth)
+    force = played(parameters, theta, test).current + instrument.weight_n
+    missing = force - instrument.moving_mass_kg * acceleration
+    missing = missing - instrument.bearing_damping_n_s_per_m * velocity - met.stiffness_n_per_m * depth
+    return Course(
+        test,
+        depth,
+        position,
+        velocity,
+        acceleration,
+        force,
+        np.arange(depth.size) / test.sample_rate_hz,
+        met.stiffness_n_per_m * ones,
+        instrument.bearing_damping_n_s_per_m * ones,
+        instrument.moving_mass_kg,
+        ones,
+        ones,
+        np.where(np.isfinite(test.signals["position"]), missing, np.nan),
+        as_force=True,
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _carried(forces, stiffness, damping, mass, period):  # type: ignore[no-untyped-def]
+    # Displacement that each force (rows) makes: trapezoidal rule.
+    out = np.zeros_like(forces)
+    half = 0.5 * period
+    for k in range(forces.shape[0]):
+        x, v = 0.0, 0.0
+        for n in range(1, forces.shape[1]):
+            force = 0.5 * (forces[k, n - 1] + forces[k, n])
+            b, s = damping[n], stiffness[n]
+            rate = (mass * v - half * b * v - period * s * x - half * half * s * v + period * force) / (
+                mass + half * b + half * half * s
+            )
+            x += half * (v + rate)
+            v = rate
+            out[k, n] = x
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _play(values, radius):  # type: ignore[no-untyped-def]
+    out = np.empty_like(values)
+    at = values[0]
+    for n in range(values.size):
+        at = min(max(at, values[n] - radius), values[n] + radius)
+        out[n] = at
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _smoothed(values, kept):  # type: ignore[no-untyped-def]
+    out = np.empty_like(values)
+    at = values[0]
+    for n in range(values.size):
+        at = kept * at + (1.0 - kept) * values[n]
+        out[n] = at
+    return out
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _resonating(values, natural, damping, period):  # type: ignore[no-untyped-def]
+    # Acceleration of a frame on a spring that is pushed by a force, a unit of mass.
+    out = np.empty_like(values)
+    x, v = 0.0, 0.0
+    for n in range(values.size):
+        a = values[n] - 2.0 * damping * natural * v - natural * natural * x
+        v += period * a
+        x += period * v
+        out[n] = a
+    return out
+
+
+def families(
+    baseline: Fit,
+    answer: Substituted,
+    tests: Sequence[ObservedTest],
+    noise: float,
+    *,
+    on_tissue: bool,
+    recorded: bool = False,
+) -> list[Family]:
+    """All families on what some tests leave, best first.
+
+    Args:
+        baseline: the fitted baseline.
+        answer: position from measured current in these tests.
+        tests: all on tissue, or all without it.
+        noise: of the position, m.
+        on_tissue: whether tissue can be at fault.
+        recorded: whether forces go with the recorded motion, which carries the residual itself, or the simulated one.
+    """
+    bare = baseline.parameters.observed.equivalent is not None
+    courses = [
+        bare_course(baseline, answer, test) if bare else course(baseline, answer, test, recorded=recorded)
+        for test in tests
+    ]
+    nuisance = [_transported(one, _nuisance(one, on_tissue)) for one in courses]
+    before = _left(courses, nuisance, noise)
+    found: dict[tuple[Stage, str], Family] = {}
+    for stage, kind, shapes in _shapes(courses, on_tissue):
+        if bare and stage not in ("mechanics", "tissue"):
+            continue
+        columns = [
+            np.concatenate([base, _transported(one, rows)])
+            for one, base, rows in zip(courses, nuisance, shapes, strict=True)
+        ]
+        after = _left(courses, columns, noise)
+        gain = before - after - _PER_COLUMN * shapes[0].shape[0]
+        if (stage, kind) not in found or gain > found[stage, kind].gain:
+            found[stage, kind] = Family(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
+    return sorted(found.values(), key=lambda item: -item.gain)
+
+
+def _left(courses: Sequence[Course], columns: Sequence[FloatArray], noise: float) -> float:
+    # Half the logarithm of held-out error over noise variance, one fit to all tests.
+    fitted = [one.test.serving(Purpose.FIT) & np.isfinite(one.residual) for one in courses]
+    if not any(mask.any() for mask in fitted):
+        fitted = [(one.test.purpose > 0) & np.isfinite(one.residual) for one in courses]
+    design = np.concatenate([rows[:, mask].T for rows, mask in zip(columns, fitted, strict=True)])
+    target = np.concatenate([one.residual[mask] for one, mask in zip(courses, fitted, strict=True)])
+    scale = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-30)
+    normal = (design / scale).T @ (design / scale)
+    normal += _RIDGE * target.size * np.eye(scale.size)
+    weights = np.linalg.solve(normal, (design / scale).T @ target) / scale
+    squares, count = 0.0, 0
+    for one, rows in zip(courses, columns, strict=True):
+        held = (one.test.purpose > Purpose.FIT) & np.isfinite(one.residual)
+        if not held.any():
+            held = (one.test.purpose > 0) & np.isfinite(one.residual)
+        error = one.residual[held] - weights @ rows[:, held]
+        squares += float(error @ error)
+        count += int(held.sum())
+    return 0.5 * float(np.log(max(squares / count / noise**2, 1.0)))
+
+
+def _transported(one: Course, forces: FloatArray) -> FloatArray:
+    period = 1.0 / one.test.sample_rate_hz
+    if one.as_force:
+        return forces
+    return np.asarray(_carried(np.ascontiguousarray(forces), one.stiffness, one.damping, one.mass, period))
+
+
+def _nuisance(one: Course, on_tissue: bool) -> FloatArray:
+    rows = [one.current, np.ones_like(one.depth), one.acceleration, one.velocity, one.depth]
+    if one.as_force:
+        # With the force among them they would be the missing force itself.
+        return np.stack(rows[1:])
+    if on_tissue:
+        rows += [
+            one.depth * one.growth_stiffness,
+            one.depth**2 * one.growth_stiffness,
+            one.velocity * one.growth_damping,
+            one.velocity * one.depth * one.growth_damping,
+        ]
+    return np.stack(rows)
+
+
+def _shapes(courses: Sequence[Course], on_tissue: bool) -> Iterator[tuple[Stage, str, list[FloatArray]]]:
+    """Families with their shapes in each test, shape (shapes, n)."""
+    yield "mechanics", "friction", [_friction(one) for one in courses]
+    yield "mechanics", "friction by direction", [_directional_friction(one) for one in courses]
+    yield "mechanics", "speed", [np.stack([one.velocity * np.abs(one.velocity), one.velocity**3]) for one in courses]
+    yield "drive", "lateness", [np.diff(one.current, prepend=one.current[0])[None, :] for one in courses]
+    yield "coil", "current squared", [np.stack([one.current * np.abs(one.current), one.current**2]) for one in courses]
+    yield "coil", "current by time", [_by_time(one, one.current) for one in courses]
+    yield "mechanics", "speed by time", [_by_time(one, one.velocity) for one in courses]
+    yield "coil", "current by position", [one.current * _powers(one.position - 0.012, 3, 0.004) for one in courses]
+    ends = _ends(courses)
+    yield "mechanics", "end of stroke", [_beyond(one, ends) for one in courses]
+    travelled = np.ptp(_reach(courses, of_position=True))
+    for pitch in _PITCHES_M[_PITCHES * travelled > _PITCHES_M]:
+        waves = [np.stack(_waves(2.0 * np.pi * one.position / pitch, 2)) for one in courses]
+        yield "mechanics", "periodic along the stroke", waves
+    for hz in _FRAMES_HZ:
+        yield "mechanics", "resonance", [_frame(one, hz) for one in courses]
+    if not on_tissue:
+        yield "mechanics", "position", [_powers(one.depth, 5, 0.003) for one in courses]
+        return
+    low, high = _reach(courses)
+    yield "tissue", "depth", [_splines(one.depth, low, high, 10) for one in courses]
+    yield "tissue", "direction", [_by_direction(one) for one in courses]
+    yield "tissue", "memory", [_memory(one) for one in courses]
+    yield "tissue", "loops", [_loops(one) for one in courses]
+    yield "tissue", "wear", [_wear(one) for one in courses]
+    yield "tissue", "mass by depth", [_mass(one) for one in courses]
+    yield "tissue", "lift-off", [_lifted(one) for one in courses]
+    for delay in _DELAYS_S:
+        yield "tissue", "answer", [_answer(one, delay) for one in courses]
+    for hz in _RHYTHMS_HZ:
+        yield "environment", "rhythm", [_rhythm(one, hz) for one in courses]
+
+
+def _powers(values: FloatArray, count: int, scale: float) -> FloatArray:
+    return np.stack([(values / scale) ** k for k in range(1, count + 1)])
+
+
+def _waves(phase: FloatArray, harmonics: int) -> list[FloatArray]:
+    return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
+
+
+def _friction(one: Course) -> FloatArray:
+    rows = [np.tanh(one.velocity / slip) for slip in _SLIPS_M_S]
+    return np.stack([*rows, one.position - _play(one.position, _PLAYS_M[0]), one.position - _play(one.position, 5e-5)])
+
+
+def _directional_friction(one: Course) -> FloatArray:
+    rows = [np.tanh(np.maximum(one.velocity, 0.0) / slip) for slip in _SLIPS_M_S[1:]]
+    return np.concatenate([_friction(one), np.stack(rows)])
+
+
+def _by_direction(one: Course) -> FloatArray:
+    into = np.maximum(one.velocity, 0.0)
+    return np.stack([into, into * one.depth, into * one.growth_damping])
+
+
+def _memory(one: Course) -> FloatArray:
+    pressed = one.depth * one.growth_stiffness
+    kept = [np.exp(-1.0 / (one.test.sample_rate_hz * memory)) for memory in _MEMORIES_S]
+    return np.stack([_smoothed(pressed, k) for k in kept])
+
+
+def _loops(one: Course) -> FloatArray:
+    return np.stack([_play(one.depth, radius) for radius in _PLAYS_M[2:]])
+
+
+def _wear(one: Course) -> FloatArray:
+    worked = np.cumsum(np.abs(one.depth * one.velocity))
+    worked = worked / max(worked[-1], 1e-30)
+    pressed = one.depth * one.growth_stiffness
+    return np.stack([pressed * worked, pressed * one.time, pressed * np.exp(-one.time), pressed * np.sqrt(one.time)])
+
+
+def _by_time(one: Course, values: FloatArray) -> FloatArray:
+    return np.stack([values * one.time, values * np.exp(-one.time), values * one.time**2])
+
+
+def _mass(one: Course) -> FloatArray:
+    return np.stack([one.acceleration * one.depth, one.velocity**2, np.maximum(one.depth, 0.0) * one.velocity**2])
+
+
+def _lifted(one: Course) -> FloatArray:
+    off = one.depth < 0.0
+    return np.stack([off * one.depth, off * one.velocity, off * 1.0])
+
+
+def _answer(one: Course, delay_s: float) -> FloatArray:
+    lag = max(1, round(delay_s * one.test.sample_rate_hz))
+
+    def late(values: FloatArray, memory_s: float) -> FloatArray:
+        kept = np.exp(-1.0 / (one.test.sample_rate_hz * memory_s))
+        return np.asarray(_smoothed(np.concatenate([np.full(lag, values[0]), values[:-lag]]), kept))
+
+    fast = np.maximum(one.velocity - float(np.std(one.velocity)), 0.0)
+    driven = (np.maximum(one.velocity, 0.0), fast, np.maximum(one.depth, 0.0))
+    return np.stack([late(values, memory) for values in driven for memory in (0.005, 0.03)])
+
+
+def _frame(one: Course, hz: float) -> FloatArray:
+    pushed = one.current - one.current.mean()
+    period = 1.0 / one.test.sample_rate_hz
+    moved = _resonating(pushed, 2.0 * np.pi * hz, _FRAME_DAMPING, period)
+    return np.stack([moved, np.gradient(moved)])
+
+
+def _rhythm(one: Course, hz: float) -> FloatArray:
+    slow = one.time / max(one.time[-1], 1e-9)
+    rows = [wave for k in (0.5, 1.0, 1.5, 2.0) for wave in _waves(2.0 * np.pi * k * slow, 1)]
+    rows += _waves(2.0 * np.pi * hz * one.time, 4 if hz < 3.0 else 1)
+    return np.stack(rows) * one.stiffness
+
+
+def _ends(courses: Sequence[Course]) -> tuple[float, float]:
+    positions = np.concatenate([one.position for one in courses])
+    low, high = np.quantile(positions, [0.01, 0.97])
+    return float(low), float(high)
+
+
+def _beyond(one: Course, ends: tuple[float, float]) -> FloatArray:
+    above = np.maximum(one.position - ends[1], 0.0)
+    return np.stack([above, above * one.velocity])
+
+
+def _reach(courses: Sequence[Course], *, of_position: bool = False) -> tuple[float, float]:
+    depths = np.concatenate([one.position if of_position else one.depth for one in courses])
+    low, high = np.quantile(depths, [0.002, 0.998])
+    return float(low), max(float(high), float(low) + 1e-5)
+
+
+def _splines(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
+    # Cubic B-splines; the constant that they add up to is the baseline's weight.
+    inner = np.linspace(low, high, count - 2)
+    knots = np.concatenate([[low] * 3, inner, [high] * 3])
+    return np.asarray(BSpline.design_matrix(np.clip(values, low, high), knots, 3).toarray().T[1:])

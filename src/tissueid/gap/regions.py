@@ -1,0 +1,313 @@
+"""Where in frequency, depth, direction and time what the baseline leaves stands above the floor.
+
+Frequency: the best linear approximation of what is left and its distortions (Pintelon and Schoukens, System
+Identification, 2012, ch. 3 and 4): what is coherent with the input is linear, what is coherent with the input's square
+or cube is even or odd. Depth and velocity: the restoring-force surface (Masri and Caughey 1979). Every region is judged
+by the means of whole stretches, which are longer than the residual's memory, so that a coloured residual does not make
+significance of itself; Holm's correction keeps the size of all bins together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from tissueid.gap.evidence import Evidence
+from tissueid.gap.fitting import Fit
+from tissueid.gap.observed import Observed, ObservedTest
+from tissueid.gap.rhythm import MAINS_HZ, lines
+from tissueid.gap.stagewise import bridged, motion
+
+FloatArray = NDArray[np.float64]
+Direction = Literal["both", "into", "out"]
+
+SIZE = 0.01
+"""Chance that any bin of one picture is called a region where there is nothing but noise."""
+_STRETCH_S = 0.25
+_EXCESS = 1.44
+"""Squares up to so many times the floor's are the floor: the noise is known to some 5 %."""
+_ONE_SIDED = 3.0
+"""One direction is named when its error is so many times the other's, squared."""
+_BINS = 12
+_BANDS_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 150.0, 200.0, 300.0, 450.0, 650.0, 1000.0)
+_MAP = 14
+_POINTS = 70
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Error along something, in floors (root mean square), bin by bin.
+
+    ``edges``, shape (bins + 1,), SI; ``error``, shape (bins,), NaN where nothing was visited; ``above`` says which bins
+    stand above the floor with significance.
+    """
+
+    edges: FloatArray
+    error: FloatArray
+    above: NDArray[np.bool_]
+
+    def intervals(self) -> tuple[tuple[float, float], ...]:
+        """Connected bins above the floor."""
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], self.above.astype(np.int8), [0]])))
+        return tuple(
+            (float(self.edges[first]), float(self.edges[end])) for first, end in zip(ends[::2], ends[1::2], strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """What is left by frequency, shapes (frequencies,): power densities, SI squared per Hz.
+
+    ``linear``, ``even`` and ``odd`` are the parts coherent with the input, its square and its cube; ``noise`` the
+    floor.
+    """
+
+    channel: str
+    frequency_hz: FloatArray
+    recorded: FloatArray
+    residual: FloatArray
+    linear: FloatArray
+    even: FloatArray
+    odd: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Mean residual over depth (columns) and velocity (rows), in floors; NaN where nothing was visited."""
+
+    depth_m: FloatArray
+    velocity_m_s: FloatArray
+    residual: FloatArray
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Regions with significance, and the profiles that they are read from.
+
+    ``channel`` is the signal they are of, that with the largest error in floors.
+    """
+
+    channel: str
+    bands_hz: tuple[tuple[float, float], ...]
+    depth_m: tuple[tuple[float, float], ...]
+    velocity_m_s: tuple[tuple[float, float], ...]
+    current_a: tuple[tuple[float, float], ...]
+    direction: Direction
+    time_s: tuple[tuple[float, float], ...]
+    profiles: dict[str, Profile] = field(repr=False)
+    spectra: tuple[Spectrum, ...] = field(repr=False)
+    surface: Surface | None = field(repr=False)
+
+    def as_answer(self) -> dict[str, Any]:
+        """Plain values under the contract's names, with velocity and current besides."""
+        return {
+            "bands_hz": [list(item) for item in self.bands_hz],
+            "depth_m": [list(item) for item in self.depth_m],
+            "direction": self.direction,
+            "time_s": [list(item) for item in self.time_s],
+            "velocity_m_s": [list(item) for item in self.velocity_m_s],
+            "current_a": [list(item) for item in self.current_a],
+            "channel": self.channel,
+        }
+
+
+def regions(observed: Observed, baseline: Fit, found: Evidence) -> Regions:
+    """Regions where what the refitted baseline leaves stands above the floor, in the test that shows it most."""
+    test, channel = _shown_in(observed, baseline)
+    if test is None:
+        return Regions("", (), (), (), (), "both", (), {}, (), None)
+    residual = _residual(baseline, test, channel)
+    floor = observed.noise[channel]
+    position, velocity = motion(test)
+    measured = {
+        "depth_m": position - test.surface_m,
+        "velocity_m_s": velocity,
+        "time_s": np.arange(residual.size) / test.sample_rate_hz,
+    }
+    if "current" in test.signals:
+        measured["current_a"] = bridged(test.signals["current"])
+    profiles = {name: _profile(residual / floor, values, test, name) for name, values in measured.items()}
+    bands, profiles["bands_hz"] = _bands(residual, floor, test)
+    spectra = tuple(spectrum(observed, baseline, test, name) for name in observed.channels if name in test.signals)
+    surface = _surface(residual / floor, measured["depth_m"], velocity)
+    return Regions(
+        channel,
+        bands,
+        profiles["depth_m"].intervals(),
+        profiles["velocity_m_s"].intervals(),
+        profiles["current_a"].intervals() if "current_a" in profiles else (),
+        _direction(residual / floor, velocity, test),
+        profiles["time_s"].intervals(),
+        profiles,
+        spectra,
+        surface,
+    )
+
+
+def _residual(baseline: Fit, test: ObservedTest, channel: str) -> FloatArray:
+    tests = baseline.parameters.observed.tests
+    predicted = next(one for one, other in zip(baseline.predictions, tests, strict=True) if other.number == test.number)
+    left = test.signals[channel] - predicted[channel]
+    return np.where(test.purpose > 0, left, np.nan)
+
+
+def _shown_in(observed: Observed, baseline: Fit) -> tuple[ObservedTest | None, str]:
+    # Tests of one kind are alike; the worst error in floors is where the pictures say most.
+    worst: tuple[float, ObservedTest | None, str] = (0.0, None, "")
+    for test in observed.tests:
+        for channel in observed.channels:
+            if test.repeat_of is not None or (test.quiet and len(observed.tests) > 1):
+                continue
+            times = float(np.sqrt(np.nanmean(_residual(baseline, test, channel) ** 2))) / observed.noise[channel]
+            if times > worst[0]:
+                worst = (times, test, channel)
+    return worst[1], worst[2]
+
+
+def _profile(residual: FloatArray, along: FloatArray, test: ObservedTest, name: str) -> Profile:
+    known = np.isfinite(residual)
+    if name == "time_s":
+        edges = np.arange(0.0, along[-1] + _STRETCH_S, _STRETCH_S)
+    else:
+        low, high = np.quantile(along[known], [0.002, 0.998])
+        edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
+    place = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
+    stretch = _stretches(along.size, test.sample_rate_hz, 0.02 if name == "time_s" else _STRETCH_S)
+    error, chance = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
+    for k in range(edges.size - 1):
+        inside = known & (place == k)
+        if inside.sum() < 8:
+            continue
+        error[k] = float(np.sqrt(np.mean(residual[inside] ** 2)))
+        chance[k] = _chance(residual[inside] ** 2, stretch[inside])
+    return Profile(edges, error, _holm(chance))
+
+
+def _stretches(size: int, rate_hz: float, seconds: float) -> NDArray[np.int64]:
+    return (np.arange(size) / (seconds * rate_hz)).astype(np.int64)
+
+
+def _chance(squares: FloatArray, stretch: NDArray[np.int64]) -> float:
+    """Chance of such squares at the floor: a one-sided test of the stretches' means of their logarithm."""
+    means = np.array([squares[stretch == k].mean() for k in np.unique(stretch) if (stretch == k).sum() >= 4])
+    if means.size < 4:
+        return 1.0
+    logs = np.log(np.maximum(means, 1e-12) / _EXCESS)
+    spread = float(np.std(logs, ddof=1)) / np.sqrt(means.size)
+    return float(student.sf(float(np.mean(logs)) / max(spread, 1e-9), means.size - 1))
+
+
+def _holm(chance: FloatArray) -> NDArray[np.bool_]:
+    order = np.argsort(chance)
+    above = np.zeros(chance.size, np.bool_)
+    for rank, k in enumerate(order):
+        if chance[k] > SIZE / (chance.size - rank):
+            break
+        above[k] = True
+    return above
+
+
+def _direction(residual: FloatArray, velocity: FloatArray, test: ObservedTest) -> Direction:
+    known = np.isfinite(residual)
+    slow = 0.1 * float(np.std(velocity))
+    into = float(np.mean(residual[known & (velocity > slow)] ** 2)) if (known & (velocity > slow)).any() else 0.0
+    out = float(np.mean(residual[known & (velocity < -slow)] ** 2)) if (known & (velocity < -slow)).any() else 0.0
+    if max(into, out) < _EXCESS:
+        return "both"
+    if into > _ONE_SIDED * out:
+        return "into"
+    return "out" if out > _ONE_SIDED * into else "both"
+
+
+def _segments(values: FloatArray, rate_hz: float) -> tuple[FloatArray, NDArray[np.complex128], float]:
+    """Half-overlapping windowed stretches of a signal: frequencies, spectra of shape (stretches, frequencies), norm."""
+    size = min(values.size, 1 << int(np.log2(max(values.size / 4, 64))))
+    window = np.hanning(size)
+    firsts = range(0, values.size - size + 1, size // 2)
+    rows = np.stack([(values[k : k + size] - values[k : k + size].mean()) * window for k in firsts])
+    return (
+        np.fft.rfftfreq(size, 1.0 / rate_hz).astype(np.float64),
+        np.fft.rfft(rows, axis=1),
+        float(np.sum(window**2)) * rate_hz / 2.0,
+    )
+
+
+def _bands(residual: FloatArray, floor: float, test: ObservedTest) -> tuple[tuple[tuple[float, float], ...], Profile]:
+    values = np.where(np.isfinite(residual), residual, 0.0)
+    hz, spectra, norm = _segments(values, test.sample_rate_hz)
+    level = floor**2 / (test.sample_rate_hz / 2.0)
+    ratio = np.abs(spectra) ** 2 / norm / level
+    edges = np.array([edge for edge in _BANDS_HZ if edge < test.sample_rate_hz / 2.0] + [test.sample_rate_hz / 2.0])
+    error, chance = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
+    for k in range(edges.size - 1):
+        inside = (hz >= edges[k]) & (hz < edges[k + 1])
+        if not inside.any():
+            continue
+        means = ratio[:, inside].mean(axis=1)
+        error[k] = float(np.sqrt(np.mean(means)))
+        logs = np.log(np.maximum(means, 1e-12) / _EXCESS)
+        # Half-overlapping stretches under this window are almost independent.
+        spread = max(float(np.std(logs, ddof=1)), 1.0 / np.sqrt(inside.sum())) / np.sqrt(0.9 * means.size)
+        chance[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
+    profile = Profile(edges, error, _holm(chance))
+    narrow = _narrow(residual, test.sample_rate_hz)
+    return (*profile.intervals(), *narrow), profile
+
+
+def _narrow(residual: FloatArray, rate_hz: float) -> tuple[tuple[float, float], ...]:
+    found = lines(residual, rate_hz)
+    return ((found.mains_hz - 0.5, found.mains_hz + 0.5),) if found.mains_hz in MAINS_HZ else ()
+
+
+def spectrum(observed: Observed, baseline: Fit, test: ObservedTest, channel: str) -> Spectrum:
+    """What is left of a channel by frequency, in its parts."""
+    residual = _residual(baseline, test, channel)
+    values = np.where(np.isfinite(residual), residual, 0.0)
+    hz, left, norm = _segments(values, test.sample_rate_hz)
+    _, recorded, _ = _segments(bridged(test.signals[channel]), test.sample_rate_hz)
+    command = (test.command - test.command.mean()) / max(float(np.std(test.command)), 1e-12)
+    power = np.mean(np.abs(left) ** 2, axis=0) / norm
+    parts, rest = [], left
+    for values in (command, command**2 - 1.0, command**3 - 3.0 * command):
+        _, driver, _ = _segments(values, test.sample_rate_hz)
+        # One after the other: what the lower order explains is not told again by the higher.
+        gain = np.sum(rest * driver.conj(), axis=0) / np.maximum(np.sum(np.abs(driver) ** 2, axis=0), 1e-300)
+        explained = gain * driver
+        # One stretch of many is explained by chance.
+        biased = np.mean(np.abs(rest) ** 2, axis=0) / rest.shape[0]
+        parts.append(np.maximum(np.mean(np.abs(explained) ** 2, axis=0) - biased, 0.0) / norm)
+        rest = rest - explained
+    noise = np.full_like(hz, observed.noise[channel] ** 2 / (test.sample_rate_hz / 2.0))
+    rows = (hz, np.mean(np.abs(recorded) ** 2, axis=0) / norm, power, *parts, noise)
+    return Spectrum(channel, *(_gathered(row, hz) for row in rows))
+
+
+def _gathered(values: FloatArray, hz: FloatArray) -> FloatArray:
+    """Means over bands that widen with frequency: a few stretches alone scatter too much to be looked at."""
+    edges = np.unique(np.geomspace(1, hz.size, _POINTS).astype(np.int64))
+    return np.array([values[first:end].mean() for first, end in pairwise(edges)])
+
+
+def _surface(residual: FloatArray, depth: FloatArray, velocity: FloatArray) -> Surface | None:
+    known = np.isfinite(residual)
+    if known.sum() < 100:
+        return None
+    across = _grid(depth[known], 0.005)
+    along = _grid(velocity[known], 0.01)
+    if np.ptp(across) <= 0.0 or np.ptp(along) <= 0.0:
+        return None
+    count, *_ = np.histogram2d(velocity[known], depth[known], (along, across))
+    total, *_ = np.histogram2d(velocity[known], depth[known], (along, across), weights=residual[known])
+    mean = np.where(count >= 5, total / np.maximum(count, 1), np.nan)
+    return Surface(0.5 * (across[1:] + across[:-1]), 0.5 * (along[1:] + along[:-1]), mean)
+
+
+def _grid(values: FloatArray, off: float) -> FloatArray:
+    low, high = np.quantile(values, [off, 1.0 - off])
+    return np.linspace(float(low), float(high), _MAP + 1)

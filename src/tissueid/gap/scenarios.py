@@ -1,0 +1,106 @@
+"""Scenarios of the simulated laboratory: raw recordings and sealed labels, written by another process.
+
+A scenario is a JSON file of attributes beside a file of little-endian 64-bit numbers; the labels of all are one more
+JSON file, whose SHA-256 is published before anything is diagnosed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.gap.sealed import Label
+from tissueid.sessions import Session, Test
+
+LABELS = "labels.json"
+MOST_BYTES = 200_000_000
+
+
+def scenario_names(folder: Path) -> list[str]:
+    """Names of the scenarios in a folder, in order."""
+    return sorted(path.stem for path in folder.glob("scenario-*.json"))
+
+
+def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
+    """The session of a scenario; with ``kind`` a companion of it, such as ``clean`` (the effects without noise).
+
+    Raises:
+        UnusableInputError: the files are missing or are not what they should be.
+    """
+    about = _read_json(folder / f"{name}.json")
+    path = folder / (f"{name}.{kind}.f64" if kind else f"{name}.f64")
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise UnusableInputError(f"{path} is too large for a scenario")
+        numbers = np.fromfile(path, "<f8")
+        names = list(about["signals"])
+        tests = tuple(_test(item, names, numbers) for item in about["tests"])
+        known = {item.name for item in fields(DeviceDescription)}
+        instrument = DeviceDescription(**{key: value for key, value in about["instrument"].items() if key in known})
+    except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
+        raise UnusableInputError(f"{path} is no recording of the simulated laboratory: {error}") from error
+    return Session(instrument, tests=tests)
+
+
+def _test(about: dict[str, Any], names: list[str], numbers: np.ndarray) -> Test:
+    samples, first = int(about["samples"]), int(about["first"])
+    rows = numbers[first : first + samples * len(names)].reshape(len(names), samples)
+    return Test(
+        number=int(about["name"]),
+        kind=str(about["kind"]),
+        signals={name: row.copy() for name, row in zip(names, rows, strict=True)},
+        sample_rate_hz=float(about["sample_rate_hz"]),
+        configuration=str(about["configuration"]),
+        preload_s=float(about["preload_s"]),
+        surface_position_m=float(about["surface_position_m"]),
+        stimulus=dict(about["stimulus"]),
+        seed=int(about["seed"]),
+        repeat_of=int(about["repeat_of"]) if about["repeat_of"] else None,
+    )
+
+
+def seal(folder: Path) -> str:
+    """SHA-256 of the labels, to be published before the diagnosis.
+
+    Raises:
+        UnusableInputError: there are no labels.
+    """
+    try:
+        return hashlib.sha256((folder / LABELS).read_bytes()).hexdigest()
+    except OSError as error:
+        raise UnusableInputError(f"there are no labels in {folder}") from error
+
+
+def unseal(folder: Path) -> dict[str, Label]:
+    """The labels by scenario.
+
+    Raises:
+        UnusableInputError: they cannot be read.
+    """
+    found = {}
+    for name, about in _read_json(folder / LABELS).items():
+        effects = about["effects"]
+        found[name] = Label(
+            tuple(item["name"] for item in effects),
+            tuple(item["stage"] for item in effects),
+            tuple(bool(item["listed"]) for item in effects),
+            bool(about["full"]),
+        )
+    return found
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UnusableInputError(f"{path} cannot be read") from error
+    if not isinstance(found, dict):
+        raise UnusableInputError(f"{path} holds no object")
+    return found

@@ -1,0 +1,314 @@
+"""The sealed check: scenarios whose labels are opened only after the diagnosis, and how it fared.
+
+Rates come with Wilson intervals (Wilson, J. Am. Stat. Assoc. 22 (1927) 209-212).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+SURVIVES = 1.2
+"""A gap counts as one that survives the refit where it is this many times the floor on held-out data."""
+SURE = 0.9
+CALIBRATION_BINS = 10
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a scenario really held: effects by name with their stages, and whether the library lists each."""
+
+    effects: tuple[str, ...]
+    stages: tuple[str, ...]
+    listed: tuple[bool, ...]
+    full: bool
+
+
+@dataclass(frozen=True)
+class Answered:
+    """A scenario's answer (the JSON of ``gap diagnose``) beside its label; ``oracle`` is the gap that the true form
+    refitted would leave, where that is known."""
+
+    name: str
+    label: Label
+    answer: dict[str, Any]
+    oracle: float | None = None
+
+    @property
+    def verdict(self) -> str:
+        """What the diagnosis said."""
+        return str(self.answer["verdict"])
+
+    @property
+    def ranking(self) -> list[dict[str, Any]]:
+        """Candidates, best first."""
+        return list(self.answer["ranking"])
+
+    @property
+    def named(self) -> set[str]:
+        """Effects named as the cause."""
+        return set(self.answer["combination"])
+
+    @property
+    def probability(self) -> float:
+        """Of the candidate that leads the ranking."""
+        return float(self.ranking[0]["probability"]) if self.ranking else 0.0
+
+    @property
+    def survives(self) -> bool:
+        """Whether a gap is left after the refit of the baseline."""
+        gap = self._gap
+        return gap["before"] is not None and gap["before"] > SURVIVES * gap["floor"]
+
+    @property
+    def closed(self) -> float | None:
+        """Share of the gap that was closed on the samples of the check."""
+        return _number(self._gap["closed"])
+
+    @property
+    def announced(self) -> float | None:
+        """The share that was announced before the check."""
+        return _number(self._gap["announced"])
+
+    @property
+    def best_closed(self) -> float | None:
+        """What the true form refitted would close."""
+        before, floor = self._gap["before"], self._gap["floor"]
+        if self.oracle is None or not before**2 > floor**2:
+            return None
+        return float(1.0 - np.sqrt(max(self.oracle**2 - floor**2, 0.0) / (before**2 - floor**2)))
+
+    @property
+    def _gap(self) -> dict[str, Any]:
+        return dict(self.answer["gap"])
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of cases with its 95 % Wilson interval; NaN where there were none."""
+
+    what: str
+    hits: int
+    cases: int
+    asked: float
+    at_least: bool = True
+
+    @property
+    def share(self) -> float:
+        """Hits over cases."""
+        return self.hits / self.cases if self.cases else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % by Wilson."""
+        if not self.cases:
+            return float("nan"), float("nan")
+        found = binomtest(self.hits, self.cases).proportion_ci(method="wilson")
+        return float(found.low), float(found.high)
+
+    @property
+    def kept(self) -> bool | None:
+        """Whether what was asked was reached; None where there were no cases."""
+        if not self.cases:
+            return None
+        return self.share >= self.asked if self.at_least else self.share <= self.asked
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A figure that is no share of cases."""
+
+    what: str
+    value: float
+    cases: int
+    asked: float | None = None
+    at_least: bool = True
+
+    @property
+    def kept(self) -> bool | None:
+        """Whether what was asked was reached; None where nothing was asked or there were no cases."""
+        if self.asked is None or not self.cases:
+            return None
+        return self.value >= self.asked if self.at_least else self.value <= self.asked
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of one kind of session."""
+
+    top1: float
+    alike: float
+    top3: float
+    stage: float
+    closed_median: float
+    closed_tenth: float
+    announced: float
+    unexplained: float
+    wrong_and_sure: float
+    false_alarm: float
+    pairs: float
+
+
+SINGLE = Asked(0.75, 0.90, 0.95, 0.90, 0.95, 0.80, 0.05, 0.80, 0.03, 0.01, 0.75)
+FULL = Asked(0.90, 0.95, 0.98, 0.97, 0.98, 0.90, 0.03, 0.90, 0.01, 0.01, 0.90)
+
+
+@dataclass(frozen=True)
+class Score:
+    """How the diagnosis fared on one kind of session."""
+
+    rates: tuple[Rate, ...]
+    figures: tuple[Measured, ...]
+    confusion: dict[str, dict[str, int]]
+    """Named effect by true effect, for single effects whose gap survives the refit."""
+    risk_coverage: tuple[tuple[float, float], ...]
+    """Share answered and share of wrong names among those, as the least probability falls."""
+    failures: tuple[str, ...]
+
+
+def score_of(cases: Sequence[Answered], asked: Asked) -> Score:
+    """Compare answers with labels."""
+    single = [case for case in cases if len(case.label.effects) == 1 and case.label.listed[0] and case.survives]
+    none = [case for case in cases if not case.label.effects]
+    unknown = [case for case in cases if case.label.effects and not all(case.label.listed) and case.survives]
+    pairs = [case for case in cases if len(case.label.effects) > 1 and all(case.label.listed) and case.survives]
+    above = [case for case in cases if case.label.effects and case.survives]
+    rates = [
+        _rate("top-1", single, lambda case: _place(case) == 0, asked.top1),
+        _rate("top-1 of what cannot be told apart", single, _alike, asked.alike),
+        _rate("top-3", single, lambda case: _place(case) < 3, asked.top3),
+        _rate("stage", [*single, *unknown], lambda case: _stage(case) in case.label.stages, asked.stage),
+        _rate("unknown effect: unexplained", unknown, lambda case: case.verdict == "unexplained", asked.unexplained),
+        _rate("known effect: unexplained", single, lambda case: case.verdict == "unexplained", 0.05, at_least=False),
+        _rate("wrong name at 90 % or more", above, _wrong_and_sure, asked.wrong_and_sure, at_least=False),
+        _rate("false alarms without effect", none, lambda case: case.verdict != "no_gap", asked.false_alarm, False),
+        _rate("gap missed", single, lambda case: case.verdict == "no_gap", 0.05, at_least=False),
+    ]
+    return Score(
+        tuple(rates),
+        (*_figures(single, asked), _pair_score(pairs, asked)),
+        _confusion(single),
+        _risk_coverage(single),
+        tuple(failure for case in cases if (failure := _failure(case))),
+    )
+
+
+def _rate(
+    what: str, cases: Sequence[Answered], hit: Callable[[Answered], bool], asked: float, at_least: bool = True
+) -> Rate:
+    return Rate(what, sum(hit(case) for case in cases), len(cases), asked, at_least)
+
+
+def _place(case: Answered) -> int:
+    names = [item["effect"] for item in case.ranking]
+    return names.index(case.label.effects[0]) if case.label.effects[0] in names else len(names) + 10
+
+
+def _alike(case: Answered) -> bool:
+    first = case.ranking[0] if case.ranking else {}
+    return case.label.effects[0] in {first.get("effect"), *first.get("indistinguishable", ())}
+
+
+def _stage(case: Answered) -> str:
+    return str(case.answer["where"]["stage"])
+
+
+def _wrong_and_sure(case: Answered) -> bool:
+    wrong = bool(case.named) and not case.named <= set(case.label.effects)
+    return wrong and case.probability >= SURE
+
+
+def _figures(single: Sequence[Answered], asked: Asked) -> list[Measured]:
+    explained = [case for case in single if case.verdict == "effect" and case.closed is not None]
+    relative = np.array(
+        [case.closed / best for case in explained if case.closed and (best := case.best_closed or 1.0) > 0.05]
+    )
+    off = np.array([abs(case.announced - case.closed) for case in explained if case.announced and case.closed])
+    sure = np.array([case.probability for case in single])
+    right = np.array([_place(case) == 0 for case in single], np.float64)
+    return [
+        Measured(
+            "closed relative to the true form, median",
+            float(np.median(relative)) if relative.size else float("nan"),
+            relative.size,
+            asked.closed_median,
+        ),
+        Measured(
+            "closed relative to the true form, 10th percentile",
+            float(np.quantile(relative, 0.1)) if relative.size else float("nan"),
+            relative.size,
+            asked.closed_tenth,
+        ),
+        Measured(
+            "announced less realised closed, median of the size",
+            float(np.median(off)) if off.size else float("nan"),
+            off.size,
+            asked.announced,
+            at_least=False,
+        ),
+        Measured("expected calibration error", _calibration_error(sure, right), sure.size),
+        Measured("Brier score", float(np.mean((sure - right) ** 2)) if sure.size else float("nan"), sure.size),
+    ]
+
+
+def _calibration_error(sure: np.ndarray, right: np.ndarray) -> float:
+    if not sure.size:
+        return float("nan")
+    place = np.minimum((sure * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
+    total = 0.0
+    for k in range(CALIBRATION_BINS):
+        inside = place == k
+        if inside.any():
+            total += inside.sum() * abs(sure[inside].mean() - right[inside].mean())
+    return float(total / sure.size)
+
+
+def _pair_score(pairs: Sequence[Answered], asked: Asked) -> Measured:
+    # F1 of the named set, over all pairs together.
+    hits = sum(len(case.named & set(case.label.effects)) for case in pairs)
+    named = sum(len(case.named) for case in pairs)
+    true = sum(len(case.label.effects) for case in pairs)
+    value = 2.0 * hits / (named + true) if named + true else float("nan")
+    return Measured("pairs: F1 of the named set", value, len(pairs), asked.pairs)
+
+
+def _confusion(single: Sequence[Answered]) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    for case in single:
+        row = found.setdefault(case.label.effects[0], {})
+        said = str(case.ranking[0]["effect"]) if case.verdict == "effect" and case.ranking else case.verdict
+        row[said] = row.get(said, 0) + 1
+    return found
+
+
+def _risk_coverage(single: Sequence[Answered]) -> tuple[tuple[float, float], ...]:
+    ordered = sorted(single, key=lambda case: -case.probability)
+    wrong = np.cumsum([_place(case) != 0 for case in ordered])
+    return tuple(((k + 1) / len(ordered), float(wrong[k] / (k + 1))) for k in range(len(ordered)))
+
+
+def _failure(case: Answered) -> str:
+    true = " + ".join(case.label.effects) or "nothing"
+    first = case.ranking[0]["effect"] if case.ranking else "nothing"
+    said = " + ".join(sorted(case.named)) or case.verdict
+    if not case.label.effects:
+        return "" if case.verdict == "no_gap" else f"{case.name}: {true}, but said {said}"
+    if not case.survives:
+        wrong = bool(case.named) and not case.named <= set(case.label.effects)
+        return f"{case.name}: {true} (does not survive the refit), but said {said}" if wrong else ""
+    known = all(case.label.listed)
+    good = case.named == set(case.label.effects) if known else case.verdict == "unexplained"
+    if good and _stage(case) in case.label.stages:
+        return ""
+    return (
+        f"{case.name}: {true}; said {said} (stage {_stage(case)}), leading {first} at {case.probability:.0%}, "
+        f"gap {case.answer['gap']['before']:.2%}"
+    )

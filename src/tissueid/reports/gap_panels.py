@@ -1,0 +1,282 @@
+"""The pictures of a diagnosis: the chain, where the gap lies, the ranking, and recorded against simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.gap.diagnosis import Diagnosis
+from tissueid.gap.observed import ObservedTest
+from tissueid.gap.regions import Profile, Spectrum
+from tissueid.gap.scoring import Candidate
+from tissueid.reports.gap_chain import draw_chain
+from tissueid.reports.panel_sheet import Panel, without
+from tissueid.reports.panels import image
+from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
+
+FloatArray = NDArray[np.float64]
+
+_UNITS = {"voltage": ("V", 1.0), "current": ("mA", 1e3), "position": ("µm", 1e6)}
+_SIGNALS = {"voltage": ("Voltage (V)", 1.0), "current": ("Current (A)", 1.0), "position": ("Position (mm)", 1e3)}
+_OVERLAY_S = 0.25
+_LISTED = 8
+
+
+def gap_panels(found: Diagnosis) -> Iterator[Panel]:
+    """All pictures of a diagnosis."""
+    regions = found.where.regions
+    yield Panel(
+        "chain",
+        "The chain and the stage at fault",
+        f"Stages from command to recorded numbers; at fault: {found.where.stage}.",
+        "Each stage is given what was measured upstream of it and refitted within its calibration; its share is what "
+        "it still leaves, as the logarithm of error over floor. The deeper the colour, the larger the share.",
+        lambda figure: draw_chain(figure, found.where),
+        height=2.5,
+    )
+    if not regions.profiles:
+        yield without("where", "Where the gap lies", "nothing was left to look at")
+        return
+    of = f"the {regions.channel}"
+    yield Panel(
+        "frequency",
+        "By frequency",
+        f"Power of {of} and of what the baseline leaves of it against frequency, with its linear, even and odd parts.",
+        "What the refitted baseline leaves, and of it the parts that are coherent with the command (linear), with its "
+        "square (even) and with its cube (odd). Shaded: bands that stand above the floor.",
+        lambda figure: draw_spectrum(figure, _spectrum(found), regions.bands_hz),
+        height=3.4,
+    )
+    yield Panel(
+        "depth",
+        "By depth",
+        f"Error of {of} against depth, with the floor.",
+        "Root-mean-square error in floors. Full dots stand above the floor with significance.",
+        lambda figure: draw_profile(figure, regions.profiles["depth_m"], 1e3, "Depth (mm)"),
+        wide=False,
+        height=2.9,
+    )
+    yield Panel(
+        "speed",
+        "By speed and direction",
+        f"Error of {of} against velocity, with the floor.",
+        "The same against velocity; positive is into the tissue.",
+        lambda figure: draw_profile(figure, regions.profiles["velocity_m_s"], 1e3, "Velocity (mm/s)"),
+        wide=False,
+        height=2.9,
+    )
+    yield Panel(
+        "surface",
+        "Over depth and velocity",
+        f"Mean residual of {of} as an image over depth and velocity.",
+        "What is left on average, in floors: a force that goes with depth shows as columns, friction as an upper and a "
+        "lower half (restoring-force surface).",
+        lambda figure: draw_surface(figure, found),
+        wide=False,
+        height=3.2,
+    )
+    yield Panel(
+        "time",
+        "In the course of the test",
+        f"Error of {of} against time, with the floor.",
+        "Root-mean-square error in floors by quarter second; full dots stand above the floor with significance.",
+        lambda figure: draw_profile(figure, regions.profiles["time_s"], 1.0, "Time (s)"),
+        wide=False,
+        height=3.2,
+    )
+    if found.ranking:
+        yield Panel(
+            "ranking",
+            "Candidates",
+            "Probability and closed share of each candidate effect.",
+            "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on held-out "
+            "data, with 95 %. The same colour: candidates that this data cannot tell from the leading one.",
+            lambda figure: draw_ranking(figure, found),
+            height=0.9 + 0.28 * min(len(found.ranking), _LISTED),
+        )
+    yield Panel(
+        "overlay",
+        "Before and after",
+        "Recorded signals with the simulation before and after the effect was added, and both residuals below.",
+        "A quarter of a second that no fit has seen. Below: recorded less simulated; dotted: what noise "
+        "alone would leave.",
+        lambda figure: draw_overlay(figure, found),
+        height=5.0,
+    )
+
+
+def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> None:
+    """Amplitude densities of a residual and its parts."""
+    axes = figure.subplots(1, 1)
+    unit, scale = _UNITS[found.channel]
+    for low, high in bands_hz:
+        axes.axvspan(low, high, color=SHADE, zorder=0)
+    lines = (
+        (found.recorded, "recorded", MUTED, DASHES[0], 0.9),
+        (found.residual, "left by the baseline", INK, DASHES[0], 1.5),
+        (found.linear, "linear", BLUE, DASHES[1], 1.1),
+        (found.even, "even", ORANGE, DASHES[2], 1.1),
+        (found.odd, "odd", GREEN, DASHES[3], 1.1),
+        (found.noise, "floor", MUTED, DASHES[1], 1.1),
+    )
+    least = 0.1 * scale * float(np.sqrt(found.noise[0]))
+    for power, label, colour, dashes, width in lines:
+        values = scale * np.sqrt(power)
+        values = np.where(values >= least, values, np.nan)
+        axes.plot(found.frequency_hz, values, color=colour, linestyle=dashes, linewidth=width, label=label)
+    # Room for the legend above the lines.
+    axes.set_ylim(least, 20.0 * scale * float(np.sqrt(found.recorded.max())))
+    log_axis(axes)
+    frequency_axis(axes, float(found.frequency_hz[0]), float(found.frequency_hz[-1]))
+    axes.set_ylabel(f"{found.channel.capitalize()} ({unit}/√Hz)")
+    axes.legend(loc="upper right", ncols=3)
+
+
+def draw_profile(figure: FigureBase, found: Profile, scale: float, label: str) -> None:
+    """Error in floors along something."""
+    axes = figure.subplots(1, 1)
+    middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
+    known = np.isfinite(found.error)
+    axes.axhline(1.0, color=MUTED, linewidth=1.0, linestyle=DASHES[1])
+    axes.plot(middle[known], found.error[known], color=BLUE, linewidth=0.9, alpha=0.6)
+    for chosen, filled in ((known & found.above, True), (known & ~found.above, False)):
+        axes.plot(
+            middle[chosen],
+            found.error[chosen],
+            color=BLUE,
+            linestyle="none",
+            marker="o",
+            markersize=4.5,
+            markerfacecolor=BLUE if filled else "none",
+        )
+    top = float(np.max(found.error[known], initial=1.0))
+    if top > 20.0:
+        axes.set_ylim(0.5, 2.0 * top)
+        log_axis(axes)
+    else:
+        axes.set_ylim(0.0, 1.1 * top)
+    axes.set_xlabel(label)
+    axes.set_ylabel("Error (floors)")
+
+
+def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
+    """Mean residual over depth and velocity.
+
+    Raises:
+        UnusableInputError: too little was visited.
+    """
+    surface = found.where.regions.surface
+    if surface is None:
+        raise UnusableInputError("too little of depth and velocity was visited")
+    axes = figure.subplots(1, 1)
+    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, "Residual (floors)")
+    axes.set_xlabel("Depth (mm)")
+    axes.set_ylabel("Velocity (mm/s)")
+
+
+def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
+    """Probability and closed share of the leading candidates."""
+    left, right = figure.subplots(1, 2, sharey=True)
+    listed = found.ranking[:_LISTED]
+    rows = np.arange(len(listed))
+    alike = {listed[0].effect, *listed[0].indistinguishable}
+    colours = [ORANGE if item.effect in alike else BLUE for item in listed]
+    left.barh(rows, [100.0 * item.probability for item in listed], color=colours, height=0.62, alpha=0.85)
+    for row, item, colour in zip(rows, listed, colours, strict=True):
+        if not np.isfinite(item.closed):
+            continue
+        low, high = (100.0 * np.clip(end, -1.0, 1.0) for end in item.closed_ci)
+        right.plot([low, high], [row, row], color=colour, linewidth=1.6)
+        right.plot([100.0 * max(item.closed, -1.0)], [row], color=colour, marker="o", markersize=4.5)
+    left.set_yticks(rows, [item.effect.replace("_", " ") for item in listed])
+    left.invert_yaxis()
+    left.set_xlim(0.0, 100.0)
+    left.set_xlabel("Probability (%)")
+    right.axvline(0.0, color=MUTED, linewidth=0.9)
+    right.set_xlim(min(0.0, right.get_xlim()[0]), 102.0)
+    right.set_xlabel("Closed (%)")
+    for axes in (left, right):
+        axes.grid(visible=False, axis="y")
+
+
+def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
+    """Recorded and simulated over a stretch that was not fitted, for the signals that show it most.
+
+    Raises:
+        UnusableInputError: every sample was fitted.
+    """
+    regions = found.where.regions
+    test, first, last = _unseen(found, regions.channel)
+    channels = [name for name in found.observed.channels if name != "voltage" or regions.channel == "voltage"][:3]
+    grid = figure.subplots(2, len(channels), sharex=True, squeeze=False, gridspec_kw={"height_ratios": (3, 2)})
+    shown = slice(first, last)
+    time = np.arange(first, last) / test.sample_rate_hz
+    after = found.best if found.best is not None and found.verdict != "no_gap" else None
+    for (above, below), name in zip(grid.T, channels, strict=True):
+        label, scale = _SIGNALS[name]
+        unit, fine = _UNITS[name]
+        recorded = test.signals[name][shown]
+        above.plot(time, scale * recorded, color=INK, linestyle="none", marker=".", markersize=2.2, label="recorded")
+        for candidate, words, colour, dashes in (
+            (found.found.baseline, "before", ORANGE, DASHES[1]),
+            (after, "after", BLUE, DASHES[0]),
+        ):
+            if candidate is None:
+                continue
+            simulated = _simulated(candidate, test, name)[shown]
+            above.plot(time, scale * simulated, color=colour, linestyle=dashes, linewidth=1.0, label=words)
+            left = fine * (recorded - simulated)
+            below.plot(time, left, color=colour, linewidth=0.9)
+        _floor(below, fine * found.observed.noise[name])
+        above.set_ylabel(label)
+        below.set_ylabel(f"Left ({unit})")
+        below.set_xlabel("Time (s)")
+    grid[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+
+
+def _floor(axes: Axes, noise: float) -> None:
+    for sign in (-1.96, 1.96):
+        axes.axhline(sign * noise, color=MUTED, linewidth=0.9, linestyle=DASHES[2])
+
+
+def _spectrum(found: Diagnosis) -> Spectrum:
+    regions = found.where.regions
+    return next(item for item in regions.spectra if item.channel == regions.channel)
+
+
+def _simulated(candidate: Candidate, test: ObservedTest, name: str) -> FloatArray:
+    tests = candidate.fit.parameters.observed.tests
+    place = next(k for k, item in enumerate(tests) if item.number == test.number)
+    return candidate.fit.predictions[place][name]
+
+
+def _unseen(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
+    """The test and the stretch, first and one past the last sample, held out of the fit with the largest error.
+
+    Raises:
+        UnusableInputError: there is none.
+    """
+    best: tuple[float, ObservedTest, int, int] | None = None
+    for test in found.observed.tests:
+        if test.quiet and len(found.observed.tests) > 1:
+            continue
+        held = test.purpose > 1
+        size = max(8, round(_OVERLAY_S * test.sample_rate_hz))
+        error = (test.signals[channel] - _simulated(found.found.baseline, test, channel)) / found.observed.noise[
+            channel
+        ]
+        for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):
+            inside = held[start : start + size] & np.isfinite(error[start : start + size])
+            if inside.mean() < 0.4:
+                continue
+            worth = float(np.sqrt(np.mean(error[start : start + size][inside] ** 2)))
+            if best is None or worth > best[0]:
+                best = (worth, test, start, min(start + size, error.size))
+    if best is None:
+        raise UnusableInputError("every sample was fitted")
+    return best[1:]

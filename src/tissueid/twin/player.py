@@ -1,0 +1,87 @@
+"""The chain played piece by piece, as an instrument plays a command: its state is kept from one piece to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.twin import bus
+from tissueid.twin.effect import Readings
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.housing import HOUSING
+from tissueid.twin.simulation import Acting, Prepared, Start, prepared, run
+
+FloatArray = NDArray[np.float64]
+
+SUBSTEPS = 20
+"""At 2 kHz one step is 25 us: what is played live need not be as quick as what is fitted."""
+REMEMBERED = 512
+"""Samples of the past that effects on the recorded numbers (filters, clocks) are given beside every piece."""
+
+
+class Player:
+    """The chain under way. Pieces of a command, however cut, give what the whole would give.
+
+    Args:
+        instrument: figures of amplifier, coil and moving part.
+        tissue: what the probe meets.
+        start: where it starts.
+        acting: effects that act, at most three; the housing is the fourth.
+        sample_rate_hz: samples a second.
+        on_tissue: whether effects of the stage ``tissue`` take part.
+        substeps: integration steps in a sample.
+
+    Raises:
+        ValueError: too many effects.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        tissue: Tissue,
+        start: Start,
+        acting: Sequence[Acting] = (),
+        *,
+        sample_rate_hz: float,
+        on_tissue: bool = True,
+        substeps: int = SUBSTEPS,
+    ) -> None:
+        # A twin that knows how the probe lifts off says itself what the tissue does then.
+        one_sided = all(item.effect.name != "contact_loss" for item in acting)
+        rubber = HOUSING.starts[0][:2]
+        self._acting = (*acting, Acting(HOUSING, np.array([*rubber, 1.0 if one_sided else 0.0])))
+        self._instrument, self._tissue = instrument, tissue
+        self._rate, self._substeps, self._on_tissue = sample_rate_hz, substeps, on_tissue
+        self._prepared: Prepared = prepared(self._acting, on_tissue)
+        self._state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
+        self._samples = 0
+        self._past = np.empty((3, 0))
+
+    @property
+    def where(self) -> Start:
+        """Where it stands now."""
+        return Start(float(self._state[0]), float(self._state[1]), float(self._state[2]))
+
+    def meet(self, surface_m: float) -> None:
+        """From now on the tissue begins there, m."""
+        self._tissue = replace(self._tissue, surface_m=surface_m)
+
+    def play(self, command_v: FloatArray) -> FloatArray:
+        """Voltage (V), current (A) and position (m) at the end of each sample of a command, shape (3, n)."""
+        command = np.ascontiguousarray(command_v, np.float64)
+        self._prepared.states[bus.MOST_EFFECTS, bus.SAMPLE] = self._samples
+        out = run(self._prepared, command, self._instrument, self._tissue, self._rate, self._substeps, self._state)
+        self._samples += command.size
+        raw = np.concatenate([self._past, out[:3]], axis=1)
+        self._past = raw[:, -REMEMBERED:]
+        if not any(item.effect.recording for item in self._acting):
+            return raw[:, -command.size :]
+        time = np.arange(self._samples - raw.shape[1] + 1, self._samples + 1) / self._rate
+        readings = Readings(time, raw[0], raw[1], raw[2], self._rate)
+        for item in self._acting:
+            if item.effect.recording is not None and (self._on_tissue or item.effect.on_spring):
+                readings = item.effect.recording(readings, item.values)
+        return np.stack([readings.voltage, readings.current, readings.position])[:, -command.size :]

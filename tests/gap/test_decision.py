@@ -1,0 +1,74 @@
+"""From scores to words, by candidates made by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tissueid.gap.decision import THRESHOLDS, better_pair, cost, explains, is_gap, probabilities
+from tissueid.gap.scoring import Candidate, ChannelError
+
+
+def candidate(score: float, order: int = 1) -> Candidate:
+    """With that score, and an effect of so many parameters."""
+    effects = [SimpleNamespace(name="any", order=order)] if order else []
+    fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects), theta=np.zeros(order))
+    left = ChannelError(1, "position", float(np.exp(2.0 * score)), 1.0, 10.0, 1000)
+    return Candidate(tuple(item.name for item in effects), fitted, (left,), (left,))  # type: ignore[arg-type]
+
+
+def test_every_coordinate_costs():
+    assert cost(candidate(1.0, 2)) - cost(candidate(1.0, 1)) == pytest.approx(THRESHOLDS.complexity)
+
+
+def test_no_gap_where_nothing_is_left():
+    assert not is_gap(candidate(0.0, 0), None)
+    assert not is_gap(candidate(0.9 * THRESHOLDS.least_score, 0), candidate(0.0))
+
+
+def test_a_small_gap_needs_a_candidate_that_takes_it_away():
+    little = candidate(1.5 * THRESHOLDS.least_score, 0)
+    assert is_gap(little, candidate(0.0))
+    assert not is_gap(little, None)
+    assert not is_gap(little, candidate(1.4 * THRESHOLDS.least_score))
+
+
+def test_a_large_gap_needs_none():
+    assert is_gap(candidate(1.0, 0), None)
+
+
+def test_a_candidate_explains_what_it_takes_to_the_floor():
+    assert explains(candidate(3.0, 0), candidate(0.05), 0.99)
+    assert explains(candidate(3.0, 0), candidate(1.0), 0.9)
+
+
+@pytest.mark.parametrize(("left", "closed"), [(2.5, 0.9), (1.0, 0.3), (2.9, 0.1), (1.0, float("nan"))])
+def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
+    assert not explains(candidate(3.0, 0), candidate(left), closed)
+
+
+def test_probabilities_leave_room_for_an_unlisted_effect():
+    baseline = candidate(3.0, 0)
+    sure = probabilities(baseline, [candidate(0.0), candidate(2.0)])
+    assert sure[0] > 0.99
+    assert sum(sure) <= 1.0
+    assert sure == sorted(sure, reverse=True)
+    bad = probabilities(baseline, [candidate(2.9), candidate(2.95)])
+    assert sum(bad) < 0.1
+    assert probabilities(baseline, []) == []
+
+
+def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
+    baseline = candidate(3.0, 0)
+    one, other = probabilities(baseline, [candidate(0.1), candidate(0.1)])
+    assert one == pytest.approx(other)
+    simple, complicated = probabilities(baseline, [candidate(0.1, 1), candidate(0.1, 5)])
+    assert simple > complicated
+
+
+def test_a_second_effect_must_be_worth_it():
+    assert better_pair(candidate(2.0, 1), candidate(0.1, 2))
+    assert not better_pair(candidate(2.0, 1), candidate(1.9, 2))
+    assert not better_pair(candidate(0.1, 1), candidate(0.0, 2))

@@ -1,0 +1,142 @@
+"""Fits of the chain to recordings of the simulated laboratory, whose true figures are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from gap_records import observed, recorded, scenario
+
+from tissueid.gap.fitting import Cancelled, Fit, differences, fit, predict
+from tissueid.gap.observed import Purpose, observe
+from tissueid.gap.parameters import parametrise
+from tissueid.gap.scoring import errors
+from tissueid.twin.library import effect
+
+
+@cache
+def baseline(name: str = "", *, full: bool = False) -> Fit:
+    return fit(observed(name, 4 if full else 3, full=full))
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_without_an_effect_a_refit_leaves_the_noise(full):
+    found = errors(baseline(full=full), Purpose.FIT, Purpose.CHOICE, Purpose.CHECK)
+    assert {item.channel for item in found} == {"voltage", "current", "position"}
+    for item in found:
+        assert item.square / item.noise**2 == pytest.approx(1.0, abs=0.3)
+
+
+def test_the_true_figures_are_found():
+    figures, found = scenario().figures, baseline()
+    instrument = found.parameters.instrument(found.theta)
+    met = found.parameters.met(found.theta, observed().tests[0])
+    assert instrument.amplifier_gain == pytest.approx(figures.amplifier_gain, rel=2e-3)
+    assert instrument.resistance_ohm == pytest.approx(figures.resistance_ohm, rel=2e-3)
+    depth = np.array([0.5, 1.0, 1.2]) * figures.depth_m
+    truth = figures.stiffness_n_per_m * np.exp(figures.stiffness_rate_per_m * depth) * depth
+    told = met.stiffness_n_per_m * np.exp(met.stiffness_growth_per_m * depth) * depth
+    scale = instrument.force_constant_n_per_a / figures.force_constant_n_per_a
+    weight = found.value("weight_n") / scale - figures.weight_n
+    assert told / scale - weight == pytest.approx(truth, rel=0.02)
+
+
+def test_an_effect_is_no_part_of_the_noise_until_it_is_added():
+    before = baseline("dry_friction")
+    after = fit(observed("dry_friction"), [effect("dry_friction")], near=before)
+    position = next(item for item in errors(before, Purpose.CHECK) if item.channel == "position")
+    assert position.ratio > 30.0
+    assert after.cost < 0.1 * before.cost
+    for item in errors(after, Purpose.CHECK):
+        assert item.ratio < 1.5
+
+
+def test_whole_tests_that_are_held_out_are_predicted_as_well():
+    found, seen = baseline(full=True), observed("", 4, full=True)
+    assert not seen.tests[3].serving(Purpose.FIT).any()
+    for test, predicted in zip(seen.tests, found.predictions, strict=True):
+        assert {name: values.shape for name, values in predicted.items()} == dict.fromkeys(
+            seen.channels, test.command.shape
+        )
+
+
+def test_predictions_are_those_of_the_vector():
+    found = baseline()
+    again = predict(found.parameters, found.theta)
+    assert np.array_equal(again[0]["position"], found.predictions[0]["position"])
+
+
+def test_the_cost_is_residuals_and_priors():
+    found = baseline()
+    prior, std = found.parameters.array("prior"), found.parameters.array("prior_std")
+    off = (found.theta - prior) / std
+    assert found.cost == pytest.approx(float(found.residuals @ found.residuals + off @ off), rel=1e-9)
+    serving = int(observed().tests[0].serving(Purpose.FIT).sum())
+    assert found.residuals.shape == (3 * serving,)
+    assert found.jacobian.shape == (3 * serving, found.parameters.size)
+
+
+def test_bounds_hold_where_the_truth_lies_beyond():
+    wrong = replace(recorded().instrument, coil_resistance_ohm=9.0, moving_mass_kg=0.15)
+    found = fit(observe(replace(recorded(), instrument=wrong)))
+    assert np.all(found.theta >= found.parameters.array("low"))
+    assert np.all(found.theta <= found.parameters.array("high"))
+    spread = wrong.calibration_relative_uncertainty
+    assert found.value("resistance_ohm") == pytest.approx(3.0 * spread)
+
+
+def test_bounds_of_an_effect_hold():
+    chosen = effect("directional_damping")
+    found = fit(observed("dry_friction"), [chosen], near=baseline("dry_friction"))
+    values = found.parameters.effect_values(found.theta, chosen, 1)
+    for parameter, value in zip(chosen.parameters, values, strict=True):
+        assert parameter.low * (1 - 1e-9) - 1e-12 <= value <= parameter.high * (1 + 1e-9) + 1e-12
+
+
+def test_what_the_data_do_not_feel_stays_at_its_prior():
+    still = replace(recorded(full=True), tests=recorded(full=True).tests[:1])
+    found = fit(observe(still))
+    by_name = {item.name: item for item in found.parameters.coordinates}
+    for name in ("inductance_h", "resistance_ohm", "amplifier_gain"):
+        item = by_name[name]
+        assert abs(found.value(name) - item.prior) < 0.5 * item.prior_std
+
+
+def test_a_better_calibration_binds_the_instrument():
+    sure = replace(recorded().instrument, calibration_relative_uncertainty=1e-5)
+    found = fit(observe(replace(recorded(), instrument=sure)))
+    assert abs(found.value("resistance_ohm")) <= 3.001e-5
+    assert found.cost > 2.0 * baseline().cost
+
+
+def test_the_same_twice():
+    one, other = baseline("dry_friction"), fit(observed("dry_friction"))
+    assert np.array_equal(one.theta, other.theta)
+    assert one.cost == other.cost
+
+
+def test_cancelled():
+    with pytest.raises(Cancelled):
+        fit(observed(), cancelled=lambda: True)
+
+
+def test_no_more_steps_than_allowed():
+    assert fit(observed("dry_friction"), most_steps=2).steps <= 2
+
+
+def test_differences_are_what_an_effect_changes():
+    chosen = effect("dry_friction")
+    before = baseline()
+    added, _ = differences(before, chosen, chosen.starts[0])
+    parameters = parametrise(observed(), [chosen])
+    theta = parameters.array("start")
+    for name, place in before.parameters.index.items():
+        theta[parameters.index[name]] = before.value(name)
+        assert before.theta[place] == before.value(name)
+    moved = predict(parameters, theta)[0]["current"] - before.predictions[0]["current"]
+    serving = observed().tests[0].serving(Purpose.FIT)
+    size = int(serving.sum())
+    # The channels follow each other: voltage, current, position.
+    assert added[size : 2 * size] == pytest.approx(moved[serving] / observed().noise["current"], abs=1e-6)

@@ -1,0 +1,68 @@
+"""The test to run next: it is the one that tells the leading rivals apart."""
+
+import numpy as np
+import pytest
+
+from tissueid.device import DeviceDescription
+from tissueid.gap.fitting import fit
+from tissueid.gap.menu import menu
+from tissueid.gap.next_experiment import next_experiment
+from tissueid.gap.observed import observe
+from tissueid.gap.scoring import judged
+from tissueid.sessions import Session, Test
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.library import effect
+from tissueid.twin.simulation import Acting, Start, simulate
+
+RATE = 2000.0
+SURFACE = 0.010
+
+
+@pytest.fixture(scope="module")
+def observed():
+    random = np.random.default_rng(5)
+    smooth = np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
+    command = 14.0 + 14.0 * smooth
+    acting = [Acting(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
+    instrument, start = Instrument(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
+    read = simulate(command, RATE, instrument, Tissue(SURFACE), start, acting).readings
+    noise = random.standard_normal((3, command.size))
+    signals = {
+        "command": command,
+        "voltage": read.voltage + 2e-3 * noise[0],
+        "current": read.current + 1e-3 * noise[1],
+        "position": read.position + 2e-6 * noise[2],
+    }
+    test = Test(1, "stochastic", signals, RATE, surface_position_m=SURFACE)
+    return observe(Session(DeviceDescription(), tests=(test,)))
+
+
+@pytest.fixture(scope="module")
+def rivals(observed):
+    baseline = fit(observed, most_steps=8)
+    names = ("dry_friction", "tissue_hysteresis")
+    return [judged(fit(observed, [effect(name)], near=baseline, most_steps=6)) for name in names]
+
+
+def test_friction_and_tissue_loops_are_told_apart_where_they_differ(observed, rivals):
+    found = next_experiment(observed, rivals, [0.5, 0.4])
+    assert found is not None
+    # Friction is there without tissue, and its loops in slow motion are others.
+    assert found.kind in ("spring", "free_air", "slow_ramp")
+    assert found.gains["spring"] > found.gains["smaller_amplitude"]
+    assert set(found.separates) == {"dry_friction", "tissue_hysteresis"}
+    assert "nats" in found.why
+
+
+def test_a_rival_is_not_separated_from_itself(observed, rivals):
+    assert next_experiment(observed, [rivals[0], rivals[0]], [0.5, 0.5]) is None
+
+
+def test_one_rival_needs_no_test(observed, rivals):
+    assert next_experiment(observed, rivals[:1], [0.99]) is None
+
+
+def test_the_menu_keeps_within_the_amplifier(observed):
+    items = menu(observed)
+    assert {item.kind for item in items} >= {"quiet", "slow_ramp", "step_hold", "spring", "free_air", "deeper"}
+    assert all(np.max(np.abs(item.test.command)) <= 48.0 for item in items)

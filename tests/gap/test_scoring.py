@@ -1,0 +1,88 @@
+"""Figures of the gap, by errors made by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests, score
+
+
+def error(test: int = 1, channel: str = "position", square: float = 4.0, **others: float) -> ChannelError:
+    figures = {"noise": 1.0, "spread": 10.0, "samples": 100} | others
+    return ChannelError(test, channel, square, figures["noise"], figures["spread"], int(figures["samples"]))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "least", "share"),
+    [
+        (0.5, 0.3, 0.3, 1.0),
+        (0.5, 0.5, 0.3, 0.0),
+        (0.5, np.sqrt(0.09 + 0.04), 0.3, 0.5),
+        (0.5, 0.2, 0.3, 1.0),
+        (0.5, np.sqrt(0.09 + 0.64), 0.3, -1.0),
+        (1.0, 0.1, 0.0, 0.9),
+    ],
+)
+def test_the_closed_share(before, after, least, share):
+    assert closed(before, after, least) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("before", [0.3, 0.2, np.nan])
+def test_nothing_is_closed_where_there_was_no_gap(before):
+    assert np.isnan(closed(before, 0.1, 0.3))
+
+
+def test_the_score_is_half_the_logarithm_over_the_noise():
+    assert score([error(square=1.0)]) == 0.0
+    assert score([error(square=np.e**2)]) == pytest.approx(1.0)
+    assert score([]) == 0.0
+
+
+def test_errors_below_the_noise_are_the_noise():
+    assert error(square=0.5).ratio == 1.0
+    assert score([error(square=0.5), error(channel="current", square=np.e**2)]) == pytest.approx(1.0)
+
+
+def test_channels_add_up_and_tests_are_averaged():
+    found = [error(1, "position", np.e**2), error(1, "current", np.e**4), error(2, "position", np.e**2)]
+    assert score(found) == pytest.approx((1.0 + 2.0 + 1.0) / 2)
+
+
+def test_what_is_irreducible_counts_as_noise():
+    rounded = ChannelError(1, "position", 4.0, 1.0, 10.0, 100, irreducible=np.sqrt(3.0))
+    assert rounded.ratio == pytest.approx(1.0)
+
+
+def test_the_gap_is_relative_to_the_recorded_deviation():
+    assert gap([error(square=4.0, spread=10.0)]) == pytest.approx(0.2)
+    assert floor([error(noise=1.0, spread=10.0)]) == pytest.approx(0.1)
+
+
+def test_channels_count_alike_and_samples_by_their_number():
+    found = [error(channel="position", square=4.0), error(channel="current", square=1e-2, spread=1.0, noise=1e-3)]
+    assert gap(found) == pytest.approx(np.sqrt((0.04 + 0.01) / 2))
+    pooled = [error(1, square=4.0, samples=300), error(2, square=8.0, samples=100)]
+    assert gap(pooled) == pytest.approx(np.sqrt((300 * 4.0 + 100 * 8.0) / (400 * 100.0)))
+
+
+def test_quiet_tests_are_left_out_of_the_gap():
+    found = [error(1, square=4.0), error(2, square=1e4)]
+    assert gap(found, quiet=(2,)) == pytest.approx(0.2)
+    tests = [SimpleNamespace(number=1, quiet=False), SimpleNamespace(number=2, quiet=True)]
+    assert quiet_tests(tests) == (2,)  # type: ignore[arg-type]
+
+
+def test_without_anything_to_compare_there_is_no_figure():
+    assert np.isnan(gap([]))
+    assert np.isnan(gap([error(spread=0.0)]))
+
+
+def test_a_candidate_is_chosen_by_one_part_and_checked_on_the_other():
+    effects = [SimpleNamespace(name="a", order=2), SimpleNamespace(name="b", order=1)]
+    fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects))
+    candidate = Candidate(("a", "b"), fitted, (error(square=np.e**2),), (error(square=1e6),))  # type: ignore[arg-type]
+    assert candidate.score == pytest.approx(1.0)
+    assert candidate.order == 3

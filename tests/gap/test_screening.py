@@ -1,0 +1,59 @@
+"""Signatures of candidates against what a baseline leaves of a laboratory record."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from gap_records import observed
+
+from tissueid.gap.fitting import fit
+from tissueid.gap.screening import Screen, Signature, contenders, cosine
+from tissueid.twin.library import effect
+
+CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag", "eddy_currents", "quadratic_drag")
+
+
+@cache
+def screen(name: str) -> Screen:
+    return Screen(fit(observed(name)))
+
+
+@pytest.mark.parametrize("name", ["dry_friction", "directional_damping"])
+def test_the_right_effect_is_best_aligned(name):
+    found = contenders([item for one in CANDIDATES for item in screen(name).signatures(effect(one))])
+    assert [item.effect for item in found][0] == name
+    assert {item.effect for item in found} == set(CANDIDATES)
+    assert [item.alignment for item in found] == sorted((item.alignment for item in found), reverse=True)
+    assert found[0].alignment > 0.9
+    assert all(0.0 <= item.alignment <= 1.0 + 1e-9 for item in found)
+
+
+def test_every_start_has_a_signature():
+    chosen = effect("directional_damping")
+    found = screen("dry_friction").signatures(chosen)
+    assert {item.start for item in found} >= set(chosen.starts)
+
+
+def test_what_survives_is_what_a_refit_cannot_make():
+    before = fit(observed("dry_friction"))
+    asked = Screen(before)
+    moved = before.jacobian @ np.random.default_rng(0).normal(size=before.theta.size)
+    assert np.linalg.norm(asked.surviving(moved)) < 1e-6 * np.linalg.norm(moved)
+    left = asked.surviving(before.residuals)
+    assert asked.surviving(left) == pytest.approx(left, abs=1e-8 * np.linalg.norm(left))
+
+
+def test_cosines():
+    one, other = np.array([1.0, 0.0]), np.array([-1.0, 1.0])
+    assert cosine(one, other) == pytest.approx(np.sqrt(0.5))
+    assert cosine(one, 0.0 * other) == 0.0
+
+
+def test_a_second_start_is_tried_where_it_is_nearly_as_good():
+    def one(name: str, alignment: float) -> Signature:
+        return Signature(name, (alignment,), np.zeros(1), alignment)
+
+    found = contenders([one("a", 0.1), one("b", 0.5), one("a", 0.7), one("b", 0.45)])
+    assert [(item.effect, item.alignment) for item in found] == [("a", 0.7), ("b", 0.5), ("b", 0.45)]

@@ -1,0 +1,141 @@
+"""Where a gap lies, on recordings of the simulated laboratory, which shares nothing with the twin."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from firmware_sim.drawing import NOMINAL, draw_scenario
+from firmware_sim.effects import LISTED
+from tissueid.device import DeviceDescription
+from tissueid.gap.fitting import fit
+from tissueid.gap.observed import observe
+from tissueid.gap.regions import Profile
+from tissueid.gap.rhythm import lines, restlessness, slips
+from tissueid.gap.scoring import judged
+from tissueid.gap.stagewise import DRIVE, bounded_least_squares, motion, substitute
+from tissueid.gap.where import Where, where
+from tissueid.sessions import Session, Test
+from tissueid.twin.effect import STAGES
+
+SAMPLES = 4000
+RATE_HZ = 2000.0
+
+
+@cache
+def observed(name: str, seed: int):
+    others = tuple(item for item in LISTED if item != name)
+    scenario = draw_scenario(seed, effects=1 if name else 0, without=others if name else ())
+    recording = scenario.record()[0]
+    signals = {key: getattr(recording, key)[:SAMPLES] for key in ("time", "command", "voltage", "current", "position")}
+    test = Test(1, "stochastic", signals, RATE_HZ, preload_s=0.5, surface_position_m=recording.surface_m)
+    return observe(Session(DeviceDescription(**NOMINAL), tests=(test,)))
+
+
+@cache
+def found(name: str, seed: int = 3) -> Where:
+    tests = observed(name, seed)
+    return where(tests, judged(fit(tests)))
+
+
+@pytest.mark.parametrize(
+    ("effect", "stage"),
+    [
+        ("amplifier_deadband", "drive"),
+        ("eddy_currents", "coil"),
+        ("quadratic_drag", "mechanics"),
+        ("sensor_lag", "sensing"),
+    ],
+)
+def test_the_stage_is_blamed_that_holds_the_effect(effect, stage):
+    told = found(effect)
+    assert told.stage == stage
+    assert told.shares[stage] > 0.5
+    assert sum(told.shares.values()) == pytest.approx(1.0)
+    assert told.findings[0].stage == stage
+    assert told.findings[0].error > told.findings[0].floor
+
+
+def test_nothing_is_blamed_without_an_effect():
+    told = found("")
+    assert not told.above_floor
+    assert told.findings == ()
+    assert set(told.shares) == set(STAGES)
+    assert told.regions.bands_hz == ()
+    assert told.regions.time_s == ()
+
+
+def test_the_answer_has_the_contracts_keys_and_plain_values():
+    answer = found("quadratic_drag").as_answer()
+    assert {"stage", "stages", "bands_hz", "depth_m", "direction", "time_s"} <= set(answer)
+    assert list(answer["stages"]) == list(STAGES)
+    assert answer["direction"] in ("both", "into", "out")
+    assert answer["bands_hz"]
+    assert all(0.0 <= low < high <= RATE_HZ / 2.0 for low, high in answer["bands_hz"])
+
+
+def test_what_a_refit_takes_away_is_no_fault_of_the_stage():
+    tests = observed("", 3)
+    baseline = fit(tests)
+    answer = substitute(baseline, tests.tests, (), "voltage", DRIVE, tests.noise["voltage"])
+    assert np.std(answer.residual(tests.tests[0])) < 1.1 * tests.noise["voltage"]
+
+
+def test_motion_is_smoothed_and_differentiated_without_delay():
+    test = observed("", 3).tests[0]
+    time = np.arange(SAMPLES) / RATE_HZ
+    position, velocity = motion(test, 1e-3 * np.sin(2.0 * np.pi * 40.0 * time))
+    middle = slice(100, -100)
+    assert np.allclose(position[middle], 1e-3 * np.sin(2.0 * np.pi * 40.0 * time)[middle], atol=5e-6)
+    expected = 1e-3 * 2.0 * np.pi * 40.0 * np.cos(2.0 * np.pi * 40.0 * time)
+    assert np.allclose(velocity[middle], expected[middle], atol=2e-3)
+
+
+def test_lines_of_the_mains_are_found_and_noise_has_none():
+    random = np.random.default_rng(1)
+    time = np.arange(SAMPLES) / RATE_HZ
+    noise = random.normal(size=SAMPLES)
+    hum = np.sin(2.0 * np.pi * 50.1 * time) + 0.4 * np.sin(2.0 * np.pi * 150.3 * time)
+    told = lines(noise + hum, RATE_HZ)
+    assert told.mains_hz == 50.0
+    assert told.deviation == pytest.approx(np.std(hum), rel=0.1)
+    assert sum(lines(random.normal(size=SAMPLES), RATE_HZ).mains_hz > 0.0 for _ in range(100)) == 0
+
+
+def test_coloured_noise_has_no_lines():
+    random = np.random.default_rng(2)
+    kernel = np.exp(-np.arange(200) / 40.0)
+    coloured = [np.convolve(random.normal(size=SAMPLES), kernel)[:SAMPLES] for _ in range(50)]
+    assert sum(lines(item, RATE_HZ).mains_hz > 0.0 for item in coloured) == 0
+
+
+def test_a_record_that_loses_samples_slips_and_a_late_one_does_not():
+    random = np.random.default_rng(3)
+    command = np.convolve(random.normal(size=SAMPLES + 40), np.ones(8) / 8, "same")
+    kept = np.delete(command, np.arange(500, 4000, 500))[:SAMPLES]
+    assert slips(command[:SAMPLES], kept, RATE_HZ) == pytest.approx(-7, abs=1)
+    assert slips(command[:SAMPLES], np.roll(command, 3)[:SAMPLES], RATE_HZ) == 0
+    assert slips(command[:SAMPLES], command[:SAMPLES] * np.abs(command[:SAMPLES]), RATE_HZ) == 0
+
+
+def test_settling_is_not_restlessness():
+    time = np.arange(3000) / RATE_HZ
+    noise = 1e-6 * np.random.default_rng(4).normal(size=3000)
+    assert restlessness(1e-3 * np.exp(-time / 0.08) + noise, RATE_HZ) < 1.2e-6
+    assert restlessness(2e-5 * np.sin(2.0 * np.pi * 3.0 * time) + noise, RATE_HZ) > 8e-6
+
+
+def test_least_squares_stay_within_their_bounds():
+    target = np.array([1.0, 5.0])
+
+    def residuals(at):
+        return np.concatenate([at - target, 0.1 * (at**2 - target**2)])
+
+    low, high = np.array([0.0, 0.0]), np.array([2.0, 3.0])
+    at = bounded_least_squares(residuals, np.array([0.5, 0.5]), low, high, np.full(2, 1e-4), 40)
+    assert at == pytest.approx([1.0, 3.0], abs=1e-2)
+
+
+def test_connected_bins_are_one_interval():
+    profile = Profile(np.arange(6.0), np.ones(5), np.array([True, True, False, False, True]))
+    assert profile.intervals() == ((0.0, 2.0), (4.0, 5.0))
