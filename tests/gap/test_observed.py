@@ -146,7 +146,7 @@ def test_noise_is_right_within_a_tenth(effect, seed):
 
 
 def test_noise_is_right_in_a_full_session():
-    for channel, level in observed("dry_friction", full=True).noise.items():
+    for channel, level in observed(full=True).noise.items():
         assert level == pytest.approx(TRUE_NOISE[channel], rel=0.1)
 
 

@@ -23,7 +23,7 @@ def screen(name: str) -> Screen:
 @pytest.mark.parametrize("name", ["dry_friction", "directional_damping"])
 def test_the_right_effect_is_best_aligned(name):
     found = contenders([item for one in CANDIDATES for item in screen(name).signatures(effect(one))])
-    assert [item.effect for item in found][0] == name
+    assert found[0].effect == name
     assert {item.effect for item in found} == set(CANDIDATES)
     assert [item.alignment for item in found] == sorted((item.alignment for item in found), reverse=True)
     assert found[0].alignment > 0.9

@@ -11,7 +11,8 @@ from typing import Any
 
 from rich.table import Table
 
-from tissueid.cli.output import people_read, progress_bars, table, write_json
+from tissueid.cli.gap_diagnosis import interruptible
+from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
 from tissueid.errors import UnusableInputError
 from tissueid.gap import crew
 from tissueid.gap.blind_check import always, answers, in_sample, opened, permuted
@@ -37,6 +38,14 @@ def run_blind_check(
     Raises:
         UnusableInputError: the simulated laboratory cannot be run, or its files were altered while sealed.
     """
+    check_json(json_file)
+    with interruptible():
+        _check(n, seed, full_share, workers, take_out, keep, json_file)
+
+
+def _check(
+    n: int, seed: int, full_share: float, workers: int | None, take_out: bool, keep: Path | None, json_file: Path | None
+) -> None:
     console = people_read(json_file)
     with tempfile.TemporaryDirectory() as scratch:
         folder = keep if keep is not None else Path(scratch)
@@ -142,7 +151,7 @@ def _controls(cases: Sequence[Answered]) -> list[str]:
 
 def np_mean(values: Sequence[float]) -> float:
     """Mean of the values that are numbers; NaN where there are none."""
-    known = [value for value in values if value == value]  # noqa: PLR0124 - NaN differs from itself
+    known = [value for value in values if value == value]
     return sum(known) / len(known) if known else float("nan")
 
 
@@ -152,8 +161,8 @@ def _taken_out(cases: Sequence[Answered]) -> list[str]:
     abstained = [case for case in cases if case.verdict == "unexplained"]
     staged = [case for case in abstained if case.answer["where"]["stage"] in case.label.stages]
     return [
-        f"  true effect taken out of the library: unexplained in {len(abstained)} of {len(cases)}, with the right stage "
-        f"in {len(staged)}"
+        f"  true effect taken out of the library: unexplained in {len(abstained)} of {len(cases)}, of these with the "
+        f"right stage {len(staged)}"
     ]
 
 

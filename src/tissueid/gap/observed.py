@@ -38,6 +38,8 @@ BLOCK_S = 0.25
 """Length of the stretches that take turns in serving fit, choice and check: some times the chain's memory."""
 SETTLING_S = 0.010
 """Left out of every score at the start of a test: the coil's state before it is not recorded."""
+LEFT_BEHIND_M = 2e-3
+"""A probe that is further than this off the surface is not on the tissue."""
 ALIKE = 1.25
 """Estimates of one noise lie within this ratio."""
 COARSE_M = 2e-6
@@ -257,6 +259,12 @@ def _observed(
         fixture, surface = "tissue", 0.0
     elif not np.isfinite(surface):
         surface = float(np.nanmedian(signals["position"][: max(3, round(0.002 * rate))]))
+    if fixture == "tissue" and item.by != "input":
+        # Far off the skin nothing holds the probe: where it drifts to says nothing, and errors grow without end.
+        away = np.nan_to_num(signals["position"], nan=surface) < surface - LEFT_BEHIND_M
+        purpose[away] = Purpose.NOTHING
+        if test.kind == "quiet" and away.any():
+            purpose[np.argmax(away) :] = Purpose.NOTHING
     return ObservedTest(
         test.number,
         test.kind,

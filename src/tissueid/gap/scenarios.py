@@ -44,7 +44,7 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
         tests = tuple(_test(item, names, numbers) for item in about["tests"])
         known = {item.name for item in fields(DeviceDescription)}
         instrument = DeviceDescription(**{key: value for key, value in about["instrument"].items() if key in known})
-    except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
         raise UnusableInputError(f"{path} is no recording of the simulated laboratory: {error}") from error
     return Session(instrument, tests=tests)
 
@@ -84,16 +84,20 @@ def unseal(folder: Path) -> dict[str, Label]:
     Raises:
         UnusableInputError: they cannot be read.
     """
-    found = {}
-    for name, about in _read_json(folder / LABELS).items():
-        effects = about["effects"]
-        found[name] = Label(
-            tuple(item["name"] for item in effects),
-            tuple(item["stage"] for item in effects),
-            tuple(bool(item["listed"]) for item in effects),
-            bool(about["full"]),
-        )
-    return found
+    try:
+        return {name: _label(about) for name, about in _read_json(folder / LABELS).items()}
+    except (KeyError, TypeError) as error:
+        raise UnusableInputError(f"{folder / LABELS} holds no labels of scenarios") from error
+
+
+def _label(about: dict[str, Any]) -> Label:
+    effects = about["effects"]
+    return Label(
+        tuple(item["name"] for item in effects),
+        tuple(item["stage"] for item in effects),
+        tuple(bool(item["listed"]) for item in effects),
+        bool(about["full"]),
+    )
 
 
 def _read_json(path: Path) -> dict[str, Any]:

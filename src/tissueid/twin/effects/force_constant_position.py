@@ -29,7 +29,7 @@ EFFECT = Effect(
         Parameter("width_m", "m", math.inf, 2e-3, 2.0, True, meaning="from there to where half the fall is done"),
         Parameter("steepness", "1", None, 1.2, 10.0, True, prior=2.5, prior_std=0.6, meaning="2: a bell, 4: a plateau"),
         Parameter("left_share", "1", 1.0, 0.0, 1.0, prior=0.0, prior_std=0.4, meaning="of the force, far off"),
-        Parameter("peak", "1", 1.0, 0.9, 2.0, True, prior=1.0, prior_std=0.1, meaning="on the plateau, over nominal"),
+        Parameter("peak", "1", 1.0, 0.9, 2.0, prior=1.0, prior_std=0.1, meaning="on the plateau, over nominal"),
     ),
     starts=(
         (0.006, 0.02, 2.5, 0.1, 1.0),
