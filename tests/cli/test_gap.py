@@ -171,17 +171,17 @@ def test_files_that_are_no_sessions(tmp_path: Path, capsys: pytest.CaptureFixtur
     refused(capsys, "gap", "diagnose", tmp_path)
 
 
-def test_a_batch_answers_for_every_file(session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_batch_answers_for_every_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     folder, out = tmp_path / "sessions", tmp_path / "answers.json"
     folder.mkdir()
-    (folder / "good.h5").write_bytes(session_file.read_bytes())
+    stored(folder, recorded(samples=SAMPLES)).rename(folder / "good.h5")
     (folder / "rubbish.h5").write_bytes(b"rubbish")
     assert main(["gap", "batch", str(folder), "--workers", "1", "--json", str(out)]) == 0
     found = json.loads(out.read_text())
     assert set(found) == {"good.h5", "rubbish.h5"}
-    assert found["good.h5"]["combination"] == ["dry_friction"]
+    assert found["good.h5"]["verdict"] == "no_gap"
     assert "\n" not in found["rubbish.h5"]["error"]
-    assert "good.h5: dry_friction" in capsys.readouterr().out
+    assert "good.h5: no gap" in capsys.readouterr().out
     empty = tmp_path / "empty"
     empty.mkdir()
     assert "no session files" in refused(capsys, "gap", "batch", empty, "--json", out)

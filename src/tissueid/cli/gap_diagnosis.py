@@ -187,14 +187,16 @@ def _interval(of: tuple[float, float]) -> str:
 
 def ranking_table(found: Diagnosis) -> Table:
     """The candidates, best first."""
-    rows = table("Candidates", "Effect", "Stage", "Probability", "Closed", "95 %", "Cannot be told from")
+    rows = table("Candidates", "Effect", "Stage", "Probable", "Closed", "Cannot be told from")
+    for column in rows.columns[:4]:
+        column.no_wrap = True
     for item in found.ranking:
+        interval = _interval(item.closed_ci)
         rows.add_row(
             item.effect,
             item.stage,
             f"{item.probability:.1%}",
-            f"{item.closed:.0%}",
-            _interval(item.closed_ci),
+            f"{item.closed:.0%} ({interval})" if interval != MISSING else f"{item.closed:.0%}",
             ", ".join(item.indistinguishable),
         )
     return rows

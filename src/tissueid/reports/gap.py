@@ -88,7 +88,14 @@ def _sentences(found: Diagnosis) -> Iterator[str]:
     where = found.where
     if found.verdict != "no_gap" and where.above_floor:
         share = 100.0 * where.shares[where.stage]
-        yield f"It arises in {_STAGES[where.stage]}: {fixed(share, 0)} % of what stands above the floor."
+        suspected = max(STAGES, key=where.shares.__getitem__)
+        if where.shares[where.stage] >= where.shares[suspected]:
+            yield f"It arises in {_STAGES[where.stage]}: {fixed(share, 0)} % of what stands above the floor."
+        else:
+            yield (
+                f"It arises in {_STAGES[where.stage]}, where the cause belongs. The stages alone would have suspected "
+                f"{_STAGES[suspected]}: what the cause leaves looks like a fault there."
+            )
     regions = where.regions
     told = []
     if regions.bands_hz:
