@@ -38,6 +38,7 @@ BLOCK_S = 0.25
 """Length of the stretches that take turns in serving fit, choice and check: some times the chain's memory."""
 SETTLING_S = 0.010
 """Left out of every score at the start of a test: the coil's state before it is not recorded."""
+AT_SURFACE_M = 1e-4
 LEFT_BEHIND_M = 2e-3
 """A probe that is further than this off the surface is not on the tissue."""
 ALIKE = 1.25
@@ -106,6 +107,13 @@ class ObservedTest:
     def quiet(self) -> bool:
         """Whether nothing was asked of the coil."""
         return self.kind == "quiet"
+
+    @property
+    def starts_at_surface(self) -> bool:
+        """Whether the probe rests at the surface as the test begins; otherwise where that lies is less certain."""
+        position = self.signals["position"]
+        first = position[np.isfinite(position)][:3]
+        return bool(first.size) and abs(float(np.median(first)) - self.surface_m) < AT_SURFACE_M
 
     def serving(self, purpose: Purpose) -> NDArray[np.bool_]:
         """True where a sample serves that purpose, shape (n,)."""
@@ -262,9 +270,11 @@ def _observed(
     if fixture == "tissue" and item.by != "input":
         # Far off the skin nothing holds the probe: where it drifts to says nothing, and errors grow without end.
         away = np.nan_to_num(signals["position"], nan=surface) < surface - LEFT_BEHIND_M
-        purpose[away] = Purpose.NOTHING
-        if test.kind == "quiet" and away.any():
+        if away.any() and not away[0]:
             purpose[np.argmax(away) :] = Purpose.NOTHING
+            remarks.append(
+                f"test {test.number} is used as far as the probe left the skin, {np.argmax(away) / rate:.2g} s"
+            )
     return ObservedTest(
         test.number,
         test.kind,

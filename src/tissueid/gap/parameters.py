@@ -61,6 +61,9 @@ _TISSUE = (
     ("tissue_stiffness_n_per_m", 400.0, 10.0, 20000.0, True, 1.0),
     ("tissue_stiffness_growth_per_m", 200.0, -400.0, 1000.0, False, 200.0),
 )
+SURFACE_SHIFT = "surface_shift_m"
+SURFACE_STD_M = 2e-4
+"""How well an approach finds the surface, where the test does not begin at it."""
 _SPRING = (
     ("spring_mass_kg", 0.004, 0.0, 0.02, False, 0.005),
     ("spring_damping_n_s_per_m", 0.3, 0.0, 5.0, False, 0.5),
@@ -128,7 +131,8 @@ class Parametrisation:
             float(np.exp(self._at(theta, name))) if logarithmic else self._at(theta, name)
             for name, _, _, _, logarithmic, _ in _TISSUE
         ]
-        return Tissue(test.surface_m, *values)
+        shift = self._at(theta, SURFACE_SHIFT) if SURFACE_SHIFT in self.index else 0.0
+        return Tissue(test.surface_m + shift, *values)
 
     def acting(self, theta: FloatArray, test: ObservedTest) -> list[Acting]:
         """The effects with their parameters in a test."""
@@ -224,6 +228,8 @@ def _of_instrument(observed: Observed) -> list[Coordinate]:
     found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, weight, 0.0, weight))
     if any(test.fixture == "tissue" for test in observed.tests):
         found += [_scaled(*item) for item in _TISSUE]
+    if any(test.fixture == "tissue" and not test.starts_at_surface for test in observed.tests):
+        found.append(Coordinate(SURFACE_SHIFT, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
     if any(test.fixture == "spring" for test in observed.tests):
         found += [_scaled(*item) for item in _SPRING]
     return found

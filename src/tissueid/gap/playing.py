@@ -30,7 +30,7 @@ def starting_point(test: ObservedTest, resistance_ohm: float) -> Start:
     at = float(np.median(first)) if first.size else test.surface_m
     if test.driven_by == "input":
         return Start(0.0, at, _speed(first, test.sample_rate_hz))
-    if abs(at - test.surface_m) < 1e-4:
+    if test.starts_at_surface:
         at = test.surface_m
     if test.driven_by == "current":
         return Start(float(test.command[0]), at, 0.0)
