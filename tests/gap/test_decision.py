@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tissueid.gap.decision import THRESHOLDS, better_pair, cost, explains, is_gap, probabilities
+from tissueid.gap.decision import THRESHOLDS, better_pair, cost, explains, is_gap, lead_of, probabilities
 from tissueid.gap.scoring import Candidate, ChannelError
 
 
@@ -40,13 +40,24 @@ def test_a_large_gap_needs_none():
 
 
 def test_a_candidate_explains_what_it_takes_to_the_floor():
-    assert explains(candidate(3.0, 0), candidate(0.05), 0.99)
-    assert explains(candidate(3.0, 0), candidate(1.0), 0.9)
+    assert explains(candidate(3.0, 0), candidate(0.05), 0.99, 0.0)
+    assert explains(candidate(3.0, 0), candidate(1.0), 0.9, 0.0)
 
 
 @pytest.mark.parametrize(("left", "closed"), [(2.5, 0.9), (1.0, 0.3), (2.9, 0.1), (1.0, float("nan"))])
 def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
-    assert not explains(candidate(3.0, 0), candidate(left), closed)
+    assert not explains(candidate(3.0, 0), candidate(left), closed, 1.0)
+
+
+def test_a_candidate_without_a_rival_need_close_less():
+    assert explains(candidate(3.0, 0), candidate(1.0), 0.6, 1.0)
+    assert not explains(candidate(3.0, 0), candidate(1.0), 0.6, 0.1)
+
+
+def test_the_lead_is_over_the_next_of_another_name():
+    best, same = candidate(1.0), candidate(1.1)
+    assert lead_of(best, [best, same]) == np.inf
+    assert lead_of(best, [best, candidate(1.5, 0)]) == pytest.approx(0.5 - THRESHOLDS.complexity)
 
 
 def test_probabilities_leave_room_for_an_unlisted_effect():

@@ -29,6 +29,10 @@ class Thresholds:
     """A candidate that leaves less than this explains the gap: nothing is left to be explained."""
     explained_closed: float = 0.75
     """Otherwise, the share of the gap that a candidate must close on held-out data to explain it ..."""
+    alone_closed: float = 0.5
+    """... or this share, where no rival comes near: its form is not the recording's, but none other is like it."""
+    alone_lead: float = 0.3
+    """That a rival comes near: it costs less than this more, nats."""
     explained_share: float = 0.5
     """... and the share of the score that it may leave at most."""
     pair_gain: float = 0.25
@@ -75,11 +79,30 @@ def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds =
     return baseline.score >= thresholds.least_score and gained >= thresholds.least_gain
 
 
-def explains(baseline: Candidate, best: Candidate, closed: float, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Whether a candidate explains the gap on held-out data."""
+def explains(
+    baseline: Candidate, best: Candidate, closed: float, lead: float, thresholds: Thresholds = THRESHOLDS
+) -> bool:
+    """Whether a candidate explains the gap on held-out data.
+
+    Args:
+        baseline: without it.
+        best: the candidate.
+        closed: share of the gap that it closes.
+        lead: by how much the next rival costs more, nats; 0 for more than one effect.
+        thresholds: where words change.
+    """
     if best.score <= thresholds.at_the_floor:
         return True
-    return best.score <= thresholds.explained_share * baseline.score and closed >= thresholds.explained_closed
+    if best.score > thresholds.explained_share * baseline.score:
+        return False
+    alone = lead >= thresholds.alone_lead and closed >= thresholds.alone_closed
+    return alone or closed >= thresholds.explained_closed
+
+
+def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds = THRESHOLDS) -> float:
+    """By how much the next of the rivals costs more than the best, nats; infinite where there is none."""
+    others = [cost(item, thresholds) for item in rivals if item.effects != best.effects]
+    return min(others, default=np.inf) - cost(best, thresholds)
 
 
 def better_pair(single: Candidate, pair: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissueid.gap.ceiling import ceiling
-from tissueid.gap.decision import THRESHOLDS, Verdict, better_pair, cost, explains, is_gap, probabilities
+from tissueid.gap.decision import THRESHOLDS, Verdict, better_pair, cost, explains, is_gap, lead_of, probabilities
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
@@ -108,7 +108,7 @@ def diagnose(
     figures = figures_of(observed, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
     if there_is:
-        verdict = "effect" if best is not None and explains(baseline, best, figures.announced) else "unexplained"
+        verdict = "effect" if best is not None and _explained(found, best, figures, known) else "unexplained"
     ranking = _ranking(observed, found)
     return Diagnosis(
         verdict,
@@ -139,6 +139,12 @@ def _next(
         return None
     singles = [item for item in found.candidates if len(set(item.effects) - set(known)) == 1]
     return next_experiment(observed, singles, probabilities(found.baseline, singles))
+
+
+def _explained(found: Found, best: Candidate, figures: GapFigures, known: Sequence[str]) -> bool:
+    singles = [item for item in found.candidates if len(set(item.effects) - set(known)) == 1]
+    lead = lead_of(best, singles) if any(item is best for item in singles) else 0.0
+    return explains(found.baseline, best, figures.announced, lead)
 
 
 def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where:
