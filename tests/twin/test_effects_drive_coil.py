@@ -58,7 +58,7 @@ def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
         ("eddy_currents", (5e-4, 4.0, 0.3, 0.1), "current"),
         ("coil_heating", (5.0, 0.7), "current"),
         ("inductance_position", (100.0, 0.006, 0.0), "current"),
-        ("force_constant_position", (0.006, 0.02, 2.5, 0.1), "position"),
+        ("force_constant_position", (0.006, 0.02, 2.5, 0.1, 1.0), "position"),
         ("flux_saturation", (0.04, 2.0, 1.0), "position"),
         ("reluctance_force", (0.05, 0.0), "position"),
     ],
@@ -255,7 +255,7 @@ def test_inductance_that_grows_pulls_as_energy_demands():
 
 
 def test_the_force_constant_falls_off_its_plateau_in_force_and_back_emf():
-    values = (0.010, 0.012, 2.0, 0.2)
+    values = (0.010, 0.012, 2.0, 0.2, 1.0)
 
     def constant(position):
         return 3.0 * (0.2 + 0.8 / (1.0 + ((position - 0.010) / 0.012) ** 2))
