@@ -8,6 +8,8 @@ STAMP := $(VENV)/.built
 
 # Linear algebra on one thread: on a busy machine two of them wait for each other, and that can take twenty times as long.
 export OPENBLAS_NUM_THREADS ?= 1
+# Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help env demo test lint bench soak run clean
 

@@ -7,7 +7,8 @@ from functools import cache
 from firmware_sim.drawing import NOMINAL, DrawnScenario, draw_scenario
 from firmware_sim.effects import LISTED
 from tissueid.device import DeviceDescription
-from tissueid.gap.observed import Observed, observe
+from tissueid.gap.observed import Observed
+from tissueid.gap.observing import observe
 from tissueid.sessions import Session, Test
 
 RATE_HZ = 2000.0

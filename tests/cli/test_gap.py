@@ -17,7 +17,7 @@ from gap_records import DEVICE, changed, recorded
 from firmware_sim.drawing import main as record
 from tissueid.cli import main
 from tissueid.sessions import Session, write_session
-from tissueid.twin import library as shelf
+from tissueid.twin import catalogue as shelf
 
 STAGES = {"drive", "coil", "mechanics", "tissue", "sensing", "environment"}
 KEYS = {"verdict", "gap", "where", "ranking", "combination", "next_experiment", "seconds"}

@@ -23,7 +23,7 @@ TWIN = {
 
 @pytest.fixture
 def twin(tmp_path):
-    from tissueid.twin.library import effect
+    from tissueid.twin.catalogue import effect
 
     known = effect("reluctance_force")
     TWIN["effects"][0]["parameters"] = {

@@ -10,10 +10,11 @@ import pytest
 from gap_records import observed, recorded, scenario
 
 from tissueid.gap.fitting import Cancelled, Fit, differences, fit, predict
-from tissueid.gap.observed import Purpose, observe
+from tissueid.gap.observed import Purpose
+from tissueid.gap.observing import observe
 from tissueid.gap.parameters import parametrise
 from tissueid.gap.scoring import errors
-from tissueid.twin.library import effect
+from tissueid.twin.catalogue import effect
 
 
 @cache

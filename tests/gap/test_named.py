@@ -10,13 +10,13 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.fitting import fit
 from tissueid.gap.named import believing, file_of
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.scoring import judged
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import MOST_BYTES, read_twin, write_twin
 from tissueid.sessions import Session, Test
+from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.library import effect
 from tissueid.twin.simulation import Acting, Start, simulate
 
 RATE = 2000.0

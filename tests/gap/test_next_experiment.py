@@ -7,11 +7,11 @@ from tissueid.device import DeviceDescription
 from tissueid.gap.fitting import fit
 from tissueid.gap.menu import menu
 from tissueid.gap.next_experiment import next_experiment
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.scoring import judged
 from tissueid.sessions import Session, Test
+from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.library import effect
 from tissueid.twin.simulation import Acting, Start, simulate
 
 RATE = 2000.0

@@ -9,7 +9,8 @@ import pytest
 from gap_records import DEVICE, RATE_HZ, changed, observed, recorded
 
 from tissueid.errors import UnusableInputError
-from tissueid.gap.observed import BLOCK_S, SETTLING_S, Purpose, observe
+from tissueid.gap.observed import Purpose
+from tissueid.gap.observing import BLOCK_S, SETTLING_S, observe
 from tissueid.sessions import Session
 
 TRUE_NOISE = {

@@ -11,12 +11,12 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.scoring import gap, judged
 from tissueid.gap.search import applicable
 from tissueid.gap.workers import Alone
 from tissueid.sessions import Session, Test
-from tissueid.twin.library import effect, library
+from tissueid.twin.catalogue import effect, library
 
 RATE = 2000.0
 DEVICE = DeviceDescription()

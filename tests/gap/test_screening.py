@@ -10,7 +10,7 @@ from gap_records import observed
 
 from tissueid.gap.fitting import fit
 from tissueid.gap.screening import Screen, Signature, contenders, cosine
-from tissueid.twin.library import effect
+from tissueid.twin.catalogue import effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag", "eddy_currents", "quadratic_drag")
 

@@ -9,10 +9,10 @@ from gap_records import changed, observed, recorded
 
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import Cancelled
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.search import Found, Progress, Search, applicable
 from tissueid.gap.workers import Alone
-from tissueid.twin.library import effect, library
+from tissueid.twin.catalogue import effect, library
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag")
 SAMPLES = 3000

@@ -9,7 +9,7 @@ from firmware_sim.drawing import NOMINAL, draw_scenario
 from firmware_sim.effects import LISTED
 from tissueid.device import DeviceDescription
 from tissueid.gap.fitting import fit
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.regions import Profile
 from tissueid.gap.rhythm import lines, restlessness, slips
 from tissueid.gap.scoring import judged

@@ -10,7 +10,7 @@ from firmware_sim.drawing import NOMINAL, draw_scenario
 from firmware_sim.effects import LISTED
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.workers import Alone
 from tissueid.reports.gap import gap_html, write_gap_report
 from tissueid.reports.gap_panels import gap_panels

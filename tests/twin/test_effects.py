@@ -8,8 +8,8 @@ import pytest
 
 from tissueid.errors import UnusableInputError
 from tissueid.twin import bus, figures, simulation
+from tissueid.twin.catalogue import effect, library
 from tissueid.twin.effect import STAGES, Effect
-from tissueid.twin.library import effect, library
 
 RATE = 2000.0
 SURFACE = 0.009

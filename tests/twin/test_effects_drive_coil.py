@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from tissueid.twin import figures, simulation
-from tissueid.twin.library import library
+from tissueid.twin.catalogue import library
 
 RATE = 2000.0
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}

@@ -10,8 +10,8 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 from tissueid.twin import bus
+from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument, Tissue, spring
-from tissueid.twin.library import effect
 from tissueid.twin.simulation import Acting, Start, simulate
 
 RATE = 2000.0

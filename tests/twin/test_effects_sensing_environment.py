@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate
 
 from tissueid.twin import bus, figures, simulation
+from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, Parameter, Readings
-from tissueid.twin.library import effect
 
 RATE = 2000.0
 SURFACE = 0.0095

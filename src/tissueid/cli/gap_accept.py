@@ -10,12 +10,12 @@ from tissueid.cli.twin_tables import tell
 from tissueid.errors import UnusableInputError
 from tissueid.gap import Diagnosis, crew
 from tissueid.gap.named import believing, file_of
-from tissueid.gap.observed import observe
+from tissueid.gap.observing import observe
 from tissueid.gap.scoring import Candidate, closed, floor, gap, quiet_tests
 from tissueid.gap.search import Progress, Search, applicable
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.sessions import read_session
-from tissueid.twin.library import effect
+from tissueid.twin.catalogue import effect
 
 
 def run_accept(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import Diagnosis, diagnose
-from tissueid.gap.observed import Observed, observe
+from tissueid.gap.observed import Observed
+from tissueid.gap.observing import observe
 from tissueid.gap.workers import crew
 
 __all__ = ["Diagnosis", "Observed", "as_answer", "crew", "diagnose", "observe"]

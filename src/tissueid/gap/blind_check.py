@@ -11,13 +11,14 @@ import numpy as np
 
 from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.observed import Observed, Purpose, observe
+from tissueid.gap.observed import Observed, Purpose
+from tissueid.gap.observing import observe
 from tissueid.gap.scenarios import read_scenario
 from tissueid.gap.scoring import ChannelError, gap, quiet_tests
 from tissueid.gap.sealed import Answered, Label
 from tissueid.gap.workers import Alone, Crew
 from tissueid.sessions import Session
-from tissueid.twin.library import library
+from tissueid.twin.catalogue import library
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Piece:
         observed = observe(read_scenario(self.folder, self.name))
         names = [name for name in library() if name not in self.without] if self.without else None
         found = diagnose(observed, Alone(), candidates=names)
-        singles = [item for item in found.found.candidates if len(item.effects) == 1]
+        singles = found.found.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
             "oracle": _oracle(observed, read_scenario(self.folder, self.name, "clean")),

@@ -17,8 +17,8 @@ from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Found, Progress, Search
 from tissueid.gap.where import Where, where
 from tissueid.gap.workers import Crew
+from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Stage
-from tissueid.twin.library import effect
 
 RANKED = 10
 """So many candidates are listed."""
@@ -108,7 +108,7 @@ def diagnose(
     figures = figures_of(observed, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
     if there_is:
-        verdict = "effect" if best is not None and _explained(found, best, figures, known) else "unexplained"
+        verdict = "effect" if best is not None and _explained(found, best, figures) else "unexplained"
     ranking = _ranking(observed, found)
     return Diagnosis(
         verdict,
@@ -116,7 +116,7 @@ def diagnose(
         _blamed(where(observed, baseline), best if verdict == "effect" else None, known),
         ranking,
         tuple(name for name in best.effects if name not in known) if verdict == "effect" and best is not None else (),
-        _next(observed, found, ranking, verdict, known),
+        _next(observed, found, ranking, verdict),
         observed.remarks,
         time.monotonic() - began,
         observed,
@@ -131,19 +131,16 @@ def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
     return float(np.nanmax([flexible, figures.closed])) if np.isfinite([flexible, figures.closed]).any() else flexible
 
 
-def _next(
-    observed: Observed, found: Found, ranking: Sequence[Ranked], verdict: Verdict, known: Sequence[str]
-) -> NextExperiment | None:
+def _next(observed: Observed, found: Found, ranking: Sequence[Ranked], verdict: Verdict) -> NextExperiment | None:
     # None where nothing is in doubt: no gap, or one cause that stands clear of its rivals.
     if verdict == "no_gap" or (verdict == "effect" and ranking and ranking[0].probability >= CERTAIN):
         return None
-    singles = [item for item in found.candidates if len(set(item.effects) - set(known)) == 1]
+    singles = found.singles
     return next_experiment(observed, singles, probabilities(found.baseline, singles))
 
 
-def _explained(found: Found, best: Candidate, figures: GapFigures, known: Sequence[str]) -> bool:
-    singles = [item for item in found.candidates if len(set(item.effects) - set(known)) == 1]
-    lead = lead_of(best, singles) if any(item is best for item in singles) else 0.0
+def _explained(found: Found, best: Candidate, figures: GapFigures) -> bool:
+    lead = lead_of(best, found.singles) if any(item is best for item in found.singles) else 0.0
     return explains(found.baseline, best, figures.announced, lead)
 
 
@@ -156,7 +153,7 @@ def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where
 
 
 def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found, Candidate]:
-    # A second effect, beside the best ones; and with a third the search ends, for lack of evidence.
+    # A second effect beside the best ones; no third is looked for.
     leaders = sorted(found.candidates, key=cost)[:LEADERS]
     if best.score <= THRESHOLDS.at_the_floor or announced(found.baseline, best) >= THRESHOLDS.nearly_all:
         return found, best
@@ -223,8 +220,7 @@ def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
 
 def _ranking(observed: Observed, found: Found) -> tuple[Ranked, ...]:
     known = set(found.baseline.effects)
-    singles = [item for item in found.candidates if len(set(item.effects) - known) == 1]
-    singles.sort(key=cost)
+    singles = sorted(found.singles, key=cost)
     shares = probabilities(found.baseline, singles)
     surviving = _surviving(found, singles)
     ranking = []

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.observed import Observed, ObservedTest, Purpose
+from tissueid.gap.observed import LEAST_NOISE, Observed, ObservedTest, Purpose
 from tissueid.gap.parameters import Parametrisation, parametrise
 from tissueid.gap.playing import played
 from tissueid.twin.effect import Effect
@@ -135,7 +135,7 @@ class _Search:
     def _weights_of(self, parameters: Parametrisation, test: ObservedTest) -> dict[str, float]:
         beside = parameters.irreducible(parameters.array("start"), test.number)
         return {
-            name: 1.0 / max(float(np.hypot(parameters.observed.noise[name], beside.get(name, 0.0))), _least(name))
+            name: 1.0 / max(float(np.hypot(parameters.observed.noise[name], beside.get(name, 0.0))), LEAST_NOISE[name])
             for name in self._channels
         }
 
@@ -257,8 +257,3 @@ class _Search:
         ):
             found[k] = predicted
         return found
-
-
-def _least(channel: str) -> float:
-    # No converter is finer; a channel without any noise would otherwise weigh without end.
-    return {"voltage": 1e-4, "current": 1e-5, "position": 1e-8}[channel]

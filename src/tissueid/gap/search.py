@@ -12,8 +12,8 @@ from tissueid.gap.observed import Observed
 from tissueid.gap.scoring import Candidate, judged
 from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
+from tissueid.twin.catalogue import effect, library
 from tissueid.twin.effect import Effect
-from tissueid.twin.library import effect, library
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -96,6 +96,11 @@ class Found:
     signatures: tuple[Signature, ...]
     candidates: tuple[Candidate, ...]
 
+    @property
+    def singles(self) -> list[Candidate]:
+        """Candidates with one effect more than the baseline, best first."""
+        return [item for item in self.candidates if len(set(item.effects) - set(self.baseline.effects)) == 1]
+
 
 class Search:
     """A search on one session.
@@ -168,7 +173,7 @@ class Search:
         going_on = [item for item in ranked[:count] if item.fit.steps >= HEAT]
         tasks = [Task(self._observed, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
         finished = self._tell(what, refit, tasks)
-        others = [item for item in ranked if item not in going_on]
+        others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))
 
     def _screened(self, near: Fit, starts: Mapping[str, tuple[float, ...]]) -> list[Signature]:

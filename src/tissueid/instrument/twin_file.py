@@ -15,8 +15,8 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.options import reason
 from tissueid.twin.bus import MOST_EFFECTS
+from tissueid.twin.catalogue import library
 from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.library import library
 from tissueid.twin.named import NamedTwin
 from tissueid.twin.simulation import Acting, values_by_name
 from tissueid.whole_file import whole_file

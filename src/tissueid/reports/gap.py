@@ -14,8 +14,8 @@ from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
 from tissueid.reports.tables import Table
+from tissueid.twin.catalogue import library
 from tissueid.twin.effect import STAGES
-from tissueid.twin.library import library
 from tissueid.wording import fixed, named_value, number
 
 Level = Literal["good", "check", "poor"]

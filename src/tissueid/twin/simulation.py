@@ -17,6 +17,10 @@ from tissueid.twin import _kernel, bus
 from tissueid.twin.effect import Effect, Hook, Readings
 from tissueid.twin.figures import Instrument, Tissue
 
+# Functions as arguments are marked experimental; their use here is covered by tests of every effect. For good, since
+# filters are shared by all threads.
+warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
+
 SUBSTEPS = 5
 """At 2 kHz one step is 0.1 ms; half of it changes free-run signals by less than 0.02 % of their deviation."""
 
@@ -161,7 +165,7 @@ def run(
             measured[row] = values
     flags = np.array([given.voltage is not None, given.current is not None, given.position is not None])
     out = np.empty((4, size))
-    _integrate(
+    _kernel.integrate(
         command,
         measured,
         flags,
@@ -196,13 +200,6 @@ def _idle(where: int, bus: Any, p: Any, s: Any, dt: float) -> None:
 def compiled(hook: Hook) -> Any:
     """The hook as compiled code behind a plain address, so that one compiled loop serves every effect."""
     return numba.cfunc(_HOOK, cache=True)(hook)
-
-
-def _integrate(*arguments: object) -> None:
-    with warnings.catch_warnings():
-        # Functions as arguments are marked experimental; their use here is covered by tests of every effect.
-        warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-        _kernel.integrate(*arguments)
 
 
 def values_by_name(effect: Effect, values: Mapping[str, float]) -> NDArray[np.float64]:
