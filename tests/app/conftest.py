@@ -11,7 +11,7 @@ import pytest
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 from app.benches import WAIT_MS, Bench, Clock, found
-from PySide6.QtCore import QCoreApplication, QEvent
+from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
@@ -53,6 +53,8 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations):
         around["stop"] = lambda: EmergencyStop(clock.read)
         around["calibrate"] = functools.partial(calibrated, folder=calibrations)
         around["show_file"] = lambda _: True
+        around["first_page"] = "measure"
+        around["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
         window = MainWindow(Surroundings(**(around | changes)))
         windows.append(window)
         window.show()

@@ -1,12 +1,13 @@
 """Opening and closing windows again and again: nothing is left of them."""
 
+import functools
 import gc
 import sys
 import weakref
 
 import pytest
 from app.benches import WAIT_MS, found
-from PySide6.QtCore import QCoreApplication, QEvent
+from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
@@ -17,7 +18,10 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 
 
 def live_and_die(qtbot, folder, saved, *, analyse):
-    window = MainWindow(Surroundings(finder=found, folder=folder, show_file=lambda _: True))
+    kept = functools.partial(QSettings, str(folder / "window.ini"), QSettings.Format.IniFormat)
+    window = MainWindow(
+        Surroundings(finder=found, folder=folder, show_file=lambda _: True, first_page="measure", settings=kept)
+    )
     window.show()
     if analyse:
         window.open_session(saved)

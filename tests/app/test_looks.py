@@ -58,7 +58,7 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
     expected = [form.instrument.choice, form.instrument.refresh, form.site, form.subject]
     expected += [form.set_up.name, form.set_up.probe, form.limits, form.fold]
     expected += [form.distribution, form.min_force, form.max_force, form.seconds, form.seed, form.path, form.browse]
-    assert visited == [*expected, ui.start, ui.stop, ui.role.choice, ui.open, ui.pages.tabBar()]
+    assert visited == [*expected, ui.start, ui.stop, ui.role.choice, ui.open, ui.pages.tabBar(), ui.rail.buttons["measure"]]
 
 
 def test_a_key_that_is_held_down_presses_once(qtbot, window):

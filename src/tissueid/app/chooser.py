@@ -60,6 +60,13 @@ class InstrumentChooser(QWidget):
         """What is chosen or typed."""
         return self.choice.currentText().strip()
 
+    def choose(self, url: str) -> None:
+        """Take an address as chosen."""
+        if self.choice.findText(url) >= 0:
+            self.choice.setCurrentText(url)
+        else:
+            self.choice.setEditText(url)
+
     def offer(self, found: Sequence[Found]) -> None:
         """Fill the list anew; what was chosen or typed stays."""
         kept = self.url or DEFAULT_URL
@@ -68,10 +75,7 @@ class InstrumentChooser(QWidget):
         self.choice.clear()
         self.choice.addItems(list(self._found))
         self.choice.blockSignals(False)
-        if kept in self._found:
-            self.choice.setCurrentText(kept)
-        else:
-            self.choice.setEditText(kept)
+        self.choose(kept)
         self._describe()
 
     def tell_calibration(self, url: str, state: CalibrationState) -> None:

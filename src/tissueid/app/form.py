@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
@@ -115,6 +116,26 @@ class PlanForm(QWidget):
         self.path.setText(str(dated_path(self.folder, self._now())))
         self.path.setToolTip(self.path.text())
         self.path.setCursorPosition(len(self.path.text()))
+
+    def fill(self, values: Mapping[str, Any]) -> None:
+        """Put values into the fields, by the names that ``Plan`` has for them; what is not named stays.
+
+        Raises:
+            KeyError: the form has no such field.
+        """
+        fields: dict[str, Callable[[Any], object]] = {
+            "url": self.instrument.choose,
+            "site": self.site.setEditText,
+            "pseudonym": self.subject.setText,
+            "limits": lambda name: self.limits.setCurrentIndex(self.limits.findData(name)),
+            "distribution": lambda name: self.distribution.setCurrentIndex(self.distribution.findData(name)),
+            "min_force_n": self.min_force.setValue,
+            "max_force_n": self.max_force.setValue,
+            "seconds": self.seconds.setValue,
+            "seed": self.seed.setValue,
+        }
+        for name, value in values.items():
+            fields[name](value)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Take the Return that a field has no use for: it must not by itself energise a coil."""

@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QMainWindow,
     QPushButton,
     QScrollArea,
+    QStackedWidget,
     QTabWidget,
     QVBoxLayout,
     QWidget,
@@ -27,6 +28,7 @@ from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.notice import Notice
+from tissueid.app.rail import Rail
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
 from tissueid.app.roles import RoleChooser
@@ -35,6 +37,8 @@ from tissueid.app.theme import Theme
 from tissueid.audit import Role
 
 SIDE_WIDTH = 330
+MEASURE = "measure"
+"""The page of the guided test."""
 RESEARCH_USE = "Research use only. Not a medical device."
 
 
@@ -42,6 +46,7 @@ class Layout:
     """The parts of the window."""
 
     def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], role: Role) -> None:
+        self._testing = False
         self.form = PlanForm(folder, now)
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
@@ -73,10 +78,25 @@ class Layout:
         self.calibration = CalibrationPage()
         self.pages.addTab(self.calibration, "Calibration")
         self.pages.setTabVisible(1, False)
+        self.rail = Rail()
+        self.halt = QPushButton("STOP")
+        self.halt.setProperty("role", "halt")
+        self.halt.setAccessibleName("STOP, release the coil, from any page")
+        self.halt.setToolTip(self.stop.toolTip())
+        self.halt.hide()
+        self.stack = QStackedWidget()
+        self.views: dict[str, QWidget] = {}
         self.show_role(role)
         window.setCentralWidget(self._arrange())
         window.setMinimumSize(1100, 640)
         window.resize(1280, 720)
+
+    def show_role(self, role: Role) -> None:
+        """Show what a role has to do with."""
+        self.pages.setTabVisible(2, role == "technician")
+
+    def order_tabs(self) -> None:
+        """The order in which the tab key visits the guided test, once all pages stand."""
         order = [self.form.instrument.choice, self.form.instrument.refresh, self.form.site, self.form.subject]
         order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
         order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
@@ -84,16 +104,35 @@ class Layout:
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
         order += [self.gate.more, self.gate.run_again, self.pages.tabBar(), self.result.test]
         order += self.calibration.fields
+        order += self.rail.buttons.values()
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
         self.form.site.setFocus()
 
-    def show_role(self, role: Role) -> None:
-        """Show what a role has to do with."""
-        self.pages.setTabVisible(2, role == "technician")
+    def add_page(self, name: str, title: str, page: QWidget) -> None:
+        """A page of its own, with its button on the rail."""
+        self.views[name] = page
+        self.stack.addWidget(page)
+        self.rail.add(name, title)
+
+    def show_page(self, name: str) -> None:
+        """Show a page; wherever somebody looks, STOP is there while a coil may be energised."""
+        self.stack.setCurrentWidget(self.views[name])
+        self.rail.show_chosen(name)
+        self._show_halt()
+
+    @property
+    def page(self) -> str:
+        """The name of the page that is shown."""
+        return next(name for name, page in self.views.items() if page is self.stack.currentWidget())
+
+    def _show_halt(self) -> None:
+        self.halt.setVisible(self._testing and self.page != MEASURE)
 
     def settle(self, *, busy: bool, testing: bool, has_result: bool) -> None:
         """Enable what makes sense: while a test runs that is STOP alone."""
+        self._testing = testing
+        self._show_halt()
         self.form.setEnabled(not testing)
         self.role.setEnabled(not busy)
         self.calibration.settle(busy=busy)
@@ -120,16 +159,32 @@ class Layout:
         rows.addWidget(self._header())
         columns = QHBoxLayout()
         columns.setSpacing(0)
+        columns.addWidget(self.rail)
+        right = QVBoxLayout()
+        right.setSpacing(0)
+        strip = QVBoxLayout()
+        strip.setContentsMargins(12, 0, 12, 0)
+        strip.addWidget(self.notice)
+        right.addLayout(strip)
+        right.addWidget(self.stack, 1)
+        columns.addLayout(right, 1)
+        rows.addLayout(columns, 1)
+        return page
+
+    def test_page(self) -> QWidget:
+        """The guided test: the form at the side, signals and result beside it."""
+        page = QWidget()
+        columns = QHBoxLayout(page)
+        columns.setContentsMargins(0, 0, 0, 0)
+        columns.setSpacing(0)
         columns.addWidget(self._side())
         main = QVBoxLayout()
         main.setContentsMargins(12, 10, 12, 10)
         main.setSpacing(8)
-        main.addWidget(self.notice)
         main.addWidget(self.guidance)
         main.addWidget(self.gate)
         main.addWidget(self.pages, 1)
         columns.addLayout(main, 1)
-        rows.addLayout(columns, 1)
         return page
 
     def _header(self) -> QWidget:
@@ -145,6 +200,7 @@ class Layout:
         row.addWidget(title)
         row.addWidget(research)
         row.addStretch(1)
+        row.addWidget(self.halt)
         row.addWidget(self.role)
         row.addWidget(self.open)
         row.addWidget(self.report)

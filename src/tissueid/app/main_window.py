@@ -21,6 +21,7 @@ from tissueid.app.jobs import Jobs
 from tissueid.app.layout import Layout
 from tissueid.app.live import LiveSignals
 from tissueid.app.measuring import Outcome, measure
+from tissueid.app.pages import Pages
 from tissueid.app.plan import Plan
 from tissueid.app.stop_keys import StopKeys
 from tissueid.app.surroundings import Surroundings
@@ -60,10 +61,12 @@ class MainWindow(QMainWindow):
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
         self._calibrator = Calibrator(self)
+        self.pages = Pages(self)
         self._connect()
         self._take_palette()
         self._list_instruments()
         self._offer_recovery()
+        self.pages.restore()
         self._settle()
 
     # -- a test -------------------------------------------------------------------------------------------
@@ -178,6 +181,8 @@ class MainWindow(QMainWindow):
             self.ui.notice.say(said, problem=failed)
         if outcome.problem and not outcome.stopped:
             self._doubt_instrument()
+        if session is not None:
+            self.pages.heard_of(outcome.path)
         if session is not None and session.tests and not self._closing:
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
@@ -322,6 +327,8 @@ class MainWindow(QMainWindow):
     def _recovered(self, recovery: Recovery) -> None:
         saved = [f"Recovered {path}." for path, _ in recovery.sessions]
         self.ui.notice.say(" ".join(saved + recovery.problems), problem=bool(recovery.problems))
+        for path, _ in recovery.sessions:
+            self.pages.heard_of(path)
         if recovery.sessions:
             self._identify(*recovery.sessions[-1], None)
 
@@ -334,6 +341,7 @@ class MainWindow(QMainWindow):
 
     def _change_role(self, before: str, now: Role) -> None:
         self.ui.show_role(now)
+        self.pages.take_role(now)
         trail = Trail(self.around.audit, now)
         work = functools.partial(trail.record, "role.changed", old=before, new=now)
         self.jobs.do(work, self._logged, self._say_failed)
@@ -344,6 +352,7 @@ class MainWindow(QMainWindow):
     def _settle(self) -> None:
         """Let every control do what now makes sense, and nothing else."""
         self.ui.settle(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
+        self.pages.settle(busy=self.busy, testing=self.testing)
         if self._closing and not self.jobs:
             self.close()
 
@@ -354,12 +363,14 @@ class MainWindow(QMainWindow):
         if self.jobs:
             self._closing = True
             self._stop.press(BY_CLOSING)
+            self.pages.cancel()
             first = "the coil is being released" if self.testing else "the last work is being finished"
             self.ui.guidance.say(f"Closing: {first}.")
             self._settle()
             event.ignore()
             return
         self._frames.stop()
+        self.pages.save()
         super().closeEvent(event)
 
     def _take_palette(self) -> None:
@@ -370,6 +381,7 @@ class MainWindow(QMainWindow):
             self.setPalette(palette_of(theme))
             self.setStyleSheet(style_sheet(theme))
             self.ui.paint_with(theme)
+            self.pages.paint(lambda view: view.paint_with(theme))
 
     def _connect(self) -> None:
         ui = self.ui
@@ -379,6 +391,7 @@ class MainWindow(QMainWindow):
         ui.gate.again.connect(self.start_test)
         ui.form.filled.connect(ui.start.setFocus)
         ui.stop.clicked.connect(self._stop_by_button)
+        ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)
         ui.open.clicked.connect(self._choose_session)
         ui.report.clicked.connect(self.open_report)

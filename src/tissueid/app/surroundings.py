@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from PySide6.QtCore import QUrl
+from platformdirs import user_config_path
+from PySide6.QtCore import QSettings, QUrl
 from PySide6.QtGui import QDesktopServices
 
 from tissueid.app.emergency import EmergencyStop
@@ -22,13 +23,19 @@ def _show_file(path: Path) -> bool:
     return QDesktopServices.openUrl(QUrl.fromLocalFile(str(path)))
 
 
+def _settings() -> QSettings:
+    path = user_config_path("tissueid", appauthor=False, ensure_exists=True) / "window.ini"
+    return QSettings(str(path), QSettings.Format.IniFormat)
+
+
 @dataclass(frozen=True)
 class Surroundings:
     """Instruments, files, clocks and what other programs do.
 
     ``wait`` None paces simulations by the clock. ``apart`` is whether a running test is looked at by another process.
     ``stop`` makes the emergency stop of one test; ``calibrate`` puts an instrument's newest calibration in force;
-    ``calibrations`` is where new ones go, None for where those in force are looked for.
+    ``calibrations`` is where new ones go, None for where those in force are looked for. ``first_page`` is shown at the
+    start, by its name; where empty, the one of last time. ``settings`` are what is kept from one start to the next.
     """
 
     opener: Callable[[str], Instrument] = open_instrument
@@ -42,4 +49,6 @@ class Surroundings:
     calibrate: Callable[[Instrument], object] = calibrated
     calibrations: Path | None = None
     role: Role = "clinician"
+    first_page: str = ""
+    settings: Callable[[], QSettings] = _settings
     audit: AuditLog = field(default_factory=lambda: AuditLog(default_path()))

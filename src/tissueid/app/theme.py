@@ -91,6 +91,14 @@ QLabel[role="headline"][level="good"] { color: $good; }
 QLabel[role="headline"][level="check"] { color: $check; }
 QLabel[role="headline"][level="poor"] { color: $poor; }
 QFrame[role="card"] { background: $panel; border: 1px solid $line; border-radius: 6px; }
+QFrame[role="rail"] { background: $panel; border: none; border-right: 1px solid $line; }
+QToolButton[role="rail"] { background: transparent; color: $muted; border: none; border-left: 3px solid transparent;
+    padding: 9px 6px; }
+QToolButton[role="rail"]:hover { color: $text; }
+QToolButton[role="rail"]:checked { color: $text; font-weight: 600; border-left-color: $accent; background: $window; }
+QToolButton[role="rail"]:focus { border: 1px solid $accent; border-left: 3px solid $accent; }
+QPushButton[role="halt"] { background: $stop; color: #ffffff; border: 2px solid $stop; font-weight: 600; }
+QPushButton[role="halt"]:hover { background: $stop_hover; border-color: $stop_hover; }
 QFrame[role="side"] { border: none; border-right: 1px solid $line; }
 QFrame[role="header"] { background: $panel; border: none; border-bottom: 1px solid $line; }
 QFrame[role="notice"] { background: $panel; border: 1px solid $line; border-left: 4px solid $accent; }
