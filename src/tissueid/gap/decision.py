@@ -44,7 +44,9 @@ class Thresholds:
     temperature: float = 0.06
     """Differences in score below this are no evidence for one rival against another."""
     complexity: float = 0.01
-    """What every further coordinate costs."""
+    """What every further coordinate costs ..."""
+    most_counted: int = 5
+    """... up to so many: what tables of many values fit too much shows in held-out data."""
 
 
 THRESHOLDS = Thresholds()
@@ -52,7 +54,7 @@ THRESHOLDS = Thresholds()
 
 def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
     """Score with what its coordinates cost; candidates are compared by it."""
-    return candidate.score + thresholds.complexity * candidate.order
+    return candidate.score + thresholds.complexity * min(candidate.order, thresholds.most_counted)
 
 
 def probabilities(

@@ -100,6 +100,7 @@ def diagnose(
     began = time.monotonic()
     search = Search(observed, crew, candidates, progress, cancelled)
     baseline = search.baseline(known)
+    observed = baseline.fit.parameters.observed
     found = search.singles(baseline)
     best = min(found.candidates, key=cost, default=None)
     there_is = is_gap(baseline, best)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tissueid.gap.backemf import Followed, followed
 from tissueid.gap.fitting import Fit
 from tissueid.gap.forces import Family, families
+from tissueid.gap.noise import coarse_step
 from tissueid.gap.observed import Observed, ObservedTest
 from tissueid.gap.rhythm import SETTLING_S, lines, restlessness, slips
 from tissueid.gap.stagewise import (
@@ -101,13 +102,14 @@ class _Inquiry:
         self._answers: dict[str, Substituted] = {}
         self._tissue = [test for test in observed.tests if test.fixture == "tissue" and not test.quiet]
         self._fixture = [test for test in observed.tests if test.fixture != "tissue" and not test.quiet]
-        self._step = max((coarse_step(test) for test in observed.tests), default=0.0)
+        self._step = max((coarse_step(test.signals["position"]) for test in observed.tests), default=0.0)
         self._position_noise = float(np.hypot(self._noise["position"], self._step / np.sqrt(12.0)))
         self._slipped = False
 
     def run(self) -> Evidence:
         """Ask everything."""
         self._resolution()
+        self._impulses()
         self._drive()
         self._quiet()
         coil = self._coil()
@@ -136,6 +138,11 @@ class _Inquiry:
             times = self._position_noise / self._noise["position"]
             what = f"the position comes in steps of {1e6 * self._step:.3g} um"
             self._add("sensing", what, times, "position", self._noise["position"])
+
+    def _impulses(self) -> None:
+        for name, whole in self._observed.impulsive.items():
+            what = f"single readings of the {name} are far off"
+            self._add("sensing", what, whole / self._noise[name], name, self._noise[name])
 
     def _quiet(self) -> None:
         quiet = [test for test in self._observed.tests if test.quiet]
@@ -323,11 +330,3 @@ def _worst(answer: Substituted) -> float:
 
 def _settled(test: ObservedTest) -> int:
     return min(round(SETTLING_S * test.sample_rate_hz), test.command.size // 2)
-
-
-def coarse_step(test: ObservedTest) -> float:
-    """The step of a position reading, m: the least distance of two values that occur; 0 where it is fine."""
-    values = test.signals["position"]
-    apart = np.diff(np.unique(values[np.isfinite(values)]))
-    apart = apart[apart > 1e-7]
-    return float(apart.min()) if apart.size and apart.min() > 2e-6 else 0.0

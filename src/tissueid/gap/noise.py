@@ -49,7 +49,7 @@ def channel_noise(tests: Sequence[ObservedTest]) -> dict[str, float]:
             noise[name] = float(np.mean([level for level in levels if level <= ALIKE * min(levels)]))
     if "position" in noise:
         # Coarse steps make noise of their own, which is no noise of the sensor.
-        steps = max(_coarse_step(test.signals["position"]) for test in tests)
+        steps = max(coarse_step(test.signals["position"]) for test in tests)
         noise["position"] = max(np.sqrt(max(noise["position"] ** 2 - steps**2 / 12.0, 0.0)), 0.05 * steps)
     return noise
 
@@ -89,8 +89,11 @@ def _smooth(values: FloatArray) -> FloatArray:
     return np.convolve(np.concatenate([before, whole, after]), kernel, "valid")
 
 
-def _coarse_step(values: FloatArray) -> float:
-    # Least distance of two values that occur; 0 where that is finer than the noise of a good sensor.
+def coarse_step(values: FloatArray) -> float:
+    """The step of a position reading, m: the least distance of two values that occur.
+
+    0 where that is finer than the noise of a good sensor.
+    """
     distances = np.diff(np.unique(values[np.isfinite(values)]))
     step = float(np.min(distances[distances > 1e-7], initial=np.inf))
     return step if COARSE_M < step < np.inf else 0.0

@@ -101,6 +101,8 @@ class Observed:
     """What a saved twin holds of coordinates, by their names."""
     equivalent: Equivalent | None = None
     """How bare records of input and output became force and motion; None where the instrument is known."""
+    impulsive: Mapping[str, float] = field(default_factory=dict)
+    """Channels whose noise comes in impulses, with what it is with them in it; ``noise`` then is without."""
 
     @property
     def channels(self) -> tuple[str, ...]:

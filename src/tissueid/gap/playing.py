@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Hashable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +14,8 @@ from tissueid.gap.observed import ObservedTest
 from tissueid.gap.parameters import DELAY, Parametrisation
 from tissueid.twin._between import between
 from tissueid.twin.effect import Readings
-from tissueid.twin.simulation import NOTHING_GIVEN, Given, Start, simulate
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.simulation import NOTHING_GIVEN, Acting, Given, Start, recorded, simulate, simulated_motion
 
 FloatArray = NDArray[np.float64]
 
@@ -64,17 +67,59 @@ def played(
         given = Given(current=test.command)
     elif given is NOTHING_GIVEN and test.driven_by == "voltage":
         given = Given(voltage=test.command)
-    return simulate(
-        test.command,
-        test.sample_rate_hz,
+    acting, on_tissue = parameters.acting(theta, test), test.fixture == "tissue"
+    met = _MOTIONS.motion(
+        test,
         instrument,
         parameters.met(theta, test),
-        starting_point(test, instrument.resistance_ohm),
-        parameters.acting(theta, test),
-        given=given,
-        on_tissue=test.fixture == "tissue",
-        substeps=substeps or max(1, int(np.ceil(1.0 / (test.sample_rate_hz * STEP_S)))),
-    ).readings
+        [item for item in acting if item.effect.hook is not None],
+        given,
+        substeps or max(1, int(np.ceil(1.0 / (test.sample_rate_hz * STEP_S)))),
+    )
+    return recorded(met, acting, on_tissue)
+
+
+class _Motions:
+    """The last motions that were simulated: a fit of what merely records them asks for the same again and again."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._kept: OrderedDict[Hashable, tuple[object, Readings]] = OrderedDict()
+
+    def motion(
+        self,
+        test: ObservedTest,
+        instrument: Instrument,
+        met: Tissue,
+        hooked: Sequence[Acting],
+        given: Given,
+        substeps: int,
+    ) -> Readings:
+        """What the sensors meet in a test, simulated if it is not among those that are kept."""
+        effects = tuple((item.effect.name, item.values.tobytes()) for item in hooked)
+        key = (id(test), id(given), instrument, met, effects, substeps)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key][1]
+        found = simulated_motion(
+            test.command,
+            test.sample_rate_hz,
+            instrument,
+            met,
+            starting_point(test, instrument.resistance_ohm),
+            hooked,
+            given=given,
+            on_tissue=test.fixture == "tissue",
+            substeps=substeps,
+        ).readings
+        # The test and what was given are kept as well: their identities must not be another's meanwhile.
+        self._kept[key] = ((test, given), found)
+        if len(self._kept) > self._most:
+            self._kept.popitem(last=False)
+        return found
+
+
+_MOTIONS = _Motions(16)
 
 
 def _equivalent(parameters: Parametrisation, theta: FloatArray, test: ObservedTest) -> Readings:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TypeVar
 
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit
+from tissueid.gap.impulses import without_impulses_in_the_floor
 from tissueid.gap.observed import Observed
 from tissueid.gap.scoring import Candidate, judged
 from tissueid.gap.screening import Screen, Signature, contenders
@@ -130,10 +131,18 @@ class Search:
         self._cancelled = cancelled
 
     def baseline(self, known: Sequence[str] = ()) -> Candidate:
-        """The baseline refitted; with ``known`` effects that a saved twin has already."""
+        """The baseline refitted; with ``known`` effects that a saved twin has already.
+
+        From then on noise that comes in impulses is no part of the floor.
+        """
         self._progress(Progress("baseline", 0, 1))
         effects = [effect(name) for name in known]
-        found = judged(fit(self._observed, effects, cancelled=self._cancelled))
+        first = fit(self._observed, effects, cancelled=self._cancelled)
+        observed = without_impulses_in_the_floor(first)
+        if observed is not self._observed:
+            self._observed = observed
+            first = fit(observed, effects, cancelled=self._cancelled)
+        found = judged(first)
         self._progress(Progress("baseline", 1, 1))
         return found
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tissueid.gap.evidence import Evidence, StageFinding, evidence
+from tissueid.gap.impulses import cleaned
 from tissueid.gap.observed import Observed
 from tissueid.gap.regions import Regions, regions
 from tissueid.gap.scoring import Candidate
@@ -48,7 +49,7 @@ def where(observed: Observed, baseline: Candidate) -> Where:
         observed: the tests.
         baseline: fitted to them, with its errors on what was held out.
     """
-    found = evidence(observed, baseline.fit)
+    found = evidence(cleaned(observed, baseline.fit), baseline.fit)
     weights = dict.fromkeys(STAGES, 0.0)
     for item in found.findings:
         weights[item.stage] = max(weights[item.stage], item.weight)

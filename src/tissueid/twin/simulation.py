@@ -104,15 +104,47 @@ def simulate(
     Raises:
         ValueError: more than four effects, or arrays that do not fit each other.
     """
+    met = simulated_motion(
+        command_v,
+        sample_rate_hz,
+        instrument,
+        tissue,
+        start,
+        acting,
+        given=given,
+        on_tissue=on_tissue,
+        substeps=substeps,
+    )
+    return Simulated(recorded(met.readings, acting, on_tissue), met.velocity)
+
+
+def simulated_motion(
+    command_v: NDArray[np.float64],
+    sample_rate_hz: float,
+    instrument: Instrument,
+    tissue: Tissue,
+    start: Start,
+    acting: Sequence[Acting] = (),
+    *,
+    given: Given = NOTHING_GIVEN,
+    on_tissue: bool = True,
+    substeps: int = SUBSTEPS,
+) -> Simulated:
+    """What the sensors meet: as ``simulate``, before effects on the recorded numbers."""
     command = np.ascontiguousarray(command_v, np.float64)
-    size = command.size
     state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
     out = run(prepared(acting, on_tissue), command, instrument, tissue, sample_rate_hz, substeps, state, given)
-    readings = Readings(np.arange(1, size + 1) / sample_rate_hz, out[0], out[1], out[2], sample_rate_hz)
+    times = np.arange(1, command.size + 1) / sample_rate_hz
+    return Simulated(Readings(times, out[0], out[1], out[2], sample_rate_hz), out[3])
+
+
+def recorded(met: Readings, acting: Sequence[Acting], on_tissue: bool = True) -> Readings:
+    """What is recorded of what the sensors met."""
+    readings = met
     for item in acting:
         if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
             readings = item.effect.recording(readings, item.values)
-    return Simulated(readings, out[3])
+    return readings
 
 
 @dataclass(frozen=True)

@@ -2,44 +2,72 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping, Sequence
 
 from tissueid.twin import bus
+from tissueid.twin._table import along, reached
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-MOST_EXPONENT = 4.0
+KNOTS = 5
+_FIRST = 3
+_APART = 0.01
+"""Share of the range over which the slope of the curve is taken."""
+RISES = (-0.3, 0.3)
+FORCE_SHARES = (0.02, 0.9)
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Inductance exponential along the stroke, with the voltage and the force of its change; ``s[0]`` is its slope."""
-    slope, reference, share = p[0], p[1], p[2]
+    """Inductance along the stroke, with the voltage and the force of its change; ``s[0]`` is its slope, H/m."""
     if where == bus.COIL:
-        # Bounded without a corner.
-        bounded = math.tanh(slope * (b[bus.POSITION] - reference) / MOST_EXPONENT)
-        b[bus.INDUCTANCE] *= math.exp(MOST_EXPONENT * bounded)
-        s[0] = slope * (1.0 - bounded * bounded) * b[bus.INDUCTANCE]
+        span = p[1] - p[0]
+        place = (b[bus.POSITION] - p[0]) / span
+        rise = along(p, _FIRST, KNOTS, place + _APART) - along(p, _FIRST, KNOTS, place - _APART)
+        s[0] = b[bus.INDUCTANCE] * rise / (2.0 * _APART * span)
+        b[bus.INDUCTANCE] *= along(p, _FIRST, KNOTS, place)
         b[bus.OPPOSING_VOLTAGE] += s[0] * b[bus.VELOCITY] * b[bus.CURRENT]
     else:
-        b[bus.FORCE] += 0.5 * share * s[0] * b[bus.CURRENT] * b[bus.CURRENT]
+        b[bus.FORCE] += 0.5 * p[2] * s[0] * b[bus.CURRENT] * b[bus.CURRENT]
+
+
+def _sloping(low_m: float, high_m: float) -> tuple[tuple[float, ...], ...]:
+    middle = (KNOTS - 1) / 2.0
+    return tuple(
+        (low_m, high_m, share, *(1.0 + rise * (k - middle) / middle for k in range(KNOTS)))
+        for rise in RISES
+        for share in FORCE_SHARES
+    )
+
+
+def over_the_range(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
+    """Starts whose knots lie where the probe went."""
+    ends = reached(tests)
+    return () if ends is None else _sloping(*ends)
 
 
 EFFECT = Effect(
     name="inductance_position",
     stage="coil",
     title="Inductance changes along the stroke",
-    equation="v = R i + L i' + L' x' i, F = s L' i^2/2, L = L0 exp(a (x - x0)); vanishes with a = 0",
+    equation="v = R i + L i' + L' x' i, F = s L' i^2/2, L = L0 c(x), c a smooth curve through five shares over the "
+    "range that the probe reached; vanishes with all of them 1",
     signature="current against voltage at high frequencies, more at one end of the stroke than at the other: the lag "
     "of current follows position; resistance unchanged; a force with the square "
     "of current that energy demands, unless iron elsewhere makes up for it",
     source="Klippel, J. Audio Eng. Soc. 54 (2006) 907; Woodson and Melcher, Electromechanical Dynamics I (1968) ch. 3",
     parameters=(
-        Parameter("slope_per_m", "1/m", 0.0, -400.0, 400.0, meaning="relative change of inductance per metre"),
-        Parameter("reference_m", "m", None, -0.02, 0.05, prior=0.014, prior_std=0.015, meaning="where it is nominal"),
+        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="where the curve begins"),
+        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="where it ends"),
         Parameter("force_share", "1", None, 0.0, 1.0, meaning="of the force that the change of inductance makes"),
+        *(
+            Parameter(f"share_{k}", "1", 1.0, 0.05, 6.0, prior=1.0, prior_std=0.5, meaning=f"of nominal at {k}/4 of it")
+            for k in range(KNOTS)
+        ),
     ),
-    starts=((40.0, 0.006, 0.02), (-40.0, 0.02, 0.02), (40.0, 0.014, 0.9), (-40.0, 0.014, 0.9)),
+    starts=(_sloping(0.0, 0.032)[0],),
     mistaken_for=("eddy_currents", "force_constant_position", "reluctance_force"),
     places=(bus.COIL, bus.MECHANICS),
+    starts_from=over_the_range,
+    jointly=True,
     hook=hook,
     needs=frozenset({"current"}),
     remedy="Measure the blocked coil's impedance at several places along the stroke.",

@@ -8,29 +8,37 @@ from dataclasses import replace
 import numpy as np
 
 from tissueid.twin import _estimates
+from tissueid.twin._table import curve, reached
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
+KNOTS = 13
 MIDDLE_M = 0.012
-"""Where the deviation is counted from, in the middle of what tests reach."""
-SPAN_M = 0.005
+"""Where waves are counted from, in the middle of what tests reach."""
 SHORTEST_M, LONGEST_M = 2e-4, 2e-2
 FEWEST_READINGS = 200
+_FIRST = 2
+_FLAT = (0.0,) * KNOTS
+_BOWED = tuple(2e-5 * (1.0 - (k / 6.0 - 1.0) ** 2) for k in range(KNOTS))
+_NO_WAVE = (0.0, 0.0, 0.0, 0.0, 2e-3)
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
-    """A cubic and one wave with its second harmonic added to the position, about ``MIDDLE_M``."""
-    offset, gain, bow, bend, cosine, sine, cosine_2, sine_2, period = values
-    off = readings.position - MIDDLE_M
-    share = off / SPAN_M
-    angle = 2.0 * np.pi * off / period
-    error = offset + gain * off + share * share * (bow + bend * share)
+    """A smooth curve along the stroke, and one wave with its second harmonic, added to the position."""
+    low, high = values[:_FIRST]
+    cosine, sine, cosine_2, sine_2, period = values[_FIRST + KNOTS :]
+    error = curve(values[_FIRST : _FIRST + KNOTS], (readings.position - low) / (high - low))
+    angle = 2.0 * np.pi * (readings.position - MIDDLE_M) / period
     error += cosine * np.cos(angle) + sine * np.sin(angle)
     error += cosine_2 * np.cos(2.0 * angle) + sine_2 * np.sin(2.0 * angle)
     return replace(readings, position=readings.position + error)
 
 
 def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """One with the wave along the stroke that takes most out of what is unexplained of all tests together."""
+    """A bow over the range that was reached; and the wave that takes most out of what is unexplained of all tests."""
+    ends = reached(tests)
+    if ends is None:
+        return ()
+    bowed = (*ends, *_BOWED, *_NO_WAVE)
     positions: list[FloatArray] = []
     errors: list[FloatArray] = []
     for signals in tests:
@@ -40,38 +48,35 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
         errors.append(left[known][::4])
     place, error = np.concatenate(positions), np.concatenate(errors)
     if place.size < FEWEST_READINGS:
-        return ()
+        return (bowed,)
     waves_per_m, (cosine, sine) = _estimates.line(error, place, (1,), 1.0 / LONGEST_M, 1.0 / SHORTEST_M)
-    return ((0.0, 0.0, 0.0, 0.0, float(cosine), float(sine), 0.0, 0.0, 1.0 / waves_per_m),)
+    return (bowed, (*ends, *_FLAT, float(cosine), float(sine), 0.0, 0.0, 1.0 / waves_per_m))
 
 
 EFFECT = Effect(
     name="sensor_nonlinearity",
     stage="sensing",
     title="Position reading not linear along the stroke",
-    equation="y = x + o + g d + b (d/5mm)^2 + c (d/5mm)^3 + p cos(2 pi d/l) + q sin(2 pi d/l) "
-    "+ the same of l/2, d = x - 12 mm; vanishes with o, g, b, c and the waves all 0",
+    equation="y = x + e(x) + p cos(2 pi d/l) + q sin(2 pi d/l) + the same of l/2, d = x - 12 mm, e a smooth curve "
+    "through thirteen errors over the range that the probe reached; vanishes with all of them and the waves 0",
     signature="an error of position alone that is a function of position, the same in every test, at any speed and on "
     "tissue as on the spring; back-EMF in current contradicts it",
     source="Nyce, Linear Position Sensors (2004), ch. 2 (linearity) and 11; Heydemann, Applied Optics 20 (1981) "
     "3382-3384 (cyclic error)",
     parameters=(
-        Parameter("offset_m", "m", 0.0, -2e-3, 2e-3, prior=0.0, prior_std=2e-4, meaning="deviation at 12 mm"),
-        Parameter("gain", "1", 0.0, -0.3, 0.3, prior=0.0, prior_std=0.03, meaning="its slope there"),
-        Parameter("bow_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=5e-4, meaning="even part 5 mm from there"),
-        Parameter("bend_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=5e-4, meaning="odd part 5 mm from there"),
+        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="where the curve begins"),
+        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="where it ends"),
+        *(
+            Parameter(f"error_{k}_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=3e-4, meaning=f"at {k}/12 of it")
+            for k in range(KNOTS)
+        ),
         Parameter("cosine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, highest at 12 mm"),
         Parameter("sine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, rising at 12 mm"),
         Parameter("cosine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="wave of half the period"),
         Parameter("sine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="the same, rising at 12 mm"),
         Parameter("period_m", "m", None, SHORTEST_M, LONGEST_M, True, meaning="from one wave to the next"),
     ),
-    starts=(
-        (0.0, 0.0, 1e-5, 0.0, 0.0, 0.0, 0.0, 0.0, 2e-3),
-        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 4e-3),
-        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 2e-3),
-        (0.0, 0.0, 0.0, 0.0, 1e-5, 1e-5, 0.0, 0.0, 1e-3),
-    ),
+    starts=((0.0, 0.032, *_FLAT, 1e-5, 1e-5, 0.0, 0.0, 2e-3),),
     mistaken_for=("force_constant_position", "tissue_stiffening", "cogging"),
     recording=recording,
     needs=frozenset({"position"}),
