@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.interpolate import CubicHermiteSpline
 
 from tissueid.twin import figures, simulation
 from tissueid.twin.catalogue import library
@@ -57,8 +58,8 @@ def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
     [
         ("eddy_currents", (5e-4, 4.0, 0.3, 0.1), "current"),
         ("coil_heating", (5.0, 0.7), "current"),
-        ("inductance_position", (100.0, 0.006, 0.0), "current"),
-        ("force_constant_position", (0.006, 0.02, 2.5, 0.1, 1.0), "position"),
+        ("inductance_position", (0.008, 0.020, 0.0, 0.3, 0.6, 1.0, 2.0, 3.5), "current"),
+        ("force_constant_position", (0.008, 0.020, 1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6), "position"),
         ("flux_saturation", (0.04, 2.0, 1.0), "position"),
         ("reluctance_force", (0.05, 0.0), "position"),
     ],
@@ -231,42 +232,59 @@ def test_the_winding_keeps_the_heat_that_it_is_given():
     assert volts / cooled / 12.0 - 1.0 == pytest.approx(0.0039 * power * 0.2 / 20.0, rel=1e-3)
 
 
+def through(low, high, values):
+    """A curve through values at equal distances, with the mean of the neighbouring slopes at each."""
+    places = np.linspace(low, high, len(values))
+    slopes = np.gradient(values, places)
+    return CubicHermiteSpline(places, values, slopes)
+
+
+SHARES = (0.7, 0.8, 1.0, 1.3, 1.5)
+
+
 def test_inductance_by_place_sets_how_fast_current_settles():
-    for position in (0.006, 0.016, 0.020):
+    along = through(0.006, 0.022, SHARES)
+    for position, share in ((0.007, along(0.007)), (0.0163, along(0.0163)), (0.021, along(0.021)), (0.030, 1.5)):
         still = simulation.Given(position=np.full(40, position), velocity=np.zeros(40))
         step = np.r_[np.zeros(4), np.full(36, 12.0)]
-        current = play("inductance_position", (100.0, 0.016, 1.0), step, given=still).current
-        inductance = 1e-3 * math.exp(4.0 * math.tanh(100.0 * (position - 0.016) / 4.0))
-        expected = 1.0 - np.exp(-12.0 / inductance * np.arange(1, 37) / RATE)
+        current = play("inductance_position", (0.006, 0.022, 1.0, *SHARES), step, given=still).current
+        expected = 1.0 - np.exp(-12.0 / (1e-3 * share) * np.arange(1, 37) / RATE)
         np.testing.assert_allclose(current[4:], expected, rtol=1e-9)
 
 
 def test_inductance_that_grows_pulls_as_energy_demands():
-    slope, reference = 80.0, 0.014
-    away, current = settled("inductance_position", (slope, reference, 1.0), 12.0)
-
-    def stored(position):
-        return 0.5 * 1e-3 * math.exp(4.0 * math.tanh(slope * (position - reference) / 4.0)) * current**2
-
-    extra = (stored(0.012 + away + 1e-6) - stored(0.012 + away - 1e-6)) / 2e-6
+    values = (0.006, 0.022, 1.0, *SHARES)
+    away, current = settled("inductance_position", values, 12.0)
+    extra = 0.5 * 1e-3 * through(0.006, 0.022, SHARES).derivative()(0.012 + away) * current**2
     assert 1000.0 * away == pytest.approx(3.0 * current + extra, rel=1e-5)
-    without, _ = settled("inductance_position", (slope, reference, 0.0), 12.0)
+    without, _ = settled("inductance_position", (0.006, 0.022, 0.0, *SHARES), 12.0)
     assert 1000.0 * without == pytest.approx(3.0 * current, rel=1e-5)
 
 
-def test_the_force_constant_falls_off_its_plateau_in_force_and_back_emf():
-    values = (0.010, 0.012, 2.0, 0.2, 1.0)
+def test_the_force_constant_along_the_stroke_shows_in_force_and_back_emf():
+    shares = (0.7, 0.85, 0.97, 1.0, 0.98, 0.9, 0.75)
+    values = (0.006, 0.024, *shares)
 
     def constant(position):
-        return 3.0 * (0.2 + 0.8 / (1.0 + ((position - 0.010) / 0.012) ** 2))
+        return 3.0 * through(0.006, 0.024, shares)(np.clip(position, 0.006, 0.024))
 
     for volts in (4.0, 12.0, 30.0):
         away, current = settled("force_constant_position", values, volts)
         assert 1000.0 * away == pytest.approx(constant(0.012 + away) * current, rel=1e-5)
-    velocity = np.full(600, 0.03)
-    moving = simulation.Given(position=0.006 + 0.03 * np.arange(600) / RATE, velocity=velocity)
+    velocity = np.full(600, 0.06)
+    moving = simulation.Given(position=0.008 + 0.06 * np.arange(600) / RATE, velocity=velocity)
     current = play("force_constant_position", values, np.zeros(600), given=moving).current
-    np.testing.assert_allclose(current[10:], -constant(moving.position[10:]) * 0.03 / 12.0, rtol=2e-3)
+    np.testing.assert_allclose(current[10:], -constant(moving.position[10:]) * 0.06 / 12.0, rtol=2e-3)
+
+
+def test_curves_along_the_stroke_begin_where_the_probe_went():
+    position = np.linspace(0.009, 0.015, 2001)
+    tests = [{"position": np.append(position, np.nan), "command": np.arange(2002.0)}, {"position": position + 1.0}]
+    for name in ("force_constant_position", "inductance_position", "sensor_nonlinearity"):
+        start = library()[name].starts_from(tests, RATE)[0] if name != "sensor_nonlinearity" else None
+        if start is not None:
+            assert start[:2] == pytest.approx((0.009, 0.015), abs=2e-5)
+        assert library()[name].starts_from([{"position": np.full(9, np.nan), "command": np.zeros(9)}], RATE) == ()
 
 
 def test_flux_saturates_by_current_and_by_its_sign():

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy import integrate
+from scipy.interpolate import CubicHermiteSpline
 
 from tissueid.twin import bus, figures, simulation
 from tissueid.twin.catalogue import effect
@@ -228,7 +229,8 @@ def test_sensor_nonlinearity_finds_a_wave_along_the_stroke():
     signals, clean = played(stochastic())
     signals["position"] = signals["position"] + 1.5e-5 * np.sin(2 * np.pi * clean.position / 7.3e-4 + 1.0)
     one = effect("sensor_nonlinearity")
-    (start,) = one.starts_from([with_prediction(signals, clean)], RATE)
+    bowed, start = one.starts_from([with_prediction(signals, clean)], RATE)
+    assert bowed[:2] == start[:2] == pytest.approx(np.quantile(signals["position"], [0.002, 0.998]), rel=1e-6)
     assert start[-1] == pytest.approx(7.3e-4, rel=0.02)
     after = one.recording(clean, np.array(start)).position - signals["position"]
     assert np.std(after[600:]) < 0.3 * 1.5e-5 / np.sqrt(2)
@@ -236,10 +238,14 @@ def test_sensor_nonlinearity_finds_a_wave_along_the_stroke():
 
 
 def test_sensor_nonlinearity_is_a_function_of_position_alone():
-    ours = recorded("sensor_nonlinearity", [0.012, 0.017, 0.007], 1e-5, 0.01, 3e-5, 2e-5, 4e-6, 0.0, -1e-6, 0.0, 5e-3)
-    np.testing.assert_allclose(
-        ours - np.array([0.012, 0.017, 0.007]), [1.3e-5, 11.3e-5, -2.7e-5], rtol=1e-9, atol=1e-15
-    )
+    errors = 1e-5 * np.array([0.0, 1.0, 3.0, 2.0, 0.0, -1.0, -2.0, -2.0, 0.0, 1.0, 1.0, 3.0, 4.0])
+    places = np.linspace(0.006, 0.018, 13)
+    at = np.array([0.012, 0.0165, 0.007, 0.003, 0.025])
+    wave = 2 * np.pi * (at - 0.012) / 5e-3
+    expected = CubicHermiteSpline(places, errors, np.gradient(errors, places))(np.clip(at, 0.006, 0.018))
+    expected += 4e-6 * np.cos(wave) - 1e-6 * np.cos(2 * wave)
+    ours = recorded("sensor_nonlinearity", at, 0.006, 0.018, *errors, 4e-6, 0.0, -1e-6, 0.0, 5e-3)
+    np.testing.assert_allclose(ours - at, expected, rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize("hertz", [49.96, 60.05])

@@ -76,6 +76,7 @@ class Calibrator(QObject):
         self._close()
         self._report = outcome.report
         self._page.show_outcome(outcome)
+        self._window.panels.log.note(self._page.headline.text())
         # The same instrument may stand at another address too.
         chooser = self._window.ui.form.instrument
         chooser.forget_calibrations()

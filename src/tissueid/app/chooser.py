@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_state import CalibrationState
@@ -16,6 +16,9 @@ from tissueid.instrument.discovery import IN_PROCESS
 
 class InstrumentChooser(QWidget):
     """URL of an instrument, a button that looks for more, and a line about the chosen one."""
+
+    described = Signal()
+    """Sent when the list, the choice or what is known of an instrument has changed."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -96,23 +99,35 @@ class InstrumentChooser(QWidget):
             self._found[url] = replace(item, answers=None)
             self._describe()
 
-    def _describe(self) -> None:
-        self._describe_calibration()
-        item = self._found.get(self.url)
+    @property
+    def known(self) -> dict[str, tuple[str, CalibrationState]]:
+        """Every instrument of the list by its address: its health in words, and its calibration."""
+        return {url: (self._health(url), self.calibration_of(url)) for url in self._found}
+
+    def calibration_of(self, url: str) -> CalibrationState:
+        """What is known of the calibration of the instrument at an address."""
+        return self._calibrations.get(url, CalibrationState())
+
+    def _health(self, url: str) -> str:
+        item = self._found.get(url)
         if item is None:
-            self.about.setText("Typed address: tried when the test starts." if self.url else "")
-        elif item.answers:
-            self.about.setText(f"Ready: {item.detail or item.what}.")
-        elif item.answers is None:
-            self.about.setText(f"{item.what}: not asked whether it is ready.")
-        else:
-            self.about.setText(f"Does not answer: {item.detail or item.what}.")
+            return "Typed address: tried when the test starts." if url else ""
+        if item.answers:
+            return f"Ready: {item.detail or item.what}."
+        if item.answers is None:
+            return f"{item.what}: not asked whether it is ready."
+        return f"Does not answer: {item.detail or item.what}."
+
+    def _describe(self) -> None:
+        self.about.setText(self._health(self.url))
+        self._describe_calibration()
 
     def _describe_calibration(self) -> None:
-        state = self._calibrations.get(self.url, CalibrationState())
+        state = self.calibration_of(self.url)
         self.calibration.setText(state.words)
         self.calibration.setToolTip("\n".join(state.warnings))
         self.calibration.setAccessibleName(" ".join([state.words, *state.warnings]))
         self.calibration.setProperty("level", state.level)
         self.calibration.style().unpolish(self.calibration)
         self.calibration.style().polish(self.calibration)
+        self.described.emit()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -29,6 +30,8 @@ from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.instrument import PROFILES
 
+_USUAL_FORCE_N = Plan.max_force_n
+
 _SHORTEST_S = 0.5
 _MOST_SEED = 2**31 - 1
 
@@ -43,6 +46,9 @@ class PlanForm(QWidget):
         self.folder = folder
         self._now = now
         self._own_path = False
+        self._own_force = False
+        self._applying = False
+        self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit(ANONYMOUS)
         self.subject.setToolTip("A pseudonym, never a name")
@@ -55,6 +61,14 @@ class PlanForm(QWidget):
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
             line.setPlaceholderText("where on the body, or which material")
+        self.map = QPushButton("Body map…")
+        self.map.setToolTip("Choose the site on a drawn body")
+        where = QWidget()
+        beside = QHBoxLayout(where)
+        beside.setContentsMargins(0, 0, 0, 0)
+        beside.setSpacing(6)
+        beside.addWidget(self.site, 1)
+        beside.addWidget(self.map)
         self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
@@ -67,7 +81,7 @@ class PlanForm(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(10)
         _add(layout, "&Instrument", self.instrument, focus=self.instrument.choice)
-        _add(layout, "Si&te", self.site)
+        _add(layout, "Si&te", where, focus=self.site)
         _add(layout, "Su&bject (a pseudonym, never a name)", self.subject)
         layout.addWidget(self.set_up)
         _add(layout, "&Limits", self.limits)
@@ -82,6 +96,8 @@ class PlanForm(QWidget):
         layout.addStretch(1)
 
         self.limits.currentIndexChanged.connect(self._apply_limits)
+        self.instrument.choice.currentTextChanged.connect(self._apply_limits)
+        self.max_force.valueChanged.connect(self._take_own_force)
         self.path.textEdited.connect(self._take_own_path)
         self.browse.clicked.connect(self._choose_path)
         self.limits.setCurrentIndex(self.limits.findData("clinical"))
@@ -106,7 +122,14 @@ class PlanForm(QWidget):
             max_force_n=self.max_force.value(),
             seconds=self.seconds.value(),
             seed=self.seed.value(),
+            lower_force=not self._own_force,
         )
+
+    def tell_force(self, url: str, greatest_n: float) -> None:
+        """It is known now how much force the instrument at an address gives at most, N."""
+        if self._forces_n.get(url) != greatest_n:
+            self._forces_n[url] = greatest_n
+            self._apply_limits()
 
     def renew_path(self) -> None:
         """Go on to a file that is not there yet, beside the last one."""
@@ -203,10 +226,15 @@ class PlanForm(QWidget):
         self.settings.setVisible(opened)
 
     def _apply_limits(self) -> None:
-        """Keep force and length within what the profile allows."""
+        """Keep force and length within what the profile allows and the instrument gives."""
         name = self.limits.currentData()
-        self.max_force.setMaximum(PROFILES[name].max_force_n)
-        self.min_force.setMaximum(PROFILES[name].max_force_n - self.min_force.singleStep())
+        most = min(PROFILES[name].max_force_n, self._forces_n.get(self.instrument.url, math.inf))
+        self._applying = True
+        self.max_force.setMaximum(most)
+        if not self._own_force:
+            self.max_force.setValue(_USUAL_FORCE_N)
+        self._applying = False
+        self.min_force.setMaximum(most - self.min_force.singleStep())
         self.seconds.setMaximum(longest_stimulus_s(name))
 
     def _summarise(self) -> None:
@@ -214,6 +242,9 @@ class PlanForm(QWidget):
             f"{self.distribution.currentText()} noise, {self.min_force.value():g} to {self.max_force.value():g} N, "
             f"{self.seconds.value():g} s, seed {self.seed.value()}"
         )
+
+    def _take_own_force(self) -> None:
+        self._own_force = self._own_force or not self._applying
 
     def _take_own_path(self) -> None:
         self._own_path = True

@@ -7,6 +7,7 @@ from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.acquisition.quality import Quality, Verdict
+from tissueid.app.views.clinician.repeat_bar import RepeatBar
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 MOST_SHOWN = 3
@@ -36,6 +37,8 @@ class QualityGate(QFrame):
         top.setSpacing(8)
         top.addWidget(self.light)
         top.addWidget(self.headline, 1)
+        self.repeats = RepeatBar()
+        top.addWidget(self.repeats)
         top.addWidget(self.more)
         top.addWidget(self.run_again)
         self._grid = QGridLayout()
@@ -63,6 +66,7 @@ class QualityGate(QFrame):
             widget.style().polish(widget)
         self.headline.setText("Not judged" if quality is None else quality.headline)
         self.run_again.setVisible(verdict == "repeat" and can_repeat)
+        self.repeats.hide()
         self.more.setChecked(False)
         self._fill()
         self.setAccessibleName(" ".join(["Quality gate:", self.headline.text() + ".", *self.words]))

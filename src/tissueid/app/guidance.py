@@ -1,4 +1,4 @@
-"""Where a test stands and what to do next: four phases, one instruction, one bar."""
+"""Where a test stands and what to do next: four phases, one instruction, the contact light, one bar."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from tissueid.acquisition import Phase
 from tissueid.acquisition.guided import PLACE_S
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
+from tissueid.app.views.clinician.contact_lamp import ContactLamp
 
 IDLE = "Place the probe on the skin and hold the reference surface firmly. Then start the test."
 _NAMES = {
@@ -56,6 +57,8 @@ class Guidance(QFrame):
         layout.setSpacing(6)
         layout.addLayout(phases)
         layout.addWidget(self.instruction)
+        self.lamp = ContactLamp()
+        layout.addWidget(self.lamp)
         layout.addWidget(self.bar)
         self.rest()
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
-from tissueid.instrument import Found, Instrument
+from tissueid.instrument import RESEARCH, Found, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found, and the calibrations of what answered, by address."""
+    """What was found, and of what answered, by address: the calibration, and the greatest force in N."""
 
     found: Sequence[Found]
     calibrations: dict[str, CalibrationState] = field(default_factory=dict)
+    forces_n: dict[str, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
@@ -25,6 +27,12 @@ class Survey:
             answering, f"{answering} instruments answer"
         )
         return f"{what}; simulations in this program can always be chosen."
+
+
+def greatest_force_n(instrument: Instrument) -> float:
+    """What an instrument gives at most, N in whole tenths, by its amplifier and by its own limits."""
+    own = math.floor(10.0 * instrument.narrowed(RESEARCH).max_force_n) / 10.0
+    return min(instrument.device.greatest_force_n, own)
 
 
 def survey(
@@ -38,15 +46,17 @@ def survey(
         TissueIDError, OSError: the ports cannot be listed.
     """
     calibrations: dict[str, CalibrationState] = {}
+    forces_n: dict[str, float] = {}
 
     def open_and_ask(url: str) -> Instrument:
         instrument = opener(url)
         try:
             calibrate(instrument)
+            forces_n[url] = greatest_force_n(instrument)
         except BaseException:
             instrument.close()
             raise
         calibrations[url] = calibration_state(instrument.device)
         return instrument
 
-    return Survey(finder(probe=True, opener=open_and_ask), calibrations)
+    return Survey(finder(probe=True, opener=open_and_ask), calibrations, forces_n)

@@ -37,6 +37,8 @@ class Jobs(QObject):
     """The jobs that go on. ``changed`` is sent when one begins and when it has ended; it is true while one goes on."""
 
     changed = Signal()
+    failed = Signal(str)
+    """Why a job failed, in words, once whoever began it was told."""
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
@@ -50,6 +52,7 @@ class Jobs(QObject):
         job = Job(work, self)
         job.succeeded.connect(succeeded)
         job.failed.connect(failed)
+        job.failed.connect(self.failed)
         job.finished.connect(self._finished)
         self._running.add(job)
         self.changed.emit()

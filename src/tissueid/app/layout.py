@@ -7,7 +7,7 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSize, Qt
 from PySide6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -40,6 +40,19 @@ SIDE_WIDTH = 330
 MEASURE = "measure"
 """The page of the guided test."""
 RESEARCH_USE = "Research use only. Not a medical device."
+
+
+class _Stack(QStackedWidget):
+    """Needs as much room as the page that is shown, whatever the others need."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.currentChanged.connect(self.updateGeometry)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """That of the page that is shown."""
+        page = self.currentWidget()
+        return super().minimumSizeHint() if page is None else page.minimumSizeHint()
 
 
 class Layout:
@@ -78,13 +91,16 @@ class Layout:
         self.calibration = CalibrationPage()
         self.pages.addTab(self.calibration, "Calibration")
         self.pages.setTabVisible(1, False)
+        # One stop of the tab key, not two: the bar alone.
+        self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.rail = Rail()
         self.halt = QPushButton("STOP")
         self.halt.setProperty("role", "halt")
         self.halt.setAccessibleName("STOP, release the coil, from any page")
         self.halt.setToolTip(self.stop.toolTip())
         self.halt.hide()
-        self.stack = QStackedWidget()
+        self.stack = _Stack()
         self.views: dict[str, QWidget] = {}
         self.show_role(role)
         window.setCentralWidget(self._arrange())
@@ -97,14 +113,22 @@ class Layout:
 
     def order_tabs(self) -> None:
         """The order in which the tab key visits the guided test, once all pages stand."""
-        order = [self.form.instrument.choice, self.form.instrument.refresh, self.form.site, self.form.subject]
+        order = [
+            self.form.instrument.choice,
+            self.form.instrument.refresh,
+            self.form.site,
+            self.form.map,
+            self.form.subject,
+        ]
         order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
         order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
-        order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.start, self.stop]
+        order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.guidance.lamp.watch]
+        order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
-        order += [self.gate.more, self.gate.run_again, self.pages.tabBar(), self.result.test]
+        order += [self.gate.more, self.gate.run_again, self.gate.repeats.repeat, self.gate.repeats.accept]
+        order += [self.pages.tabBar(), self.result.test, self.result.pdf, self.result.comparison.cancel]
         order += self.calibration.fields
-        order += self.rail.buttons.values()
+        order += [*self.rail.buttons.values(), *self.rail.feet]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
         self.form.site.setFocus()

@@ -41,13 +41,14 @@ class Glance:
 class LiveSignals:
     """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long.
 
-    ``device`` and ``identification`` are set by the one that adds once it knows the instrument; the one that looks asks
-    the latter for its newest view.
+    ``device``, ``greatest_force_n`` and ``identification`` are set by the one that adds once it knows the instrument;
+    the one that looks asks the latter for its newest view.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self.device: DeviceDescription | None = None
         self.identification: LiveIdentification | None = None
+        self.greatest_force_n: float | None = None
         self._watch: SafetyWatch | None = None
         self._lock = threading.Lock()
         self._ring = np.full((3, capacity), np.nan)  # time, force, position

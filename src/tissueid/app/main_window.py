@@ -14,18 +14,21 @@ from tissueid.acquisition.quality import quality_of
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
-from tissueid.app.errands import Recovery, recover_all, unfinished, write_report_beside
+from tissueid.app.errands import write_report_beside
 from tissueid.app.findings import Findings, find
-from tissueid.app.instruments import Survey, survey
 from tissueid.app.jobs import Jobs
-from tissueid.app.layout import Layout
+from tissueid.app.layout import MEASURE, Layout
 from tissueid.app.live import LiveSignals
 from tissueid.app.measuring import Outcome, measure
 from tissueid.app.pages import Pages
+from tissueid.app.panels import Panels
 from tissueid.app.plan import Plan
+from tissueid.app.remembered import remembered_role
+from tissueid.app.searching import Searching
 from tissueid.app.stop_keys import StopKeys
 from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
+from tissueid.app.views.clinician.clinician import Clinician
 from tissueid.app.words import in_words
 from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
@@ -49,31 +52,36 @@ class MainWindow(QMainWindow):
         self._plan: Plan | None = None
         self.findings: Findings | None = None
         self._report: Path | None = None
-        self._unfinished: list[Path] = []
         self._closing = False
         self._theme: Theme | None = None
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
         self._palette_watch = PaletteWatch()
         self.testing = False
         self.setWindowTitle("TissueID")
-        self.ui = Layout(self, self.around.folder, self.around.now, self.around.role)
+        self.settings = self.around.settings()
+        role = self.around.role or remembered_role(self.settings)
+        self.ui = Layout(self, self.around.folder, self.around.now, role)
         self._frames = QTimer(self)
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
         self._calibrator = Calibrator(self)
+        self.clinician = Clinician(self)
+        self.panels = Panels(self)
+        self.searching = Searching(self)
         self.pages = Pages(self)
         self._connect()
         self._take_palette()
-        self._list_instruments()
-        self._offer_recovery()
+        self.searching.list_instruments()
         self.pages.restore()
+        if self.ui.page != self.pages.start.name:  # which says so itself
+            self.searching.offer_recovery()
         self._settle()
 
     # -- a test -------------------------------------------------------------------------------------------
 
     def start_test(self) -> None:
         """Begin the test that the form describes."""
-        if self.busy:
+        if self.clinician.watcher.start_after() or self.busy:
             return
         try:
             plan = self.ui.form.plan()
@@ -86,12 +94,14 @@ class MainWindow(QMainWindow):
                 self.ui.form.site.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
+        plan = self.clinician.planned(plan)
         stop = self.energise(self._show_frame)
         self.findings = None
         self.ui.pages.setTabVisible(1, False)
         self.ui.gate.hide()
         self.ui.guidance.rest()
         self.ui.guidance.say("Connecting to the instrument.")
+        self.panels.log.note(f"A test begins: {plan.site}, with {plan.url}, to {plan.path}.")
         self.ui.signals.expect(plan)
         self.ui.analysis.expect(plan)
         self.ui.pages.setCurrentWidget(self.ui.running)
@@ -105,6 +115,7 @@ class MainWindow(QMainWindow):
             apart=self.around.apart,
             trail=Trail(self.around.audit, self.ui.role.role),
             calibrate=self.around.calibrate,
+            earlier=self.clinician.earlier,
         )
         self.jobs.do(work, self._test_ended, self._test_failed)
         self.ui.stop.setFocus()
@@ -128,6 +139,7 @@ class MainWindow(QMainWindow):
         self._keys.listen(False)
         self._frames.stop()
         self.testing = False
+        self.clinician.freed()
         self.ui.safety.rest()
 
     def stop_test(self, reason: str) -> None:
@@ -161,6 +173,9 @@ class MainWindow(QMainWindow):
         self.ui.safety.show_safety(glance.safety)
         if self._live.device is not None and self._plan is not None:
             self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self._live.device))
+            if self._live.greatest_force_n is not None:
+                self.ui.form.tell_force(self._plan.url, self._live.greatest_force_n)
+        self.clinician.follow(glance, self._live.device)
         if self._live.identification is not None:
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
@@ -212,35 +227,43 @@ class MainWindow(QMainWindow):
         """Read a saved session and analyse it."""
         self.ui.notice.hide()
         self.ui.analysis.hide()
-        self._identify(path, None, None)
+        self.identify(path)
+
+    def identify(self, path: Path, session: Session | None = None) -> None:
+        """Show the page of results, and there what a session says."""
+        self.pages.show(MEASURE)
+        self._identify(path, session, None)
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
         self.ui.guidance.say("Identifying the tissue.")
-        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self._say_failed)
+        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed)
 
     def _show_findings(self, findings: Findings) -> None:
         self.findings, self._report = findings, None
+        self.panels.log.note(f"{findings.path}, test {findings.test.number}: {findings.verdict.headline}.")
         self.ui.signals.show_test(findings.test, findings.session.instrument)
         self._show_gate(findings.test)
         self.ui.result.show_findings(findings)
+        self.clinician.found(findings, self._plan)
         self.ui.pages.setTabVisible(1, True)
         self.ui.pages.setCurrentWidget(self.ui.result)
         self.ui.pages.tabBar().setFocus()
-        self._rest()
+        self.rest()
 
     def _show_gate(self, test: Test) -> None:
         """What the quality gate said, as soon as it is known: the models may take a while."""
         self.ui.gate.show_quality(quality_of(test), can_repeat=self._plan is not None and not self._closing)
 
-    def _rest(self) -> None:
+    def rest(self) -> None:
         """Nothing goes on: name what is shown, or say how to begin."""
         self.ui.guidance.rest()
         if self.findings is not None:
             site = clean(self.findings.test.site)[:LONGEST_SITE] or "Site not recorded"
             self.ui.guidance.say(f"{site}  ·  {self.findings.path.name}")
 
-    def _say_failed(self, words: str) -> None:
-        self._rest()
+    def say_failed(self, words: str) -> None:
+        """Some work ended badly: say so, and show again what was shown."""
+        self.rest()
         self.ui.notice.say(words, problem=True)
 
     def _choose_session(self) -> None:
@@ -268,11 +291,11 @@ class MainWindow(QMainWindow):
             self.show_report(self._report)
             return
         self.ui.guidance.say("Writing the report.")
-        self.jobs.do(functools.partial(write_report_beside, self.findings), self._report_written, self._say_failed)
+        self.jobs.do(functools.partial(write_report_beside, self.findings), self._report_written, self.say_failed)
 
     def _report_written(self, path: Path) -> None:
         self._report = path
-        self._rest()
+        self.rest()
         self.show_report(path)
 
     def show_report(self, path: Path) -> None:
@@ -281,56 +304,6 @@ class MainWindow(QMainWindow):
             self.ui.notice.say(f"The report is saved in {path}.")
         else:
             self.ui.notice.say(f"The report is saved in {path}; open it in a browser.")
-
-    # -- instruments and journals ---------------------------------------------------------------------------
-
-    def find_instruments(self) -> None:
-        """Ask every port whether an instrument answers."""
-        if self.busy:
-            return
-        self.ui.form.instrument.about.setText("Asking every port…")
-        around = self.around
-        work = functools.partial(survey, around.finder, around.opener, around.calibrate)
-        self.jobs.do(work, self._found, self._finding_failed)
-
-    def _found(self, found: Survey) -> None:
-        self.ui.form.instrument.offer(found.found)
-        for url, state in found.calibrations.items():
-            self.ui.form.instrument.tell_calibration(url, state)
-        self.ui.notice.say(found.words)
-
-    def _finding_failed(self, words: str) -> None:
-        self.ui.form.instrument.offer([])
-        self.ui.notice.say(words, problem=True)
-
-    def _list_instruments(self) -> None:
-        """Offer what can be seen without asking; a system that cannot list its ports still has typed addresses."""
-        try:
-            self.ui.form.instrument.offer(self.around.finder(probe=False))
-        except (TissueIDError, OSError) as error:
-            self._finding_failed(in_words(error))
-
-    def _offer_recovery(self) -> None:
-        self._unfinished = unfinished(self.around.folder)
-        if self._unfinished:
-            count = len(self._unfinished)
-            what = "An unfinished test was" if count == 1 else f"{count} unfinished tests were"
-            names = ", ".join(path.name.removesuffix(".journal") for path in self._unfinished[:3])
-            self.ui.notice.say(f"{what} found in {self.around.folder}: {names}.", offer="Re&cover")
-
-    def _recover(self) -> None:
-        if not self.busy:
-            self.ui.notice.hide()
-            trail = Trail(self.around.audit, self.ui.role.role)
-            self.jobs.do(functools.partial(recover_all, self._unfinished, trail), self._recovered, self._say_failed)
-
-    def _recovered(self, recovery: Recovery) -> None:
-        saved = [f"Recovered {path}." for path, _ in recovery.sessions]
-        self.ui.notice.say(" ".join(saved + recovery.problems), problem=bool(recovery.problems))
-        for path, _ in recovery.sessions:
-            self.pages.heard_of(path)
-        if recovery.sessions:
-            self._identify(*recovery.sessions[-1], None)
 
     # -- roles and jobs -----------------------------------------------------------------------------------------------
 
@@ -344,7 +317,7 @@ class MainWindow(QMainWindow):
         self.pages.take_role(now)
         trail = Trail(self.around.audit, now)
         work = functools.partial(trail.record, "role.changed", old=before, new=now)
-        self.jobs.do(work, self._logged, self._say_failed)
+        self.jobs.do(work, self._logged, self.say_failed)
 
     def _logged(self, _: object) -> None:
         """It is in the audit log; there is nothing to say."""
@@ -352,6 +325,7 @@ class MainWindow(QMainWindow):
     def _settle(self) -> None:
         """Let every control do what now makes sense, and nothing else."""
         self.ui.settle(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
+        self.clinician.settle(busy=self.busy, testing=self.testing)
         self.pages.settle(busy=self.busy, testing=self.testing)
         if self._closing and not self.jobs:
             self.close()
@@ -364,6 +338,7 @@ class MainWindow(QMainWindow):
             self._closing = True
             self._stop.press(BY_CLOSING)
             self.pages.cancel()
+            self.clinician.cancel()
             first = "the coil is being released" if self.testing else "the last work is being finished"
             self.ui.guidance.say(f"Closing: {first}.")
             self._settle()
@@ -381,6 +356,8 @@ class MainWindow(QMainWindow):
             self.setPalette(palette_of(theme))
             self.setStyleSheet(style_sheet(theme))
             self.ui.paint_with(theme)
+            self.clinician.paint_with(theme)
+            self.panels.paint_with(theme)
             self.pages.paint(lambda view: view.paint_with(theme))
 
     def _connect(self) -> None:
@@ -395,8 +372,6 @@ class MainWindow(QMainWindow):
         self._keys.pressed.connect(self._stop_by_key)
         ui.open.clicked.connect(self._choose_session)
         ui.report.clicked.connect(self.open_report)
-        ui.form.instrument.refresh.clicked.connect(self.find_instruments)
-        ui.notice.accepted.connect(self._recover)
         ui.result.test_chosen.connect(self._analyse_other)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,9 @@ from tissueid.acquisition import (
 )
 from tissueid.acquisition.guided import check_test, place
 from tissueid.acquisition.live import LiveIdentification
+from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.emergency import NO_ANSWER, EmergencyStop
+from tissueid.app.instruments import greatest_force_n
 from tissueid.app.live import LiveSignals
 from tissueid.app.pacing import PacedInstrument, Wait
 from tissueid.app.plan import Plan
@@ -28,7 +31,7 @@ from tissueid.calibration.in_force import calibrated
 from tissueid.errors import CancelledError, FirmwareFaultError
 from tissueid.instrument import PROFILES, Instrument, SimulatedInstrument
 from tissueid.instrument.answers import describe_faults
-from tissueid.sessions import Session, Subject
+from tissueid.sessions import Session, Subject, Test
 from tissueid.wire import Fault
 
 
@@ -59,13 +62,15 @@ def measure(
     apart: bool = True,
     trail: Trail | None = None,
     calibrate: Callable[[Instrument], object] = calibrated,
+    earlier: Sequence[Test] = (),
 ) -> Outcome:
     """Run the planned test. However it ends, the coil is released and what was recorded is kept.
 
     ``stop`` ends it within a poll. ``wait`` paces the simulation in this process: by the clock, cut short by
     ``stop``, unless another is given. ``apart`` lets a process of its own look at the test while it runs; without it
     the looks are made between the polls. What is done goes into the audit log by ``trail``. ``calibrate`` puts the
-    instrument's calibration in force.
+    instrument's calibration in force. ``earlier`` are the tests of the same sitting, against which the quality gate
+    judges this one.
 
     Raises:
         TissueIDError, OSError: the test could not begin; there is no file.
@@ -78,12 +83,14 @@ def measure(
             simulated = isinstance(instrument, SimulatedInstrument)
             calibrate(instrument)
             device, limits = instrument.device, instrument.narrowed(PROFILES[plan.limits])
+            live.greatest_force_n = greatest_force_n(instrument)
             live.begin(SafetyWatch(device, limits, winding=not simulated))
-            stimulus = plan.stimulus(device.sample_rate_hz)
-            test = GuidedTest(stimulus, plan.site, configuration=plan.set_up(), limits=limits)
+            stimulus = plan.within(live.greatest_force_n).stimulus(device.sample_rate_hz)
+            test = GuidedTest(stimulus, plan.site, configuration=plan.set_up(), limits=limits, notes=plan.notes)
             check_test(test, device)
             stop.check()
             recorder = SessionRecorder(plan.path, device, Subject(plan.pseudonym), trail=trail)
+            meanwhile(instrument, functools.partial(_remember, recorder, earlier), stop.check)
             if simulated:
                 instrument = PacedInstrument(instrument, wait or stop.wait)
 
@@ -130,6 +137,12 @@ def measure(
         trouble=trouble,
         unlogged=sentence(f"not in the audit log: {lacking}") if lacking else "",
     )
+
+
+def _remember(recorder: SessionRecorder, earlier: Sequence[Test]) -> None:
+    """Let the quality gate see the repeats before, which stand in files of their own."""
+    for test in earlier:
+        recorder.gate.judge(test)
 
 
 def _keep(recorder: SessionRecorder | None, problem: Exception | None) -> tuple[Session | None, str]:

@@ -11,6 +11,8 @@ class Notice(QFrame):
     """Hidden until there is something to say. ``accepted`` is sent by the offered button."""
 
     accepted = Signal()
+    said = Signal(str, bool)
+    """What was said, and whether it was a problem."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -41,4 +43,5 @@ class Notice(QFrame):
         self.offer.setText(offer)
         self.offer.setVisible(bool(offer))
         self.show()
+        self.said.emit(text, problem)
         QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import get_args
@@ -42,7 +42,9 @@ DISTRIBUTIONS: tuple[str, ...] = tuple(
 class Plan(NoiseChoice):
     """One test as the form describes it. ``limits`` names a profile, ``configuration`` and ``probe`` what they are of.
 
-    Without a ``probe`` it is the first one that is made for the configuration.
+    Without a ``probe`` it is the first one that is made for the configuration. ``lower_force`` takes the highest force
+    down to what the instrument gives where that is less, which is refused otherwise. ``sitting`` is what the tests of
+    one sitting have in common, each in a file of its own, and ``repeat`` counts them from 1.
     """
 
     url: str
@@ -53,6 +55,9 @@ class Plan(NoiseChoice):
     configuration: str = "indentation"
     probe: str | None = None
     external_spring_n_per_m: float = 0.0
+    lower_force: bool = False
+    sitting: str = ""
+    repeat: int = 0
 
     def check(self) -> None:
         """Refuse what can be seen to be wrong before an instrument is touched.
@@ -71,6 +76,17 @@ class Plan(NoiseChoice):
         if not self.path.name:
             raise UnusableInputError("say where to save the session")
         self.set_up()
+
+    def within(self, greatest_n: float) -> Plan:
+        """This plan on an instrument that gives so much force at most, N."""
+        if not self.lower_force or self.max_force_n <= greatest_n:
+            return self
+        return replace(self, max_force_n=greatest_n)
+
+    @property
+    def notes(self) -> dict[str, str | float]:
+        """What a session keeps of the sitting with the test."""
+        return {"sitting": self.sitting, "repeat": float(self.repeat)} if self.sitting else {}
 
     def set_up(self) -> Configuration:
         """How the instrument meets the tissue.

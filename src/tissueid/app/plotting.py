@@ -63,7 +63,8 @@ class PlotCard(QFrame):
         self._dots: list[tuple[pg.PlotDataItem, str]] = []
         self._bands: list[tuple[pg.FillBetweenItem, str, int]] = []
         self._marks: list[pg.InfiniteLine] = []
-        self.plot = pg.PlotWidget(axisItems={side: LogAxis(side) for side in log_axes})
+        # Without a menu from the beginning: making one only to take it away is a third of what a plot costs.
+        self.plot = pg.PlotWidget(axisItems={side: LogAxis(side) for side in log_axes}, enableMenu=False)
         self.plot.setMenuEnabled(False)
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()

@@ -1,10 +1,13 @@
-"""The rail at the left edge: which page is shown, by mouse, by Ctrl and a digit, or by the arrow keys."""
+"""The rail at the left edge: which page is shown, by mouse, by Ctrl and a digit, or by the arrow keys.
+
+For the tab key all pages together are one stop, the page that is shown; what stands at the foot are stops of their own.
+"""
 
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QButtonGroup, QFrame, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QToolButton, QVBoxLayout, QWidget
 
 WIDTH = 92
 
@@ -20,8 +23,7 @@ class Rail(QFrame):
         self.setFixedWidth(WIDTH)
         self.setAccessibleName("Pages")
         self.buttons: dict[str, QToolButton] = {}
-        self._group = QButtonGroup(self)
-        self._group.setExclusive(True)
+        self.feet: list[QToolButton] = []
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 8, 0, 8)
         self._column.setSpacing(2)
@@ -29,32 +31,72 @@ class Rail(QFrame):
 
     def add(self, name: str, title: str) -> None:
         """Put a button for a page at the end."""
-        button = QToolButton()
-        button.setText(title)
-        button.setCheckable(True)
-        button.setProperty("role", "rail")
-        button.setFixedWidth(WIDTH)
+        button = _button(title)
+        button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         button.setAccessibleName(f"Page {title}")
         keys = f"Ctrl+{len(self.buttons) + 1}"
         button.setToolTip(f"{title} ({keys})")
-        button.clicked.connect(lambda _checked=False, name=name: self.chosen.emit(name))
-        self._group.addButton(button)
-        self._column.insertWidget(self._column.count() - 1, button)
+        button.clicked.connect(lambda _checked=False, name=name: self._choose(name))
+        self._column.insertWidget(len(self.buttons), button)
         self.buttons[name] = button
         shortcut = QShortcut(QKeySequence(keys), self)
         shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
         shortcut.activated.connect(button.click)
 
+    def add_foot(self, title: str, keys: str, what: str) -> QToolButton:
+        """Put a button at the foot that shows something beside the page, and takes it away."""
+        button = _button(title)
+        button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        button.setAccessibleName(what)
+        button.setToolTip(f"{what} ({keys})")
+        self._column.addWidget(button)
+        self.feet.append(button)
+        return button
+
     def show_chosen(self, name: str) -> None:
-        """Light the button of a page."""
-        self.buttons[name].setChecked(True)
+        """Light the button of a page: it is the one that the tab key visits."""
+        held = any(button.hasFocus() for button in self.buttons.values())
+        for other, button in self.buttons.items():
+            button.setChecked(other == name)
+        self.buttons[name].setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        if held:
+            self.buttons[name].setFocus()
+        for other, button in self.buttons.items():
+            if other != name:
+                button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Up and down go from button to button."""
+        """Up and down go from page to page."""
         step = {Qt.Key.Key_Up: -1, Qt.Key.Key_Down: 1}.get(Qt.Key(event.key()))
         names = list(self.buttons)
         focus = next((k for k, name in enumerate(names) if self.buttons[name].hasFocus()), None)
         if step is None or focus is None:
             super().keyPressEvent(event)
             return
-        self.buttons[names[(focus + step) % len(names)]].setFocus()
+        name = names[(focus + step) % len(names)]
+        self._choose(name)
+        self.buttons[name].setFocus()  # the page may have taken it
+
+    def _choose(self, name: str) -> None:
+        self.show_chosen(name)
+        self.chosen.emit(name)
+
+
+class _Button(QToolButton):
+    """Leaves the arrow keys to the rail; a bare button would take them for the tab key."""
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Pass up and down on."""
+        if event.key() in (Qt.Key.Key_Up, Qt.Key.Key_Down):
+            event.ignore()
+            return
+        super().keyPressEvent(event)
+
+
+def _button(title: str) -> QToolButton:
+    button = _Button()
+    button.setText(title)
+    button.setCheckable(True)
+    button.setProperty("role", "rail")
+    button.setFixedWidth(WIDTH)
+    return button

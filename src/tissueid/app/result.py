@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
     QGridLayout,
     QHBoxLayout,
     QLabel,
+    QPushButton,
     QScrollArea,
     QVBoxLayout,
     QWidget,
@@ -18,9 +20,14 @@ from PySide6.QtWidgets import (
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.views.clinician.comparison_card import ComparisonCard
+from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.sessions import Test
 
 _TILES = 5
+_ROOM_FOR_TILES = 720
+_ROOM_FOR_TWO_PLOTS = 840
+"""Pixels."""
 SEE_ABOVE = "For the reasons above."
 _NOTHING = np.zeros(0)
 
@@ -46,12 +53,19 @@ class ResultPage(QScrollArea):
             tile.setToolTip(
                 "Variance accounted for: how much of the motion a simulation explains that sees only the force"
             )
-        tiles = QHBoxLayout()
-        tiles.setSpacing(8)
-        for tile in self._tiles:
-            tiles.addWidget(tile, 1)
-        layout.addLayout(tiles)
-        layout.addLayout(self._make_plots(), 1)
+        self.summary = SittingSummary()
+        layout.addWidget(self.summary)
+        self._tile_grid = QGridLayout()
+        self._tile_grid.setSpacing(8)
+        layout.addLayout(self._tile_grid)
+        self.comparison = ComparisonCard()
+        layout.addWidget(self.comparison)
+        self._make_plots()
+        self._plot_grid = QGridLayout()
+        self._plot_grid.setSpacing(8)
+        layout.addLayout(self._plot_grid, 1)
+        self._columns: tuple[int, int] | None = None
+        self._arrange(self.width())
 
     def show_findings(self, findings: Findings) -> None:
         """Fill the page."""
@@ -81,10 +95,16 @@ class ResultPage(QScrollArea):
                 card.plot.setXRange(float(curves.x.min()), float(curves.x.max()), padding=0.02)
         self._offer_tests(findings.session.tests, findings.test)
 
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Fewer things side by side where there is no room for all of them."""
+        super().resizeEvent(event)
+        self._arrange(event.size().width())
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         for card in self.cards:
             card.paint_with(theme)
+        self.comparison.paint_with(theme)
 
     # -- building -----------------------------------------------------------------------------------------
 
@@ -106,8 +126,11 @@ class ResultPage(QScrollArea):
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         top = QHBoxLayout()
+        self.pdf = QPushButton("PDF report")
+        self.pdf.setToolTip("One or two pages to print, beside the session")
         top.addWidget(self.headline, 1)
         top.addWidget(self.test)
+        top.addWidget(self.pdf)
         layout = QVBoxLayout(self._verdict)
         layout.setContentsMargins(12, 8, 12, 8)
         layout.setSpacing(3)
@@ -116,7 +139,7 @@ class ResultPage(QScrollArea):
         layout.addWidget(self.facts)
         return self._verdict
 
-    def _make_plots(self) -> QGridLayout:
+    def _make_plots(self) -> None:
         fit = {"measured": "measured", "second order": "model"}
         self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)", key=fit)
         self.bode = PlotCard("Bode magnitude", "Frequency (Hz)", "mm/N", key=fit, log_axes=("bottom", "left"))
@@ -143,14 +166,23 @@ class ResultPage(QScrollArea):
             self.prediction: self.prediction.line("measured", width=4, alpha=120),
         }
         self._models = {card: card.line("model", width=1 if card is self.prediction else 2) for card in self.cards}
-        grid = QGridLayout()
-        grid.setSpacing(8)
-        for place, card in enumerate(self.cards):
+        for card in self.cards:
             card.setMinimumHeight(150)
-            grid.addWidget(card, place // 2, place % 2)
-            grid.setColumnStretch(place % 2, 1)
-            grid.setRowStretch(place // 2, 1)
-        return grid
+
+    def _arrange(self, width: int) -> None:
+        """Put tiles and plots into as many columns as a width, pixels, holds."""
+        columns = (_TILES if width >= _ROOM_FOR_TILES else 3), (2 if width >= _ROOM_FOR_TWO_PLOTS else 1)
+        if columns == self._columns:
+            return
+        self._columns = columns
+        grids = (self._tile_grid, self._tiles), (self._plot_grid, self.cards)
+        for (grid, widgets), across in zip(grids, columns, strict=True):
+            for place, widget in enumerate(widgets):
+                grid.addWidget(widget, place // across, place % across)
+            for column in range(_TILES):
+                grid.setColumnStretch(column, int(column < across))
+            for row in range(len(widgets)):
+                grid.setRowStretch(row, int(row * across < len(widgets)))
 
     # -- filling ------------------------------------------------------------------------------------------
 

@@ -35,7 +35,8 @@ class Surroundings:
     ``wait`` None paces simulations by the clock. ``apart`` is whether a running test is looked at by another process.
     ``stop`` makes the emergency stop of one test; ``calibrate`` puts an instrument's newest calibration in force;
     ``calibrations`` is where new ones go, None for where those in force are looked for. ``first_page`` is shown at the
-    start, by its name; where empty, the one of last time. ``settings`` are what is kept from one start to the next.
+    start, by its name; where empty, the one of last time. ``role`` is who sits there, None for whoever did
+    last time. ``settings`` are what is kept from one start to the next.
     """
 
     opener: Callable[[str], Instrument] = open_instrument
@@ -48,7 +49,7 @@ class Surroundings:
     stop: Callable[[], EmergencyStop] = EmergencyStop
     calibrate: Callable[[Instrument], object] = calibrated
     calibrations: Path | None = None
-    role: Role = "clinician"
+    role: Role | None = None
     first_page: str = ""
     settings: Callable[[], QSettings] = _settings
     audit: AuditLog = field(default_factory=lambda: AuditLog(default_path()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -13,6 +13,8 @@ from pathlib import Path
 from tissueid.audit.line import CANCEL, CLOSED_OFF, MAX_LINE, NOTHING_BEFORE, STARTED, Line, is_torn, read_line
 from tissueid.errors import UnusableInputError
 
+_LOOK = 1000
+"""Lines between two looks whether it is cancelled."""
 _HEAD = re.compile(r"(?:(\d{1,12}):)?([0-9a-f]{64})")
 
 
@@ -78,17 +80,20 @@ def read_lines(path: Path) -> Iterator[Line]:
             yield line
 
 
-def verify(path: Path, heads: dict[str, str] | None = None) -> Verification:
+def verify(
+    path: Path, heads: dict[str, str] | None = None, *, cancelled: Callable[[], None] = lambda: None
+) -> Verification:
     """Go through a log from its first line. ``heads`` are heads that it must hold, and the name of where each stands.
 
-    A log that was cut off at its end is whole in itself: only a head from elsewhere tells.
+    A log that was cut off at its end is whole in itself: only a head from elsewhere tells. ``cancelled`` is called
+    from time to time, and may raise to end it.
 
     Raises:
         OSError: it cannot be read.
         UnusableInputError: a head that is none.
     """
     wanted = [(*check_head(head), where) for head, where in (heads or {}).items()]
-    walk = _Walk(path)
+    walk = _Walk(path, cancelled)
     broken = walk.broken()
     if broken is None:
         for number, own, where in wanted:
@@ -115,7 +120,8 @@ def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
 class _Walk:
     """One way through a log, up to the first place where it is broken."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, cancelled: Callable[[], None]) -> None:
+        self._cancelled = cancelled
         self.last: Line | None = None
         self.hashes: set[str] = set()
         self.remarks: list[str] = []
@@ -127,6 +133,8 @@ class _Walk:
     def broken(self) -> Broken | None:
         """The first broken place, or None when there is none."""
         for raw in _raw_lines(self._path):
+            if self._place % _LOOK == 0:
+                self._cancelled()
             self._place += 1
             if (problem := self._take(raw)) is not None:
                 return problem

@@ -341,8 +341,9 @@ def report(
     engines: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="engines to report; lms, spectral and wiener by default")
     ] = None,
+    pdf: Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="and, in short, a PDF to print")] = None,
 ) -> None:
-    """Make the report of one saved test: a self-contained HTML page."""
+    """Make the report of one saved test: a self-contained HTML page, and a PDF where one is asked for."""
     from tissueid.cli.report import run_report
 
-    run_report(session, out, test, engines)
+    run_report(session, out, test, engines, pdf)

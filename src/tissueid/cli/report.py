@@ -9,11 +9,12 @@ from tissueid.cli.output import check_output, people_read
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
 from tissueid.reports import write_report
+from tissueid.reports.pdf import write_pdf
 from tissueid.sessions import read_session
 
 
-def run_report(path: Path, out: Path, test: int | None, engines: str | None = None) -> None:
-    """Analyse one test with the standard engines, or with those named, and write its page.
+def run_report(path: Path, out: Path, test: int | None, engines: str | None = None, pdf: Path | None = None) -> None:
+    """Analyse one test with the standard engines, or with those named, and write its page, and a short PDF if asked.
 
     An engine that cannot use the test is left out, and the page says why.
 
@@ -21,6 +22,7 @@ def run_report(path: Path, out: Path, test: int | None, engines: str | None = No
         UnusableInputError: no such test or engine, none that can use it, or the page cannot be written.
     """
     check_output(out, ("<!DOCTYPE html",))
+    check_output(pdf, ("%PDF",))
     session = read_session(path)
     chosen = session.test(test)
     names = REPORT_ENGINES if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
@@ -38,7 +40,14 @@ def run_report(path: Path, out: Path, test: int | None, engines: str | None = No
         write_report(out, session, {chosen.number: analyses}, refused=refused)
     except OSError as error:
         raise UnusableInputError(f"cannot write {out}: {error.strerror}") from error
+    if pdf is not None:
+        try:
+            write_pdf(pdf, session, chosen, analyses)
+        except OSError as error:
+            raise UnusableInputError(f"cannot write {pdf}: {error.strerror}") from error
     which = f", test {chosen.number} of {len(session.tests)}" if len(session.tests) > 1 else ""
     people_read(None).print(f"report: {out}{which}", markup=False)
+    if pdf is not None:
+        people_read(None).print(f"report: {pdf}{which}", markup=False)
     for name, why in refused.items():
         people_read(None).print(f"without {name}: {why}", markup=False, soft_wrap=True)

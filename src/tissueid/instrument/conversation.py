@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +24,8 @@ class Conversation:
     """The host's side of the requests on one link.
 
     ``pump`` reads the link once, waiting up to so many seconds, and hands every ACK to ``take``. ``repeated`` counts
-    the requests that were sent again; ``unanswered`` says that the newest was given up. ``untold`` gives what went
+    the requests that were sent again; ``unanswered`` says that the newest was given up; ``round_trips_s`` are the times
+    from a request to its answer, of the newest that were sent but once. ``untold`` gives what went
     wrong meanwhile and nobody was told of yet: it is why a request is refused, or waited for no longer.
 
     ``silent`` says that the coil is to be free and that the device has not confirmed it yet: there is no heartbeat, so
@@ -39,6 +41,7 @@ class Conversation:
         untold: Callable[[], TissueIDError | None] = lambda: None,
     ) -> None:
         self.repeated = 0
+        self.round_trips_s: deque[float] = deque(maxlen=64)
         self.unanswered = False
         self.silent = True
         self.lost: LinkLostError | None = None
@@ -87,13 +90,16 @@ class Conversation:
         for attempt in range(tries):
             self.send(kind, payload, sequence)
             self.repeated += attempt > 0
-            deadline = self._clock() + patience_s
+            sent = self._clock()
+            deadline = sent + patience_s
             while self._clock() < deadline:
                 self._ack = None
                 self._pump(0.02)
                 ack = self._ack
                 if ack and ack["request_type"] == kind and ack["request_sequence"] == sequence:
                     self.unanswered = False
+                    if attempt == 0:  # of one that was repeated nobody knows which of the two is answered
+                        self.round_trips_s.append(self._clock() - sent)
                     return ack["result"], int(ack["detail"])
                 if kind != MessageType.STOP and (error := self._untold()) is not None:
                     raise error

@@ -311,6 +311,12 @@ class SerialInstrument:
         return self._talk.repeated
 
     @property
+    def round_trip_s(self) -> float | None:
+        """The usual time from a request to its answer, the median of the newest; None before there was one."""
+        times = self._talk.round_trips_s
+        return float(np.median(times)) if times else None
+
+    @property
     def setpoint_margin_s(self) -> float | None:
         """The least time by which a block of set-points of the newest run was ahead of being played."""
         margin = self._sender.margin_samples

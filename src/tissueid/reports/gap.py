@@ -20,7 +20,7 @@ from tissueid.wording import fixed, named_value, number
 
 Level = Literal["good", "check", "poor"]
 
-_STAGES = {
+STAGE_WORDS = {
     "drive": "the amplifier (command to voltage)",
     "coil": "the coil (voltage to current and force)",
     "mechanics": "the moving part (force to motion, without tissue)",
@@ -41,7 +41,7 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
         FigureGroup("g-which", "Which cause", tuple(figures[key] for key in ("ranking",) if key in figures)),
         FigureGroup("g-far", "How far it closes", tuple(figures[key] for key in ("overlay",) if key in figures)),
     )
-    headline, level = _headline(found)
+    headline, level = headline_of(found)
     return template("gap.html.j2").render(
         title=title,
         research_line=RESEARCH_LINE,
@@ -49,13 +49,13 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
         facts=_facts(found),
         headline=headline,
         level=level,
-        sentences=tuple(_sentences(found)),
+        sentences=tuple(sentences_of(found)),
         numbers=tuple(_numbers(found)),
         chain=FigureGroup("g-chain", "", (figures["chain"],)),
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(_next(found)),
+        remedies=tuple(next_steps_of(found)),
         tables=tuple(_tables(found)),
         remarks=found.remarks,
     )
@@ -70,31 +70,34 @@ def write_gap_report(found: Diagnosis, path: Path, title: str = "Simulated and r
     write_whole(path, gap_html(found, title))
 
 
-def _plain(name: str) -> str:
+def effect_words(name: str) -> str:
+    """What an effect is, as it stands in a sentence."""
     known = library().get(name)
     return name.replace("_", " ") if known is None else known.title[:1].lower() + known.title[1:]
 
 
-def _headline(found: Diagnosis) -> tuple[str, Level]:
+def headline_of(found: Diagnosis) -> tuple[str, Level]:
+    """The verdict in a line, and how it is to be taken."""
     if found.verdict == "no_gap":
         return "No gap: the twin explains this recording down to its noise", "good"
     if found.verdict == "unexplained":
-        return f"There is a gap that no known effect explains; it arises in {_STAGES[found.where.stage]}", "poor"
-    causes = "; ".join(_plain(name) for name in found.combination)
+        return f"There is a gap that no known effect explains; it arises in {STAGE_WORDS[found.where.stage]}", "poor"
+    causes = "; ".join(effect_words(name) for name in found.combination)
     return f"The gap is explained: {causes}", "check"
 
 
-def _sentences(found: Diagnosis) -> Iterator[str]:
+def sentences_of(found: Diagnosis) -> Iterator[str]:
+    """Where the gap lies, and what it cannot be told from."""
     where = found.where
     if found.verdict != "no_gap" and where.above_floor:
         share = 100.0 * where.shares[where.stage]
         suspected = max(STAGES, key=where.shares.__getitem__)
         if where.shares[where.stage] >= where.shares[suspected]:
-            yield f"It arises in {_STAGES[where.stage]}: {fixed(share, 0)} % of what stands above the floor."
+            yield f"It arises in {STAGE_WORDS[where.stage]}: {fixed(share, 0)} % of what stands above the floor."
         else:
             yield (
-                f"It arises in {_STAGES[where.stage]}, where the cause belongs. The stages alone would have suspected "
-                f"{_STAGES[suspected]}: what the cause leaves looks like a fault there."
+                f"It arises in {STAGE_WORDS[where.stage]}, where the cause belongs. The stages alone would have "
+                f"suspected {STAGE_WORDS[suspected]}: what the cause leaves looks like a fault there."
             )
     regions = where.regions
     told = []
@@ -107,11 +110,11 @@ def _sentences(found: Diagnosis) -> Iterator[str]:
         yield f"It shows most in the {regions.channel}, {words}, {_DIRECTIONS[regions.direction]}."
     alike = _alike(found)
     if alike:
-        names = ", ".join(_plain(name) for name in alike)
+        names = ", ".join(effect_words(name) for name in alike)
         yield f"This data cannot tell it from: {names}."
     if found.verdict == "unexplained" and found.ranking:
         best = found.ranking[0]
-        yield f"The best attempt, {_plain(best.effect)}, closes {_percent(best.closed)} and does not explain it."
+        yield f"The best attempt, {effect_words(best.effect)}, closes {_percent(best.closed)} and does not explain it."
 
 
 def _alike(found: Diagnosis) -> tuple[str, ...]:
@@ -179,13 +182,14 @@ def _ranking(found: Diagnosis) -> Table | None:
 
 
 def _ranked(place: int, item: Ranked) -> tuple[str, ...]:
-    alike = ", ".join(_plain(name) for name in item.indistinguishable)
+    alike = ", ".join(effect_words(name) for name in item.indistinguishable)
     probability = f"{fixed(100.0 * item.probability, 0)} %"
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
-    return (str(place), _plain(item.effect), item.stage, probability, closed, _interval(item.closed_ci), alike)
+    return (str(place), effect_words(item.effect), item.stage, probability, closed, _interval(item.closed_ci), alike)
 
 
-def _next(found: Diagnosis) -> Iterator[str]:
+def next_steps_of(found: Diagnosis) -> Iterator[str]:
+    """What to do now, a sentence each."""
     if found.verdict == "no_gap":
         yield "Nothing needs to be done: the twin may be used as it is."
         return
@@ -195,13 +199,13 @@ def _next(found: Diagnosis) -> Iterator[str]:
             yield known[name].remedy
     if found.next_experiment is not None:
         step = found.next_experiment
-        separates = " from ".join(_plain(name) for name in step.separates[:2])
+        separates = " from ".join(effect_words(name) for name in step.separates[:2])
         words = f", which tells {separates}" if len(step.separates) > 1 else ""
         yield f"Play a test of the kind “{step.kind.replace('_', ' ')}”{words}: {step.why.rstrip('.')}."
     if found.verdict == "effect":
         yield "Add the effect to a named twin, so that simulation and later diagnoses have it."
     elif found.next_experiment is None:
-        yield f"Look at {_STAGES[found.where.stage]}: the cause is there, and none of the known effects fits it."
+        yield f"Look at {STAGE_WORDS[found.where.stage]}: the cause is there, and none of the known effects fits it."
 
 
 def _tables(found: Diagnosis) -> Iterator[Table]:
@@ -210,7 +214,7 @@ def _tables(found: Diagnosis) -> Iterator[Table]:
     for item in found.ranking:
         if item.effect in found.combination and item.parameters:
             values = tuple(named_value(name, value) for name, value in item.parameters.items())
-            yield Table(f"Parameters of {_plain(item.effect)}", (), values)
+            yield Table(f"Parameters of {effect_words(item.effect)}", (), values)
     if found.where.evidence.errors:
         errors = tuple((name, f"{number(value, 3)} floors") for name, value in found.where.evidence.errors.items())
         note = "Each with everything upstream measured; 1 is the floor. Free current: from the voltage alone."

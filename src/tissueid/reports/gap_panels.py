@@ -211,7 +211,7 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
         UnusableInputError: every sample was fitted.
     """
     regions = found.where.regions
-    test, first, last = _unseen(found, regions.channel)
+    test, first, last = unseen_stretch(found, regions.channel)
     channels = [name for name in found.observed.channels if name != "voltage" or regions.channel == "voltage"][:3]
     grid = figure.subplots(2, len(channels), sharex=True, squeeze=False, gridspec_kw={"height_ratios": (3, 2)})
     shown = slice(first, last)
@@ -228,7 +228,7 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
         ):
             if candidate is None:
                 continue
-            simulated = _simulated(candidate, test, name)[shown]
+            simulated = simulated_by(candidate, test, name)[shown]
             above.plot(time, scale * simulated, color=colour, linestyle=dashes, linewidth=1.0, label=words)
             left = fine * (recorded - simulated)
             below.plot(time, left, color=colour, linewidth=0.9)
@@ -249,13 +249,14 @@ def _spectrum(found: Diagnosis) -> Spectrum:
     return next(item for item in regions.spectra if item.channel == regions.channel)
 
 
-def _simulated(candidate: Candidate, test: ObservedTest, name: str) -> FloatArray:
+def simulated_by(candidate: Candidate, test: ObservedTest, name: str) -> FloatArray:
+    """What a candidate predicts of a signal of a test, shape (n,), SI."""
     tests = candidate.fit.parameters.observed.tests
     place = next(k for k, item in enumerate(tests) if item.number == test.number)
     return candidate.fit.predictions[place][name]
 
 
-def _unseen(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
+def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
     """The test and the stretch, first and one past the last sample, held out of the fit with the largest error.
 
     Raises:
@@ -267,7 +268,7 @@ def _unseen(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
             continue
         held = test.purpose > 1
         size = max(8, round(_OVERLAY_S * test.sample_rate_hz))
-        error = (test.signals[channel] - _simulated(found.found.baseline, test, channel)) / found.observed.noise[
+        error = (test.signals[channel] - simulated_by(found.found.baseline, test, channel)) / found.observed.noise[
             channel
         ]
         for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):

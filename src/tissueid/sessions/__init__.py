@@ -1,16 +1,28 @@
 """Sessions: one sitting, any number of tests, in one HDF5 file that is written once (docs/sessions.md)."""
 
-from tissueid.sessions.file import MAX_NUMBERS, read_session, read_session_head, write_session
+from tissueid.sessions.file import (
+    MAX_NUMBERS,
+    read_outline,
+    read_session,
+    read_session_head,
+    read_test,
+    write_session,
+)
 from tissueid.sessions.model import KINDS, SIGNAL_UNITS, Session, Subject, Test
+from tissueid.sessions.outline import Outline, TestOutline
 
 __all__ = [
     "KINDS",
     "MAX_NUMBERS",
     "SIGNAL_UNITS",
+    "Outline",
     "Session",
     "Subject",
     "Test",
+    "TestOutline",
+    "read_outline",
     "read_session",
     "read_session_head",
+    "read_test",
     "write_session",
 ]

@@ -19,6 +19,7 @@ import numpy as np
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
 from tissueid.sessions.model import SIGNAL_NAMES, SIGNAL_UNITS, STATUSES, Session, Subject, Test
+from tissueid.sessions.outline import Outline, TestOutline
 from tissueid.whole_file import whole_file
 
 FORMAT = "tissueid-session"
@@ -166,6 +167,35 @@ def read_session_head(path: Path) -> Session:
         return _read_all_but_tests(file)
 
 
+def read_outline(path: Path) -> Outline:
+    """Read all of a session but its signals, with the same suspicion: a few milliseconds, however long the tests are.
+
+    Raises:
+        SessionFormatError: not there, not a session, or one that breaks the format; says where.
+    """
+    with _opened(path) as file:
+        head = _read_head(file)
+        tests = _tests(file)
+        outline = Outline(head, tuple(_outline(name, _group(tests, name)) for name in sorted(tests)))
+        _check_numbers(sum(test.samples * len(test.signals) for test in outline.tests))
+        return outline
+
+
+def read_test(path: Path, number: int) -> Test:
+    """Read one test of a session, and none of the others' signals.
+
+    Raises:
+        SessionFormatError: not there, not a session, one that breaks the format, or one without such a test.
+    """
+    with _opened(path) as file:
+        _read_all_but_tests(file)
+        tests = _group(file, "tests")
+        name = next((name for name in tests if name.isascii() and name.isdigit() and int(name) == number), None)
+        if name is None:
+            raise SessionFormatError(f"the session has no test {number}")
+        return _read_test(name, _group(tests, name))
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.File]:
     """The file, open to be read; whatever is wrong with it is said as what it is.
@@ -187,17 +217,30 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 
 
 def _read_all_but_tests(file: h5py.File) -> Session:
+    head = _read_head(file)
+    tests = _tests(file)
+    _check_numbers(sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name)))
+    return head
+
+
+def _check_numbers(numbers: int) -> None:
+    if numbers > MAX_NUMBERS:
+        raise SessionFormatError(f"the tests hold {numbers} numbers; at most {MAX_NUMBERS} are read")
+
+
+def _tests(file: h5py.File) -> h5py.Group:
+    tests = _group(file, "tests")
+    if len(tests) > MAX_TESTS:
+        raise SessionFormatError(f"{len(tests)} tests; at most {MAX_TESTS} are read")
+    return tests
+
+
+def _read_head(file: h5py.File) -> Session:
     if _text(file.attrs, "format", "") != FORMAT:
         raise SessionFormatError("not a TissueID session (no format attribute)")
     version = _text(file.attrs, "format_version", "")
     if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
         raise SessionFormatError(f"format version {version or 'missing'}; this software reads {FORMAT_VERSION}")
-    tests = _group(file, "tests")
-    if len(tests) > MAX_TESTS:
-        raise SessionFormatError(f"{len(tests)} tests; at most {MAX_TESTS} are read")
-    numbers = sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name))
-    if numbers > MAX_NUMBERS:
-        raise SessionFormatError(f"the tests hold {numbers} numbers; at most {MAX_NUMBERS} are read")
     return Session(
         instrument=_read_instrument(_group(file, "instrument")),
         subject=_read_subject(file),
@@ -227,7 +270,14 @@ def _read_subject(file: h5py.File) -> Subject:
     return Subject(_text(attributes, "pseudonym", "anonymous"), others)
 
 
-def _read_test(name: str, group: h5py.Group) -> Test:
+def _outline(name: str, group: h5py.Group) -> TestOutline:
+    sizes = {signal: dataset.size for signal, dataset in _datasets(_group(group, "signals"))}
+    if len(set(sizes.values())) != 1:
+        raise SessionFormatError(f"tests/{name}: its signals are not of one length")
+    return TestOutline(_read_test(name, group, signals=False), next(iter(sizes.values())), tuple(sizes))
+
+
+def _read_test(name: str, group: h5py.Group, *, signals: bool = True) -> Test:
     if not (name.isascii() and name.isdigit()):
         raise SessionFormatError(f"tests/{name}: tests are numbered")
     attributes = group.attrs
@@ -245,7 +295,7 @@ def _read_test(name: str, group: h5py.Group) -> Test:
         return Test(
             number=int(name),
             kind=_text(attributes, "kind"),
-            signals=_read_signals(signals := _group(group, "signals")),
+            signals=_read_signals(_group(group, "signals")) if signals else {},
             sample_rate_hz=rate,
             configuration=_text(attributes, "configuration", "indentation"),
             site=_text(attributes, "site", ""),
@@ -256,7 +306,7 @@ def _read_test(name: str, group: h5py.Group) -> Test:
             repeat_of=int(repeat) if repeat else None,
             status=status if status in STATUSES else "completed",
             notes={key: _plain(attributes[key]) for key in attributes if key not in known},
-            units=_read_units(signals),
+            units=_read_units(_group(group, "signals")) if signals else {},
         )
     except SessionFormatError as error:
         raise SessionFormatError(f"tests/{name}: {error}") from error

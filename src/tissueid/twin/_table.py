@@ -45,7 +45,8 @@ def curve(values, shares):  # type: ignore[no-untyped-def]
 
 def reached(tests: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
     """From where to where (m) the probe went in all tests with a stimulus; None where that is no range."""
-    places = [test["position"][np.isfinite(test["position"])] for test in tests if np.ptp(test["command"]) > 0.0]
+    moved = [test for test in tests if "position" in test and "command" in test and np.ptp(test["command"]) > 0.0]
+    places = [test["position"][np.isfinite(test["position"])] for test in moved]
     every = np.concatenate(places) if places else np.zeros(0)
     every = every[np.abs(every) < FARTHEST_M]
     if not every.size:

@@ -31,6 +31,7 @@ class Desk:
     name. ``open_session`` analyses a file on the page of the guided test. ``prepare_test`` fills that page's form
     in (fields of ``Plan`` by their names), shows it and says the words; nothing is energised. ``measured`` are told of
     the file of every session that was recorded or recovered. ``show_file`` opens a document outside the window.
+    ``instrument`` is the address of the instrument that is chosen on the page of the guided test.
     """
 
     around: Surroundings
@@ -42,6 +43,7 @@ class Desk:
     open_session: Callable[[Path], None]
     prepare_test: Callable[[Mapping[str, Any], str], None]
     show_file: Callable[[Path], None]
+    instrument: Callable[[], str] = lambda: ""
 
     @property
     def trail(self) -> Trail:

@@ -1,12 +1,325 @@
-"""The page ``start``."""
+"""The first page: who works, with which instrument, on which session; and what was left unfinished."""
 
 from __future__ import annotations
 
-from tissueid.app.views.view import View
+import functools
+import threading
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtGui import QShowEvent
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
+
+from tissueid.app.calibration_state import CalibrationState
+from tissueid.app.theme import Theme
+from tissueid.app.views.start.parts import brief, cells, heading, under_heading, words
+from tissueid.app.views.start.recent import FolderLook, look_into
+from tissueid.app.views.start.role_card import RoleCard
+from tissueid.app.views.start.rows import Rows
+from tissueid.app.views.start.whereabouts import whereabouts
+from tissueid.app.views.view import Desk, View
+from tissueid.audit import Role
+from tissueid.wording import clean
+
+WHAT_ROLES_DO: dict[Role, str] = {
+    "clinician": "Run a guided test: where to hold the probe, a green light if the test is good, and the tissue's "
+    "mass, damping and stiffness.",
+    "researcher": "Reopen sessions, fit and compare every model of the tissue, and see where a simulation of the "
+    "same test would have been wrong.",
+    "technician": "Look after the instrument: what it is and how it stands, calibrate its coil and its sensors.",
+}
+HINT = "No instrument? simulated://forearm plays one."
+TYPED = "Typed address: tried when the test starts."
+_MOST_NAMES = 3
 
 
 class StartView(View):
-    """The page ``start``."""
+    """The page ``start``. What it asks for the window does: its signals say what.
+
+    ``role_chosen`` carries a role, ``instrument_chosen`` an address.
+    """
 
     name = "start"
     title = "Start"
+    role_chosen = Signal(str)
+    instrument_chosen = Signal(str)
+    find_asked = Signal()
+    recovery_asked = Signal()
+
+    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
+        super().__init__(desk, parent)
+        self._look = FolderLook()
+        self._urls: list[str] = []
+        self._stale, self._reading = True, False
+        self._cancelled = threading.Event()
+        self._then: Callable[[], None] | None = None
+        # Not at once: the window first tells every page that nothing goes on any more.
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(0)
+        self._soon.timeout.connect(self._go_on)
+        self.cards = {role: RoleCard(role, sentence) for role, sentence in WHAT_ROLES_DO.items()}
+        self.recent = Rows("Recent sessions", ("Date", "Site", "Subject", "Quality gate"), (1, 3))
+        self.instruments = Rows("Instruments", ("Instrument", "Health", "Calibration"), (1, 2))
+        self.about_recent, self.about_instruments = words(), words()
+        self.open = QPushButton("Open")
+        self.open.setAccessibleName("Open the selected session")
+        self.stop_reading = QPushButton("Cancel")
+        self.stop_reading.setAccessibleName("Stop reading the folder of sessions")
+        self.use = QPushButton("Use")
+        self.use.setAccessibleName("Use the selected instrument for the next test")
+        self.seek = QPushButton("Fin&d")
+        self.seek.setAccessibleName("Find instruments: ask every port")
+        self.unfinished = words()
+        self.recover = QPushButton("Recover")
+        self.recover.setAccessibleName("Recover all unfinished tests")
+        self.folder = QPushButton("Show folder")
+        self.folder.setAccessibleName("Show the folder of sessions")
+        self._arrange()
+        self._connect()
+        self.take_role(desk.role())
+
+    # -- what the window tells ------------------------------------------------------------------------------
+
+    def settle(self, *, busy: bool, testing: bool) -> None:
+        """Nothing works beside a running test; beside other work only what starts none."""
+        self.setEnabled(not testing)
+        others = busy and not self._reading
+        parts: list[QWidget] = [self.recent, self.seek, self.recover, *self.cards.values()]
+        for part in parts:
+            part.setEnabled(not others)
+        self.stop_reading.setVisible(self._reading)
+        self._enable_choices()
+        if not busy and (self._stale or self._then is not None):
+            self._soon.start()
+
+    def take_role(self, role: Role) -> None:
+        """Mark the card of the role."""
+        for name, card in self.cards.items():
+            card.show_taken(name == role)
+
+    def heard_of(self, path: Path) -> None:
+        """There is one session more."""
+        self._stale = True
+        self._soon.start()
+
+    def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
+        """Show what was found, health and calibration in words; ``chosen`` is what the next test is with."""
+        urls = list(known)
+        if chosen and chosen not in known:
+            urls.insert(0, chosen)
+        lines = []
+        for url in urls:
+            health, state = known.get(url, (TYPED, CalibrationState()))
+            level = "good" if health.startswith("Ready") else "poor" if health.startswith("Does not") else ""
+            calibration = state.words.removeprefix("Calibration: ").capitalize()
+            mark = "✓ " if url == chosen else ""
+            lines.append(
+                ((f"{mark}{clean(url)}", ""), (brief(clean(health)), level), (clean(calibration), state.level))
+            )
+        self._urls = urls
+        self.instruments.fill(lines)
+        for row, url in enumerate(urls):
+            health, state = known.get(url, (TYPED, CalibrationState()))
+            self.instruments.explain(row, "\n".join([health, state.words, *state.warnings]))
+        self.about_instruments.setText(f"The next test is with {clean(chosen)}." if chosen else "None is chosen.")
+        self._enable_choices()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for table in (self.recent, self.instruments):
+            table.paint_with(theme)
+        for card in self.cards.values():
+            card.paint_with(theme)
+
+    def cancel(self) -> None:
+        """Stop reading the folder."""
+        self._cancelled.set()
+
+    def save_state(self) -> None:
+        """The window closes: nothing begins any more."""
+        self._soon.stop()
+        self._stale = False
+
+    def focus_first(self) -> None:
+        """Put the keyboard on the card of the role that is in force."""
+        self.cards[self.desk.role()].setFocus()
+
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
+        """Whoever comes back to the page sees the folder as it is now."""
+        super().showEvent(event)
+        self._stale = True
+        self._soon.start()
+
+    # -- the folder of sessions ------------------------------------------------------------------------------
+
+    def _go_on(self) -> None:
+        """Nothing goes on: do what was asked for meanwhile, or else look into the folder if that is due."""
+        if self.desk.busy or not self.isVisible():
+            return
+        if self._then is not None:
+            then, self._then = self._then, None
+            then()
+        elif self._stale:
+            self._stale, self._reading = False, True
+            self._cancelled = threading.Event()
+            work = functools.partial(look_into, self.desk.around.folder, self._cancelled)
+            self.desk.jobs.do(work, self._looked, self._looking_failed)
+
+    def _looked(self, look: FolderLook) -> None:
+        self._reading = False
+        if self._cancelled.is_set() and self._then is not None:
+            return  # it was cut short for something else
+        self._look = look
+        self.recent.fill([cells(item) for item in look.sessions])
+        self.about_recent.setText(self._words_of(look))
+        count = len(look.unfinished)
+        names = ", ".join(clean(path.name.removesuffix(".journal")) for path in look.unfinished[:_MOST_NAMES])
+        what = "One test was not finished" if count == 1 else f"{count} tests were not finished"
+        self.unfinished.setText(f"{what}: {names}{' …' if count > _MOST_NAMES else ''}. What was recorded is kept.")
+        self._strip.setVisible(count > 0)
+        self._enable_choices()
+
+    def _words_of(self, look: FolderLook) -> str:
+        if look.problem:
+            return look.problem
+        if self._cancelled.is_set():
+            return f"Cancelled: {len(look.sessions)} of {look.count} sessions were read."
+        if not look.count:
+            return "No session is here yet: the first test makes one."
+        return f"The newest {len(look.sessions)} of {look.count}." if look.count > len(look.sessions) else ""
+
+    def _looking_failed(self, words: str) -> None:
+        self._reading = False
+        self.about_recent.setText(words)
+
+    def _when_idle(self, action: Callable[[], None]) -> None:
+        """At once, or as soon as the folder is read; never beside other work."""
+        if not self.desk.busy:
+            action()
+        elif self._reading:
+            self._then = action
+            self._cancelled.set()
+
+    # -- what a person does -----------------------------------------------------------------------------------
+
+    def _choose_role(self, role: Role) -> None:
+        self._when_idle(functools.partial(self.role_chosen.emit, role))
+
+    def _open_row(self, row: int) -> None:
+        if 0 <= row < len(self._look.sessions):
+            self._when_idle(functools.partial(self.desk.open_session, self._look.sessions[row].path))
+
+    def _open_chosen(self) -> None:
+        self._open_row(self.recent.chosen)
+
+    def _use_row(self, row: int) -> None:
+        if 0 <= row < len(self._urls):
+            self.instrument_chosen.emit(self._urls[row])
+
+    def _use_chosen(self) -> None:
+        self._use_row(self.instruments.chosen)
+
+    def _find(self) -> None:
+        self._when_idle(self.find_asked.emit)
+
+    def _recover(self) -> None:
+        self._when_idle(self.recovery_asked.emit)
+
+    def _show_folder(self) -> None:
+        folder = self.desk.around.folder
+        if not folder.is_dir():
+            self.desk.say(f"{folder} is made with the first test.")
+        elif not self.desk.around.show_file(folder):
+            self.desk.say(f"Sessions are kept in {folder}.")
+
+    def _enable_choices(self) -> None:
+        self.open.setEnabled(self.recent.isEnabled() and self.recent.chosen >= 0)
+        self.use.setEnabled(self.instruments.chosen >= 0)
+
+    # -- building ---------------------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        for role, card in self.cards.items():
+            card.clicked.connect(functools.partial(self._choose_role, role))
+        self.recent.taken.connect(self._open_row)
+        self.recent.itemSelectionChanged.connect(self._enable_choices)
+        self.open.clicked.connect(self._open_chosen)
+        self.stop_reading.clicked.connect(self.cancel)
+        self.instruments.taken.connect(self._use_row)
+        self.instruments.itemSelectionChanged.connect(self._enable_choices)
+        self.use.clicked.connect(self._use_chosen)
+        self.seek.clicked.connect(self._find)
+        self.recover.clicked.connect(self._recover)
+        self.folder.clicked.connect(self._show_folder)
+
+    def _arrange(self) -> None:
+        page = QWidget()
+        rows = QVBoxLayout(page)
+        rows.setContentsMargins(16, 10, 16, 10)
+        rows.setSpacing(8)
+        rows.addWidget(heading("Who works?"))
+        cards = QHBoxLayout()
+        cards.setSpacing(10)
+        for card in self.cards.values():
+            cards.addWidget(card, 1)
+        rows.addLayout(cards)
+        rows.addWidget(self._make_strip())
+        columns = QHBoxLayout()
+        columns.setSpacing(16)
+        columns.addLayout(
+            under_heading("Recent sessions", self.about_recent, self.recent, self.stop_reading, self.open), 1
+        )
+        columns.addLayout(
+            under_heading("Instruments", self.about_instruments, self.instruments, self.use, self.seek), 1
+        )
+        rows.addLayout(columns, 1)
+        rows.addWidget(self._make_foot())
+        scroll = QScrollArea()
+        scroll.setWidget(page)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        whole = QVBoxLayout(self)
+        whole.setContentsMargins(0, 0, 0, 0)
+        whole.addWidget(scroll)
+        order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
+        order += [self.instruments, self.use, self.seek, self.folder]
+        for before, after in pairwise(order):
+            QWidget.setTabOrder(before, after)
+
+    def _make_strip(self) -> QWidget:
+        self._strip = QFrame()
+        self._strip.setProperty("role", "notice")
+        row = QHBoxLayout(self._strip)
+        row.setContentsMargins(12, 6, 8, 6)
+        row.addWidget(self.unfinished, 1)
+        row.addWidget(self.recover)
+        self._strip.hide()
+        return self._strip
+
+    def _make_foot(self) -> QWidget:
+        foot = QFrame()
+        foot.setProperty("role", "card")
+        grid = QGridLayout(foot)
+        grid.setContentsMargins(14, 8, 10, 8)
+        grid.setHorizontalSpacing(14)
+        grid.setVerticalSpacing(2)
+        said = words()
+        said.setText(f"Research use only. Not a medical device. Nothing leaves this computer. {HINT}")
+        grid.addWidget(said, 0, 0, 1, 4)
+        grid.addWidget(self.folder, 0, 4)
+        for place, (what, where) in enumerate(whereabouts(self.desk.around, self.desk.settings)):
+            label, path = QLabel(what), words()
+            label.setProperty("role", "field")
+            path.setProperty("role", "readout")
+            path.setText(clean(where))
+            path.setToolTip(clean(where))
+            grid.addWidget(label, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
+            grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
+        grid.setColumnStretch(1, 1)
+        grid.setColumnStretch(3, 1)
+        return foot

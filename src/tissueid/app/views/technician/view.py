@@ -1,12 +1,160 @@
-"""The page ``instrument``."""
+"""The page ``instrument``: health, calibrations, faults and the audit log, for who looks after the coil."""
 
 from __future__ import annotations
 
-from tissueid.app.views.view import View
+from pathlib import Path
+
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.audit_table import AuditTab
+from tissueid.app.views.technician.calibrations import CalibrationsTab
+from tissueid.app.views.technician.errand import Errands
+from tissueid.app.views.technician.faults import FaultsTab
+from tissueid.app.views.technician.health import HealthTab
+from tissueid.app.views.technician.tab import Tab
+from tissueid.app.views.view import Desk, View
+
+_TAB = "instrument/tab"
+_TITLES = ("Health", "Calibrations", "Faults and events", "Audit log")
 
 
 class InstrumentView(View):
-    """The page ``instrument``."""
+    """The page ``instrument``. Each tab reads its files when it is first seen, and nothing else goes on."""
 
     name = "instrument"
     title = "Instrument"
+
+    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
+        super().__init__(desk, parent)
+        self.errands = Errands(desk, self)
+        self._closing = self._busy = False
+        self.health = HealthTab(desk, self.errands)
+        self.calibrations = CalibrationsTab(desk, self.errands)
+        self.faults = FaultsTab(desk, self.errands)
+        self.audit = AuditTab(desk, self.errands)
+        self.all: tuple[Tab, ...] = (self.health, self.calibrations, self.faults, self.audit)
+        self.doing = QLabel()
+        self.doing.setProperty("role", "muted")
+        self.doing.setTextFormat(Qt.TextFormat.PlainText)
+        self.give_up = QPushButton("Cancel")
+        self.give_up.setToolTip("Ends what is being read or asked")
+        self.give_up.clicked.connect(self.errands.cancel)
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        self.tabs.tabBar().setDrawBase(False)
+        self.tabs.tabBar().setAccessibleName("Parts of the page Instrument")
+        for tab, title in zip(self.all, _TITLES, strict=True):
+            self.tabs.addTab(tab, title)
+        self.tabs.setCornerWidget(self._make_corner(), Qt.Corner.TopRightCorner)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(12, 8, 12, 10)
+        layout.addWidget(self.tabs)
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(0)
+        self._soon.timeout.connect(self._bring_up_to_date)
+        self.tabs.setCurrentIndex(self._kept_tab())
+        self.tabs.currentChanged.connect(self._tab_changed)
+        self.errands.changed.connect(self._show_errand)
+        self._keys()
+        self._show_errand()
+
+    def _make_corner(self) -> QWidget:
+        corner = QWidget()
+        row = QHBoxLayout(corner)
+        row.setContentsMargins(0, 0, 0, 2)
+        row.setSpacing(8)
+        row.addWidget(self.doing)
+        row.addWidget(self.give_up)
+        return corner
+
+    def _kept_tab(self) -> int:
+        kept = str(self.desk.settings.value(_TAB, "0"))
+        return int(kept) if kept in {str(number) for number in range(len(self.all))} else 0
+
+    def _keys(self) -> None:
+        for keys, slot in (("F5", self._again), ("Ctrl+F", self._search)):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            shortcut.activated.connect(slot)
+
+    def _again(self) -> None:
+        """F5: ask the instrument, or read anew what the tab shows."""
+        if self._busy:
+            return
+        if self.tabs.currentWidget() is self.health:
+            self.health.begin_asking()
+        else:
+            self._current.load()
+
+    def _search(self) -> None:
+        tab = self._current
+        if isinstance(tab, FaultsTab | AuditTab):
+            tab.search.setFocus()
+            tab.search.selectAll()
+
+    @property
+    def _current(self) -> Tab:
+        return self.all[self.tabs.currentIndex()]
+
+    # -- what happens -------------------------------------------------------------------------------------
+
+    def enter(self) -> None:
+        """What lies in files may have changed since."""
+        for tab in self.all:
+            tab.stale = True
+        self._soon.start()
+
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
+        """Read what is shown, once it is."""
+        super().showEvent(event)
+        self._soon.start()
+
+    def _tab_changed(self) -> None:
+        self._soon.start()
+
+    def _bring_up_to_date(self) -> None:
+        if self._closing or self._busy or self.desk.busy or not self.isVisible():
+            return
+        if self._current.stale:
+            self._current.load()
+
+    def _show_errand(self) -> None:
+        """The words and the button of what goes on; the calibrations know of the instrument that has answered."""
+        self.doing.setText(self.errands.words)
+        self.give_up.setVisible(self.errands.running)
+        checkup = self.health.checkup
+        if not self.errands.running and checkup is not None:
+            self.calibrations.tell_instrument(checkup.nominal)
+
+    def settle(self, *, busy: bool, testing: bool) -> None:
+        """Nothing slow beside something else; the files that are shown can be looked at meanwhile."""
+        self._busy = busy or testing
+        for tab in self.all:
+            tab.settle(busy=self._busy)
+        if not self._busy:
+            self._soon.start()
+
+    def heard_of(self, path: Path) -> None:
+        """A test was measured: what is shown is out of date."""
+        for tab in self.all:
+            tab.stale = True
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for tab in self.all:
+            tab.paint_with(theme)
+
+    def cancel(self) -> None:
+        """The window closes."""
+        self._closing = True
+        self.errands.cancel()
+
+    def save_state(self) -> None:
+        """Which tab is shown, and what each of them keeps."""
+        self.desk.settings.setValue(_TAB, self.tabs.currentIndex())
+        for tab in self.all:
+            tab.save_state()

@@ -1,0 +1,61 @@
+"""Help beside the page that is shown: Markdown from this package, and nothing from anywhere else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from PySide6.QtCore import QUrl
+from PySide6.QtWidgets import QDockWidget, QTextBrowser, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+
+FOLDER = Path(__file__).with_name("help")
+MISSING = "There is no help for this page."
+_WIDTH = 320
+
+
+class _Reader(QTextBrowser):
+    """A browser that follows no link and loads nothing: neither from the network nor from files."""
+
+    def loadResource(self, _kind: int, _url: QUrl | str) -> Any:  # noqa: N802
+        """Nothing."""
+        return None
+
+
+class HelpPanel(QDockWidget):
+    """What the page is for, its steps, its colours and its keys."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__("Help", parent)
+        self.setObjectName("help")
+        self.reader = _Reader()
+        self.reader.setOpenLinks(False)
+        self.reader.setAccessibleName("Help for this page")
+        self.reader.setMinimumWidth(_WIDTH - 40)
+        self.reader.document().setDocumentMargin(10)
+        inside = QWidget()
+        column = QVBoxLayout(inside)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.reader)
+        self.setWidget(inside)
+        self._page = ""
+
+    def show_page(self, name: str) -> None:
+        """Show the help of a page, by its name."""
+        if name != self._page:
+            self._page = name
+            self._fill()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.reader.setStyleSheet(f"QTextBrowser {{ background: {theme.panel}; color: {theme.text}; border: none; }}")
+        self.reader.document().setDefaultStyleSheet(f"a {{ color: {theme.accent}; }}")
+        self._fill()
+
+    def _fill(self) -> None:
+        path = FOLDER / f"{self._page}.md"
+        try:
+            self.reader.setMarkdown(path.read_text(encoding="utf-8") if self._page else "")
+        except OSError:
+            self.reader.setPlainText(MISSING)

@@ -1,0 +1,105 @@
+"""Help and log beside the page: shown and taken away by their keys, or by buttons at the foot of the rail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject, Qt
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtWidgets import QApplication, QDockWidget, QToolButton, QWidget
+
+from tissueid.app.help_panel import HelpPanel
+from tissueid.app.log_panel import LogPanel
+from tissueid.app.theme import Theme
+
+if TYPE_CHECKING:
+    from tissueid.app.main_window import MainWindow
+
+HELP_KEY = "F1"
+LOG_KEY = "F9"
+_HELP_WIDTH = 320
+_LOG_HEIGHT = 150
+_BELOW_HEADER = 60
+
+
+class Panels(QObject):
+    """The two panels of the window."""
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._window = window
+        self.help = HelpPanel(window)
+        self.log = LogPanel(window.around.now, window.around.folder, window)
+        self._before: QWidget | None = None
+        sides = Qt.DockWidgetArea
+        window.addDockWidget(sides.RightDockWidgetArea, self.help)
+        window.addDockWidget(sides.BottomDockWidgetArea, self.log)
+        window.setCorner(Qt.Corner.BottomRightCorner, sides.RightDockWidgetArea)
+        rail = window.ui.rail
+        self.help_button = self._add(self.help, rail.add_foot("Help", HELP_KEY, "Help for this page"), HELP_KEY)
+        self.log_button = self._add(self.log, rail.add_foot("Log", LOG_KEY, "What happened so far"), LOG_KEY)
+        window.ui.notice.said.connect(self.log.note)
+        window.jobs.failed.connect(self._note_failure)
+        self.log.saved.connect(self._tell_saved)
+        self.log.note("TissueID was started.")
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.help.paint_with(theme)
+
+    def _add(self, panel: QDockWidget, button: QToolButton, keys: str) -> QToolButton:
+        panel.hide()
+        features = QDockWidget.DockWidgetFeature
+        panel.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable | features.DockWidgetFloatable)
+        toggle: Callable[..., None] = partial(self._toggle, panel, button)
+        button.clicked.connect(toggle)
+        panel.visibilityChanged.connect(partial(self._follow, panel, button))
+        shortcut = QShortcut(QKeySequence(keys), self._window)
+        shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
+        shortcut.activated.connect(toggle)
+        return button
+
+    def _toggle(self, panel: QDockWidget, button: QToolButton, _checked: bool = False) -> None:
+        """Show a panel and put the keyboard there, or take it away; beside a running test the keyboard stays."""
+        show = panel.isHidden()
+        focus = QApplication.focusWidget()
+        if show:
+            self._place(panel)
+            if not self._window.testing:
+                self._before = focus
+                text = self.help.reader if panel is self.help else self.log.lines
+                text.setFocus()
+            return
+        inside = focus is not None and panel.isAncestorOf(focus)
+        panel.hide()
+        if inside and self._before is not None and self._before.isVisible():
+            self._before.setFocus()
+
+    def _place(self, panel: QDockWidget) -> None:
+        """Show a panel: the help above the page where there is no room for both, below the buttons of the header."""
+        window = self._window
+        if panel is self.help:
+            room = window.width() - _HELP_WIDTH >= window.minimumWidth()
+            panel.setFloating(not room)
+            panel.show()
+            if not room:
+                corner = window.mapToGlobal(window.rect().topRight())
+                panel.resize(_HELP_WIDTH, max(240, window.height() - _BELOW_HEADER - 12))
+                panel.move(corner.x() - _HELP_WIDTH - 12, corner.y() + _BELOW_HEADER)
+        else:
+            panel.show()
+        if not panel.isFloating():
+            across = Qt.Orientation.Horizontal if panel is self.help else Qt.Orientation.Vertical
+            window.resizeDocks([panel], [_HELP_WIDTH if panel is self.help else _LOG_HEIGHT], across)
+        panel.raise_()
+
+    def _follow(self, panel: QDockWidget, button: QToolButton, _visible: bool) -> None:
+        button.setChecked(not panel.isHidden())
+
+    def _note_failure(self, words: str) -> None:
+        self.log.note(words, problem=True)
+
+    def _tell_saved(self, words: str, problem: bool) -> None:
+        self._window.ui.notice.say(words, problem=problem)

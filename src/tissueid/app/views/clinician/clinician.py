@@ -1,0 +1,179 @@
+"""What the page of the guided test does beyond one test: site, contact, repeats, comparison, the report as PDF."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QObject
+
+from tissueid.acquisition.quality import quality_of
+from tissueid.app.findings import Findings
+from tissueid.app.live import Glance
+from tissueid.app.plan import Plan
+from tissueid.app.theme import Theme
+from tissueid.app.views.clinician.body_map import BodyMap
+from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
+from tissueid.app.views.clinician.contact import Contact, contact_in_test
+from tissueid.app.views.clinician.paper import write_paper
+from tissueid.app.views.clinician.sitting import Repeat, Sitting, values_of
+from tissueid.app.views.clinician.watcher import Watcher
+from tissueid.audit import Trail
+from tissueid.device import DeviceDescription
+from tissueid.sessions import Test
+
+if TYPE_CHECKING:
+    from tissueid.app.main_window import MainWindow
+
+
+class Clinician(QObject):
+    """Stands beside the tests of the window, as the calibrator does."""
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._window = window
+        self._map: BodyMap | None = None
+        self.watcher = Watcher(window)
+        self.sitting: Sitting | None = None
+        self._shelf = Shelf()
+        self._cancelled = threading.Event()
+        self._comparison = Comparison()
+        self._found: Findings | None = None
+        ui = window.ui
+        ui.form.map.clicked.connect(self.open_map)
+        ui.gate.repeats.again.connect(window.start_test)
+        ui.gate.repeats.accepted.connect(self.accept)
+        ui.result.comparison.cancel.clicked.connect(self.cancel)
+        ui.result.pdf.clicked.connect(self.write_pdf)
+
+    # -- the window tells --------------------------------------------------------------------------------------
+
+    def planned(self, plan: Plan) -> Plan:
+        """The plan of a test that is about to begin, as a repeat of the sitting that it continues or begins."""
+        if self.sitting is None or not self.sitting.continues(plan):
+            self.sitting = Sitting(plan)
+        return self.sitting.planned(plan)
+
+    @property
+    def earlier(self) -> tuple[Test, ...]:
+        """The tests of the sitting so far: the quality gate judges the next one against them."""
+        return tuple(repeat.test for repeat in self.sitting.counting) if self.sitting is not None else ()
+
+    def follow(self, glance: Glance, device: DeviceDescription | None) -> None:
+        """A test runs."""
+        if device is not None:
+            self._window.ui.guidance.lamp.show_contact(contact_in_test(glance, device))
+
+    def freed(self) -> None:
+        """Nothing is energised any more."""
+        self._window.ui.guidance.lamp.show_contact(Contact.UNWATCHED)
+
+    def found(self, findings: Findings, plan: Plan | None) -> None:
+        """A test was analysed: the newest of the sitting, or one out of a file that was opened."""
+        sitting, ui = self.sitting, self._window.ui
+        if sitting is not None and plan is not None and findings.path == plan.path and not sitting.holds(plan.path):
+            quality = quality_of(findings.test)
+            verdict = None if quality is None else quality.verdict
+            sitting.repeats.append(Repeat(findings.path, findings.test, verdict, values_of(findings.analyses)))
+        self._found, self._comparison = findings, Comparison()
+        shown = sitting if sitting is not None and sitting.holds(findings.path) else None
+        ui.gate.repeats.show_sitting(shown)
+        ui.result.summary.show_sitting(shown)
+        ui.result.comparison.rest()
+        self._compare(findings)
+
+    def settle(self, *, busy: bool, testing: bool) -> None:
+        """Enable what makes sense now."""
+        ui = self._window.ui
+        self.watcher.settle(busy=busy, testing=testing)
+        ui.start.setEnabled(not busy or (self.watcher.watching and not testing))
+        ui.gate.repeats.settle(busy=busy and not self.watcher.watching)
+        ui.result.pdf.setEnabled(not busy)
+
+    def cancel(self) -> None:
+        """End what goes on here, soon."""
+        self._cancelled.set()
+        self.watcher.cancel()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._window.ui.gate.repeats.paint_with(theme)
+
+    # -- a person asks -----------------------------------------------------------------------------------------
+
+    def open_map(self) -> None:
+        """Show the body map, with the site of the form chosen."""
+        if self._map is None:
+            self._map = BodyMap(self._window)
+            self._map.chosen.connect(self._take_site)
+        self._map.show_site(self._window.ui.form.site.currentText())
+
+    def _take_site(self, site: str) -> None:
+        form = self._window.ui.form
+        form.site.setCurrentText(site)
+        form.site.setFocus()
+
+    def accept(self) -> None:
+        """The repeats so far are the result; the next test begins a sitting of its own."""
+        window, sitting = self._window, self.sitting
+        if sitting is None or window.busy or not sitting.counted:
+            return
+        sitting.accepted = True
+        window.ui.gate.repeats.show_sitting(sitting)
+        window.ui.result.summary.show_sitting(sitting)
+        count = f"{sitting.counted} repeats" if sitting.counted > 1 else "One test"
+        window.ui.notice.say(f"{count} accepted. The next test begins a new sitting.")
+        trail = Trail(window.around.audit, window.ui.role.role)
+        new = {"repeats": sitting.counted, "tests": len(sitting.repeats)}
+        work = functools.partial(trail.record, "sitting.accepted", subject=sitting.key, new=new)
+        window.jobs.do(work, self._logged, self._failed)
+        window.ui.result.pdf.setFocus()
+
+    def write_pdf(self) -> None:
+        """Write the shown result as PDF beside its session, and open it."""
+        if self._found is None or self._window.busy:
+            return
+        sitting = self.sitting
+        shown = sitting if sitting is not None and sitting.holds(self._found.path) else None
+        work = functools.partial(write_paper, self._found, shown, self._comparison)
+        self._window.ui.guidance.say("Writing the report.")
+        self._window.jobs.do(work, self._written, self._failed)
+
+    # -- jobs --------------------------------------------------------------------------------------------------
+
+    def _compare(self, findings: Findings) -> None:
+        if findings.session.subject.pseudonym in ("", "anonymous") or not findings.analyses:
+            return
+        self._cancelled = threading.Event()
+        self._window.ui.result.comparison.expect()
+        work = functools.partial(
+            compare_with,
+            findings.path.parent,
+            findings.session,
+            findings.path,
+            findings.test,
+            self._shelf,
+            self._cancelled,
+        )
+        self._window.jobs.do(work, self._compared, self._not_compared)
+
+    def _compared(self, comparison: Comparison) -> None:
+        self._comparison = comparison
+        self._window.ui.result.comparison.show_comparison(comparison)
+
+    def _not_compared(self, words: str) -> None:
+        self._window.ui.result.comparison.rest()
+        self._window.ui.notice.say(words, problem=True)
+
+    def _written(self, path: Path) -> None:
+        self._window.rest()
+        self._window.show_report(path)
+
+    def _failed(self, words: str) -> None:
+        self._window.rest()
+        self._window.ui.notice.say(words, problem=True)
+
+    def _logged(self, _: object) -> None:
+        """It is in the audit log; there is nothing to say."""

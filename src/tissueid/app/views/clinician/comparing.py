@@ -1,0 +1,159 @@
+"""The same subject's other sites and earlier sittings, read out of the sessions folder. Nothing here knows Qt."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tissueid.acquisition.quality import quality_of
+from tissueid.analysis import analyse_all
+from tissueid.app.plan import ANONYMOUS
+from tissueid.app.views.clinician.sitting import QUANTITIES, values_of
+from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.records import Estimate
+from tissueid.sessions import Session, Test, read_session, read_session_head
+from tissueid.wording import clean
+
+MOST_READ = 20
+"""Sessions of one subject that are identified, the newest ones."""
+MOST_LOOKED_AT = 2000
+"""Files in the folder whose heads are read."""
+LARGEST_BYTES = 50_000_000
+"""A larger file is a long sitting of a researcher, and takes a while to read."""
+MOST_SHOWN = 8
+_LONGEST_SITE = 26
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one sitting found at one site. ``values`` have the deviation of one test; ``count`` tests went into it."""
+
+    key: str
+    created: str
+    site: str
+    values: dict[str, Estimate]
+    count: int = 1
+    this: bool = False
+
+    @property
+    def label(self) -> str:
+        """Date and site, short, with the number of tests where they are several."""
+        site = clean(self.site)
+        site = site if len(site) <= _LONGEST_SITE else site[: _LONGEST_SITE - 1] + "…"
+        return f"{self.created[:10]}  {site}" + (f"  ×{self.count}" if self.count > 1 else "")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Sightings, newest first, the test that is asked about among them. ``left_out`` says what was not read."""
+
+    sightings: tuple[Sighting, ...] = ()
+    left_out: str = ""
+
+
+@dataclass
+class Shelf:
+    """What was identified once in this window is not identified again while its file stays as it is."""
+
+    kept: dict[tuple[Path, int, int], tuple[Sighting, ...]] = field(default_factory=dict)
+
+
+def compare_with(
+    folder: Path, session: Session, path: Path, test: Test, shelf: Shelf, cancelled: threading.Event
+) -> Comparison:
+    """Sittings of the subject of a session, from a folder; files that are no sessions are passed over.
+
+    A subject without a pseudonym is compared with nobody: that would be with everybody.
+    """
+    if session.subject.pseudonym == ANONYMOUS:
+        return Comparison()
+    mine, skipped = _files_of(folder, session.subject.pseudonym, path, cancelled)
+    found: list[Sighting] = []
+    for file in [path, *mine[:MOST_READ]]:
+        if cancelled.is_set():
+            return Comparison(left_out="The comparison was cancelled.")
+        try:
+            state = file.stat()
+            key = (file, state.st_mtime_ns, state.st_size)
+            if key not in shelf.kept:
+                shelf.kept[key] = tuple(_sightings(session if file == path else read_session(file)))
+            found += shelf.kept[key]
+        except (TissueIDError, OSError):
+            skipped += 1
+    here = (str(test.notes.get("sitting") or session.session_id), test.site)
+    joined = [replace(one, this=(one.key, one.site) == here) for one in _joined(found)]
+    joined.sort(key=lambda one: one.created, reverse=True)
+    shown = joined[:MOST_SHOWN]
+    if not any(one.this for one in shown):
+        shown = [*shown[: MOST_SHOWN - 1], *(one for one in joined if one.this)]
+    words = []
+    if len(mine) > MOST_READ or len(joined) > len(shown):
+        words.append(f"Only the newest {len(shown)} sittings are shown.")
+    if skipped:
+        words.append(f"{skipped} {'file was' if skipped == 1 else 'files were'} passed over.")
+    return Comparison(tuple(shown), " ".join(words))
+
+
+def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Event) -> tuple[list[Path], int]:
+    """Sessions of a subject in a folder but for one, newest first, and how many files are of no use."""
+    try:
+        files = [file for file in folder.glob("*.h5") if file.is_file() and file.resolve() != path.resolve()]
+        files.sort(key=lambda file: file.stat().st_mtime, reverse=True)
+    except OSError:
+        return [], 0
+    found: list[tuple[str, Path]] = []
+    skipped = 0
+    for file in files[:MOST_LOOKED_AT]:
+        if cancelled.is_set():
+            break
+        try:
+            head = read_session_head(file)
+            if head.subject.pseudonym != pseudonym:
+                continue
+            if file.stat().st_size > LARGEST_BYTES:
+                skipped += 1
+                continue
+        except (TissueIDError, OSError):
+            skipped += 1
+            continue
+        found.append((head.created, file))
+    return [file for _, file in sorted(found, reverse=True)], skipped
+
+
+def _sightings(session: Session) -> Iterable[Sighting]:
+    """One a test that can be identified and that the gate did not want repeated."""
+    for test in session.tests:
+        quality = quality_of(test)
+        if test.kind != "stochastic" or test.status != "completed" or (quality and quality.verdict == "repeat"):
+            continue
+        try:
+            values = values_of(analyse_all(session, ("lms",), test=test))
+        except UnusableInputError:
+            continue
+        if values:
+            key = str(test.notes.get("sitting") or session.session_id)
+            yield Sighting(key, session.created, test.site, values)
+
+
+def _joined(found: Sequence[Sighting]) -> list[Sighting]:
+    """Sightings of one sitting at one site as one: their mean, with the deviation of one test among them."""
+    groups: dict[tuple[str, str], list[Sighting]] = {}
+    for one in found:
+        groups.setdefault((one.key, one.site), []).append(one)
+    return [group[0] if len(group) == 1 else _mean(group) for group in groups.values()]
+
+
+def _mean(group: Sequence[Sighting]) -> Sighting:
+    values = {}
+    for name in QUANTITIES:
+        known = [one.values[name].value for one in group if name in one.values]
+        known = [value for value in known if math.isfinite(value)]
+        if known:
+            std = float(np.std(known, ddof=1)) if len(known) > 1 else None
+            values[name] = Estimate(float(np.mean(known)), std)
+    return replace(group[0], values=values, count=len(group), created=max(one.created for one in group))

@@ -1,0 +1,115 @@
+"""A subject's sittings side by side: one row each, mass, damping and stiffness as dots with their deviation."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.clinician.comparing import Comparison
+from tissueid.app.views.clinician.sitting import QUANTITIES
+from tissueid.wording import named_unit, people_unit
+
+_ROW = 17
+_AROUND = 62
+_LABELS = 215
+_LEGEND = "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
+READING = "Reading the subject's other sittings…"
+
+
+class ComparisonCard(QFrame):
+    """Hidden until there is something to compare with. ``cancel`` ends the reading."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.heading = QLabel("Compared with the subject's other sites and sittings")
+        self.heading.setProperty("role", "heading")
+        self.words = QLabel()
+        self.words.setProperty("role", "field")
+        self.words.setWordWrap(True)
+        self.words.setMinimumWidth(1)
+        self.words.setTextFormat(Qt.TextFormat.PlainText)
+        self.cancel = QPushButton("Cancel comparison")
+        top = QHBoxLayout()
+        top.setContentsMargins(2, 0, 0, 0)
+        top.addWidget(self.heading)
+        top.addWidget(self.words, 1)
+        top.addWidget(self.cancel)
+        self.cards: list[PlotCard] = []
+        self._parts = []
+        row = QHBoxLayout()
+        row.setSpacing(8)
+        for place, quantity in enumerate(QUANTITIES):
+            name, si_unit = named_unit(quantity)
+            key = {"this sitting": "model", "others": "measured"} if place == 0 else {}
+            card = PlotCard(name, "± one standard deviation", people_unit(si_unit)[0], key=key)
+            axis = card.plot.getAxis("left")
+            axis.setWidth(_LABELS if place == 0 else 8)
+            bars = [card.line(role, width=2) for role in ("measured", "model")]
+            dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]
+            self._parts.append((bars, dots))
+            self.cards.append(card)
+            row.addWidget(card, 0 if place else 1)
+            row.setStretch(place, 30 if place else 47)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(3)
+        layout.addLayout(top)
+        layout.addLayout(row)
+        self.setToolTip(_LEGEND)
+        self._row = row
+        self.hide()
+
+    def expect(self) -> None:
+        """The folder is being read."""
+        self.words.setText(READING)
+        self.cancel.show()
+        for card in self.cards:
+            card.hide()
+        self.show()
+
+    def rest(self) -> None:
+        """There is nothing to compare with."""
+        self.hide()
+
+    def show_comparison(self, comparison: Comparison) -> None:
+        """Show the sittings, the newest on top; nothing where there is but one."""
+        sightings = comparison.sightings
+        self.cancel.hide()
+        if len(sightings) < 2:
+            self.hide()
+            return
+        self.words.setText(comparison.left_out)
+        rows = range(len(sightings), 0, -1)
+        ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
+        for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):
+            scale = people_unit(named_unit(quantity)[1])[1]
+            for which, (bar, dot) in enumerate(zip(bars, dots, strict=True)):
+                x, y, ends, heights = [], [], [], []
+                for row, one in zip(rows, sightings, strict=True):
+                    found = one.values.get(quantity)
+                    if found is None or one.this is not bool(which):
+                        continue
+                    x.append(scale * found.value)
+                    y.append(float(row))
+                    reach = scale * (found.std or 0.0)
+                    ends += [x[-1] - reach, x[-1] + reach, np.nan]
+                    heights += [float(row), float(row), np.nan]
+                dot.setData(np.array(x), np.array(y))
+                bar.setData(np.array(ends), np.array(heights))
+            first = quantity == QUANTITIES[0]
+            card.plot.getAxis("left").setTicks([ticks if first else [(row, "") for row, _ in ticks], []])
+            card.plot.setYRange(0.5, len(sightings) + 0.5, padding=0.0)
+            card.plot.enableAutoRange(axis="x")
+            card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
+            card.show()
+        said = "; ".join(f"{one.label}{', this sitting' if one.this else ''}" for one in sightings)
+        self.setAccessibleName(f"Comparison of {len(sightings)} sittings: {said}")
+        self.show()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in self.cards:
+            card.paint_with(theme)

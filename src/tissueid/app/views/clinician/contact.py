@@ -1,0 +1,87 @@
+"""Whether the probe stands on the skin, from what the instrument tells with its coil free or while it is placed."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.acquisition import Phase
+from tissueid.app.live import Glance
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
+
+MARGIN_M = 1.0e-3
+"""So near an end of the stroke the probe counts as being there, as where a test places it."""
+MOVING_M = 0.5e-3
+"""A probe that goes further than this in a quarter of a second is on its way."""
+RECENT_S = 0.25
+_LAID = 0.5 * GRAVITY_M_S2
+"""Less gravity along the stroke does not lay a free probe onto the skin."""
+
+
+class Contact(Enum):
+    """How the probe stands; the value is what a person reads."""
+
+    UNWATCHED = "Contact is not watched"
+    FINDING = "Finding the skin"
+    OFF = "Off the skin: bring the probe down onto it"
+    ON = "On the skin"
+    TOO_FAR = "Pressed too far: lift the instrument a little"
+    TOO_DEEP = "Pressed too far: the probe is near the end of its stroke"
+    MOVING = "Moving: hold still"
+    UNTOLD = "Held so that gravity does not lay the probe down: the test finds the skin"
+
+    @property
+    def level(self) -> str:
+        """Of which colour it is: good, check, or none."""
+        if self is Contact.ON:
+            return "good"
+        return "" if self in (Contact.UNWATCHED, Contact.FINDING, Contact.UNTOLD) else "check"
+
+
+def contact_of_free(samples: NDArray[np.void], device: DeviceDescription) -> Contact:
+    """How a probe stands whose coil is free, from the newest samples, shape (k,) of SAMPLE."""
+    position = _known(samples["position"])
+    along = _known(samples["acceleration_x"])
+    if not position.size:
+        return Contact.FINDING
+    where = _at_an_end(position, device.stroke_m)
+    if along.size and float(along.mean()) < _LAID and where is not Contact.ON:
+        return Contact.UNTOLD
+    return where
+
+
+def contact_in_test(glance: Glance, device: DeviceDescription) -> Contact:
+    """How it stands while a test runs."""
+    if glance.phase is None:
+        return Contact.FINDING
+    if glance.phase is Phase.RELEASE:
+        return Contact.UNWATCHED
+    newest = glance.time_s[-1:] - RECENT_S
+    position = _known(glance.position_m[glance.time_s >= newest]) if newest.size else np.zeros(0)
+    if glance.phase is Phase.PLACE:
+        found = _at_an_end(position, device.stroke_m) if position.size else Contact.FINDING
+        return Contact.FINDING if found is Contact.MOVING else found
+    safety = glance.safety
+    if safety is None or safety.contact is None:
+        return Contact.FINDING
+    if not safety.contact:
+        return Contact.OFF
+    if position.size and float(position.max()) > safety.limits.max_position_m - MARGIN_M:
+        return Contact.TOO_DEEP
+    return Contact.ON
+
+
+def _at_an_end(position: NDArray[np.float64], stroke_m: float) -> Contact:
+    """By positions, shape (k,), m, that grow into the tissue: a probe that meets nothing is at the far end."""
+    middle = float(np.median(position))
+    if middle > stroke_m - MARGIN_M:
+        return Contact.OFF
+    if middle < MARGIN_M:
+        return Contact.TOO_FAR
+    return Contact.MOVING if float(np.ptp(position)) > MOVING_M else Contact.ON
+
+
+def _known(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(values[np.isfinite(values)], np.float64)

@@ -1,0 +1,122 @@
+"""Watching a probe whose coil is free: is it on the skin, and is the button on the instrument pressed."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.app.instruments import greatest_force_n
+from tissueid.app.views.clinician.contact import RECENT_S, Contact, contact_of_free
+from tissueid.device import DeviceDescription
+from tissueid.instrument import SAMPLE, Instrument, SimulatedInstrument
+from tissueid.wire import Flag
+
+LONGEST_S = 180.0
+"""A watch that is forgotten lets go of the port after this long."""
+_POLL_S = 0.05
+
+
+class Sight:
+    """What the watch sees, between the thread that polls and the window that looks.
+
+    ``armed`` is set by the window: only then does the button on the instrument count, once it was seen up.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._contact = Contact.FINDING
+        self.device: DeviceDescription | None = None
+        self.greatest_force_n = math.inf
+        self.has_button = False
+        self.refused = False
+        self.armed = threading.Event()
+
+    @property
+    def contact(self) -> Contact:
+        """How the probe stands now."""
+        with self._lock:
+            return self._contact
+
+    @contact.setter
+    def contact(self, found: Contact) -> None:
+        with self._lock:
+            self._contact = found
+
+
+@dataclass(frozen=True)
+class Watched:
+    """How a watch ended: ``pressed`` where the button was pressed and let go of while that meant to start."""
+
+    pressed: bool = False
+    too_long: bool = False
+
+
+def watch(
+    url: str,
+    sight: Sight,
+    stop: threading.Event,
+    opener: Callable[[str], Instrument],
+    calibrate: Callable[[Instrument], object],
+) -> Watched:
+    """Read the instrument until ``stop``; the coil stays free throughout.
+
+    Raises:
+        TissueIDError, OSError: the instrument cannot be opened, or is lost.
+    """
+    instrument = opener(url)
+    try:
+        calibrate(instrument)
+        device = instrument.device
+        simulated = isinstance(instrument, SimulatedInstrument)
+        sight.has_button = not simulated
+        sight.greatest_force_n = greatest_force_n(instrument)
+        sight.device = device
+        recent: NDArray[np.void] = np.zeros(0, SAMPLE)
+        button = _Button()
+        seen = 0
+        while not stop.is_set():
+            samples = instrument.poll(_POLL_S)
+            if simulated:
+                stop.wait(samples.size / device.sample_rate_hz)
+            seen += samples.size
+            recent = np.concatenate([recent, samples])[-round(RECENT_S * device.sample_rate_hz) :]
+            sight.contact = contact_of_free(recent, device)
+            received = samples["flags"][np.isfinite(samples["position"])]
+            if button.told(received, armed=sight.armed.is_set()):
+                # Where the probe is off the skin a press is more likely a slip than a wish.
+                if sight.contact in (Contact.ON, Contact.UNTOLD):
+                    return Watched(pressed=True)
+                sight.refused = True
+            if seen > LONGEST_S * device.sample_rate_hz:
+                return Watched(too_long=True)
+        return Watched()
+    finally:
+        instrument.close()
+
+
+class _Button:
+    """Tells a press and its release from a button that was down before it meant something."""
+
+    def __init__(self) -> None:
+        self._was_up = False
+        self._down = False
+
+    def told(self, flags: NDArray[np.uint16], *, armed: bool) -> bool:
+        """Whether it was pressed and let go of; flags of the newest samples, shape (k,)."""
+        if not armed:
+            self._was_up = self._down = False
+            return False
+        for down in (flags & Flag.BUTTON) != 0:
+            if down:
+                self._down = self._was_up
+                continue
+            if self._down:
+                self._was_up = self._down = False
+                return True
+            self._was_up = True
+        return False

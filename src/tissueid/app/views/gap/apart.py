@@ -1,0 +1,114 @@
+"""Work in a process of its own, with helpers of its own, all of which leave at once when nobody wants it any more."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from tissueid.gap.workers import Crew
+
+R = TypeVar("R")
+Step = Callable[[str, int, int], None]
+"""Is told what is being done, and how much of how much of it."""
+Work = Callable[[Step, "Crew", Callable[[], bool]], R]
+
+_POLL_S = 0.1
+_LEAVING_S = 0.8
+_LEAVE = "leave"
+
+
+def done_apart(work: Work[R], step: Step, cancelled: Callable[[], bool]) -> R | None:
+    """What a piece of work comes to; None where it was cancelled. The work must be one that can be sent away.
+
+    A diagnosis in a thread would hold the window up whenever it is between two compiled loops, and could not be ended
+    in the midst of a fit.
+
+    Raises:
+        RuntimeError: the process ended without a word.
+        Exception: whatever the work raised.
+    """
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(work, theirs))
+    process.start()
+    theirs.close()
+    try:
+        while not cancelled():
+            if not ours.poll(_POLL_S):
+                continue
+            kind, content = ours.recv()
+            if kind == "step":
+                step(*content)
+            elif kind == "failed":
+                raise content
+            else:
+                return content  # type: ignore[no-any-return]
+        return None
+    except EOFError:
+        raise RuntimeError("the process of a diagnosis ended without a word") from None
+    finally:
+        with contextlib.suppress(OSError):
+            ours.send(_LEAVE)
+        process.join(_LEAVING_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        ours.close()
+
+
+def _work(work: Work[object], out: Connection) -> None:
+    # Runs in the new process.
+    left = threading.Event()
+    threading.Thread(target=_listen, args=(out, left), daemon=True).start()
+    try:
+        found = _with_helpers(work, lambda what, done, total: out.send(("step", (what, done, total))), left.is_set)
+    except Exception as error:  # noqa: BLE001 - it is raised again on the other side, if anybody is still there
+        _say(out, ("failed", error), left)
+    else:
+        _say(out, ("done", found), left)
+
+
+def _with_helpers(work: Work[R], step: Step, left: Callable[[], bool]) -> R:
+    from tissueid.gap.workers import Alone, Pool
+
+    count = os.cpu_count() or 1
+    if count == 1:
+        return work(step, Alone(), left)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_follow) as executor:
+        return work(step, Pool(executor), left)
+
+
+def _say(out: Connection, what: tuple[str, object], left: threading.Event) -> None:
+    if not left.is_set():
+        with contextlib.suppress(OSError):
+            out.send(what)
+
+
+def _listen(out: Connection, left: threading.Event) -> None:
+    # Whether the window says that nobody wants it any more, or has died: fits that have begun need not end.
+    with contextlib.suppress(EOFError, OSError):
+        out.recv()
+    left.set()
+    for helper in multiprocessing.active_children():
+        helper.terminate()
+
+
+def _follow() -> None:
+    # In a helper: go where its parent has gone. It would otherwise wait for work for ever.
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_outlive_nobody, args=(parent,), daemon=True).start()
+
+
+def _outlive_nobody(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(0)

@@ -1,0 +1,109 @@
+"""One diagnosis, off the window's thread: what is asked for, the work, and what comes of it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissueid.app.views.gap.apart import Step, done_apart
+from tissueid.errors import UnusableInputError
+
+if TYPE_CHECKING:
+    from tissueid.app.views.gap.story import Story
+    from tissueid.gap.diagnosis import Diagnosis
+    from tissueid.gap.workers import Crew
+    from tissueid.instrument.twin_file import TwinFile
+
+_PHASES = {
+    "baseline": "Fitting the baseline twin",
+    "screening": "Looking at every known effect",
+    "candidates": "Fitting the likeliest effects",
+    "leading candidates": "Fitting the leading effects to the end",
+    "pairs": "Fitting pairs of effects",
+    "leading pairs": "Fitting the leading pairs to the end",
+}
+_LAST = "Working out where, which and how far"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be diagnosed; without a ``twin`` from the nominal one. ``fit`` and ``check`` number tests."""
+
+    session: Path
+    twin: Path | None = None
+    fit: tuple[int, ...] = ()
+    check: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """A diagnosis with what it was asked of; ``story`` is what the page shows of it.
+
+    Of all fits only the baseline's and the best one's are kept: the others take a hundred megabytes.
+    """
+
+    asked: Asked
+    session_id: str
+    site: str
+    twin: TwinFile | None
+    diagnosis: Diagnosis
+    story: Story
+
+
+def numbers_of_tests(text: str, what: str) -> tuple[int, ...]:
+    """Numbers as a person types them, with commas or blanks between.
+
+    Raises:
+        UnusableInputError: something else stands there.
+    """
+    try:
+        return tuple(int(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise UnusableInputError(f"{what}: give numbers of tests with commas between them, not {text[:40]!r}") from None
+
+
+def run(asked: Asked, step: Step, cancelled: Callable[[], bool], *, apart: bool) -> Result | None:
+    """Diagnose a session, with ``apart`` in other processes; None where it was cancelled.
+
+    Raises:
+        UnusableInputError: the session, the twin or the numbers of tests cannot be used.
+    """
+    step("Starting", 0, 0)
+    if apart:
+        return done_apart(functools.partial(_diagnosed, asked), step, cancelled)
+    from tissueid.gap.fitting import Cancelled
+    from tissueid.gap.workers import Alone
+
+    try:
+        return _diagnosed(asked, step, Alone(), cancelled)
+    except Cancelled:
+        return None
+
+
+def _diagnosed(asked: Asked, step: Step, crew: Crew, cancelled: Callable[[], bool]) -> Result:
+    # Imported here and not above: the window should not wait for what only this needs.
+    from tissueid.app.views.gap.story import story_of
+    from tissueid.gap import diagnose, observe
+    from tissueid.gap.named import believing
+    from tissueid.gap.search import Found, Progress
+    from tissueid.instrument.twin_file import read_twin
+    from tissueid.sessions import read_session
+
+    def told(progress: Progress) -> None:
+        over = progress.what.startswith("leading") and progress.done == progress.total
+        step(_LAST if over else _PHASES.get(progress.what, progress.what), progress.done, progress.total)
+
+    step("Reading the session", 0, 0)
+    twin = None if asked.twin is None else read_twin(asked.twin)
+    session = read_session(asked.session)
+    observed = observe(session, asked.fit, asked.check)
+    known: tuple[str, ...] = ()
+    if twin is not None:
+        observed, known = believing(observed, twin.twin), twin.twin.effects
+    found = diagnose(observed, crew, known=known, progress=told, cancelled=cancelled)
+    found = replace(found, found=Found(found.found.baseline, (), ()))
+    sites = dict.fromkeys(test.site for test in session.tests if test.site)
+    return Result(asked, session.session_id, next(iter(sites), ""), twin, found, story_of(found, session))

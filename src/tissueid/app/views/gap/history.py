@@ -1,0 +1,91 @@
+"""The diagnoses of this sitting, to compare: session, verdict, stage and effect."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.views.gap.diagnosing import Result
+from tissueid.app.views.gap.words import STAGE_TITLES, VERDICT_WORDS
+from tissueid.wording import clean
+
+_WIDTH = 196
+_MOST = 20
+"""Each takes some twenty megabytes."""
+_LONGEST = 40
+
+
+class History(QWidget):
+    """The newest first. ``chosen`` says that another one is to be shown."""
+
+    chosen = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedWidth(_WIDTH)
+        self._results: list[Result] = []
+        self.list = QListWidget()
+        self.list.setAccessibleName("Diagnoses of this sitting, newest first")
+        self.list.setWordWrap(True)
+        self.list.setSpacing(2)
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.list.currentRowChanged.connect(self._tell)
+        self.remove = QPushButton("Remove")
+        self.remove.setAccessibleName("Remove the chosen diagnosis from the list")
+        self.remove.clicked.connect(self._remove)
+        heading = QLabel("Diagnoses")
+        heading.setProperty("role", "heading")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(6)
+        column.addWidget(heading)
+        column.addWidget(self.list, 1)
+        column.addWidget(self.remove)
+        self._tell()
+
+    @property
+    def result(self) -> Result | None:
+        """The chosen one."""
+        row = self.list.currentRow()
+        return self._results[row] if 0 <= row < len(self._results) else None
+
+    def add(self, result: Result) -> None:
+        """Put a diagnosis on top and choose it; the oldest goes where there are too many."""
+        self._results.insert(0, result)
+        words = _words(result)
+        item = QListWidgetItem("\n".join(words))
+        item.setToolTip(clean(str(result.asked.session)))
+        item.setData(Qt.ItemDataRole.AccessibleTextRole, ", ".join(words))
+        self.list.blockSignals(True)
+        self.list.insertItem(0, item)
+        while len(self._results) > _MOST:
+            self._results.pop()
+            self.list.takeItem(len(self._results))
+        self.list.setCurrentRow(0)
+        self.list.blockSignals(False)
+        self._tell()
+
+    def _remove(self) -> None:
+        row = self.list.currentRow()
+        if 0 <= row < len(self._results):
+            self.list.blockSignals(True)
+            del self._results[row]
+            self.list.takeItem(row)
+            self.list.blockSignals(False)
+            self._tell()
+
+    def _tell(self) -> None:
+        self.remove.setEnabled(self.result is not None)
+        self.chosen.emit()
+
+
+def _words(result: Result) -> list[str]:
+    story = result.story
+    words = [clean(result.asked.session.name)[:_LONGEST], VERDICT_WORDS[story.verdict]]
+    if story.verdict != "no_gap":
+        words[1] += f"  ·  {STAGE_TITLES[story.at_fault]}"
+    if story.effect:
+        words.append(story.effect[:1].upper() + story.effect[1:])
+    if result.twin is not None:
+        words.append(f"from twin {result.twin.name}")
+    return words

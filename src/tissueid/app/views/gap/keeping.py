@@ -1,0 +1,115 @@
+"""What is kept of a diagnosis: a twin, a report, an answer for scripts. All of it off the window's thread."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from tissueid.app.views.gap.diagnosing import Result
+from tissueid.audit import Trail
+from tissueid.errors import UnusableInputError
+from tissueid.whole_file import whole_file
+from tissueid.wording import clean
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}")
+_SUFFIX = ".toml"
+
+
+def why_not_accepted(result: Result) -> str:
+    """Why there is nothing to make a twin of; nothing where there is."""
+    if result.diagnosis.verdict == "no_gap":
+        return "There is nothing to accept: there is no gap, so the twin may be used as it is."
+    if result.diagnosis.verdict != "effect" or result.diagnosis.best is None:
+        return "There is nothing to accept: no known effect explains the gap."
+    return ""
+
+
+def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
+    """Save the twin that has the named effect, and log it; returns what is to be said.
+
+    Raises:
+        UnusableInputError: nothing was named, the file's name makes no name of a twin, or it cannot be written.
+    """
+    from tissueid.gap.named import file_of
+    from tissueid.instrument.twin_file import check_twin_writable, write_twin
+
+    found = result.diagnosis
+    if why := why_not_accepted(result):
+        raise UnusableInputError(why)
+    assert found.best is not None
+    check_twin_writable(path)
+    name = path.stem if result.twin is None else result.twin.name
+    if _NAME.fullmatch(name) is None:
+        raise UnusableInputError(
+            f"a twin is called by its file: {clean(name)[:40]!r} must begin with a letter or digit and have only "
+            "letters of the English alphabet, digits, blanks, dots, dashes and underscores"
+        )
+    content = file_of(
+        found.best,
+        name,
+        session_id=result.session_id,
+        verdict=found.verdict,
+        closed=found.gap.closed,
+        probability=found.ranking[0].probability if found.ranking else None,
+        before=result.twin,
+    )
+    write_twin(path, content)
+    effects = [item.name for item in content.effects]
+    made = {"file": path.name, "name": content.name, "version": content.version, "effects": effects}
+    trail.note("twin.accepted", subject=result.session_id, new=made)
+    unlogged = trail.settle()
+    said = f"The twin {content.name}, version {content.version}, is saved in {path}."
+    return f"{said} It is not in the audit log: {unlogged}" if unlogged else said
+
+
+def report_beside(result: Result) -> Path:
+    """Write the page of a diagnosis beside its session; returns its path.
+
+    Raises:
+        OSError: it cannot be written there.
+    """
+    from tissueid.reports.gap import write_gap_report
+
+    path = result.asked.session.with_name(f"{result.asked.session.stem}-gap.html")
+    write_gap_report(result.diagnosis, path)
+    return path
+
+
+def export_json(result: Result, path: Path) -> Path:
+    """Write the answer that ``tissueid gap diagnose --json`` gives, whole or not at all; returns its path.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    from tissueid.gap import as_answer
+
+    text = json.dumps(_finite(as_answer(result.diagnosis)), indent=2, allow_nan=False) + "\n"
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return path
+
+
+def proposed_twin(result: Result) -> Path:
+    """A file for the twin beside the session: over the one that it improves, or one of a name that is free."""
+    if result.asked.twin is not None:
+        return result.asked.twin
+    folder = result.asked.session.parent
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(result.diagnosis.combination)).strip("-._") or "twin"
+    path, number = folder / f"{stem}{_SUFFIX}", 2
+    while path.exists():
+        path, number = folder / f"{stem}-{number}{_SUFFIX}", number + 1
+    return path
+
+
+def _finite(value: Any) -> Any:
+    # What is no number is null, as the command has it.
+    if isinstance(value, dict):
+        return {str(name): _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.item() if hasattr(value, "item") else value

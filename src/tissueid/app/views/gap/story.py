@@ -1,0 +1,224 @@
+"""What the page shows of a diagnosis: words, shares and curves in the units that people read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.app.views.gap.overlay import Overlay, overlays_of
+from tissueid.app.views.gap.proposal import Proposal, proposal_of
+from tissueid.app.words import sentence
+from tissueid.errors import UnusableInputError
+from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.evidence import MARGIN
+from tissueid.gap.named import twin_of
+from tissueid.gap.regions import Profile, Spectrum
+from tissueid.records import Estimate
+from tissueid.reports.gap import effect_words, headline_of, next_steps_of, sentences_of
+from tissueid.sessions import Session
+from tissueid.twin.catalogue import library
+from tissueid.twin.effect import STAGES, Stage
+from tissueid.wording import clean, fixed, number, people_unit, plus_minus, with_unit
+
+Array = NDArray[np.float64]
+
+FINE_UNITS = {"voltage": ("mV", 1e3), "current": ("mA", 1e3), "position": ("µm", 1e6)}
+_PROFILES = (("depth_m", 1e3), ("velocity_m_s", 1e3), ("time_s", 1.0))
+_LEAST_FLOORS = 0.01
+
+
+@dataclass(frozen=True)
+class StageStory:
+    """One stage of the chain: its share of what stands above the floor, 0 to 1, and what speaks against it."""
+
+    stage: Stage
+    share: float
+    lit: bool
+    evidence: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SpectrumStory:
+    """Amplitude densities of a signal and of what the baseline leaves of it; all of them decimal logarithms.
+
+    ``frequency`` (of Hz) and every array of ``lines`` (of ``unit``/√Hz), by its name, are of shape (n,); NaN is not
+    drawn.
+    """
+
+    channel: str
+    unit: str
+    frequency: Array
+    lines: Mapping[str, Array]
+    bands: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class ProfileStory:
+    """Error along something: ``middle`` of each bin, decimal logarithm of the ``error`` in floors, shape (bins,)."""
+
+    middle: Array
+    error: Array
+    above: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One candidate of the ranking, in words; ``figures`` are meaning and value of each fitted parameter."""
+
+    title: str
+    stage: Stage
+    named: bool
+    probability: float
+    closed: str
+    alike: str
+    signature: str
+    remedy: str
+    figures: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Story:
+    """A diagnosis as the page tells it. ``gap`` is before, after (None without a candidate) and floor, as shares."""
+
+    verdict: Literal["effect", "no_gap", "unexplained"]
+    effect: str
+    headline: str
+    level: Literal["good", "check", "poor"]
+    means: tuple[str, ...]
+    todo: tuple[str, ...]
+    remarks: tuple[str, ...]
+    stages: tuple[StageStory, ...]
+    at_fault: Stage
+    spectrum: SpectrumStory | None
+    profiles: Mapping[str, ProfileStory]
+    ranking: tuple[Rival, ...]
+    gap: tuple[float, float | None, float]
+    closing: str
+    overlays: tuple[Overlay, ...]
+    proposal: Proposal | None
+
+
+def story_of(found: Diagnosis, session: Session) -> Story:
+    """Tell a diagnosis."""
+    regions = found.where.regions
+    headline, level = headline_of(found)
+    spectra = [item for item in regions.spectra if item.channel == regions.channel]
+    profiles = {name: _profile(regions.profiles[name], scale) for name, scale in _PROFILES if name in regions.profiles}
+    return Story(
+        found.verdict,
+        ", ".join(effect_words(name) for name in found.combination),
+        headline,
+        level,
+        tuple(sentences_of(found)),
+        tuple(next_steps_of(found)),
+        tuple(sentence(clean(remark)) for remark in found.remarks),
+        tuple(_stage(found, stage) for stage in STAGES),
+        found.where.stage,
+        _spectrum(spectra[0], regions.bands_hz) if spectra else None,
+        profiles,
+        tuple(_rival(found, item) for item in found.ranking),
+        (found.gap.before, None if found.verdict == "no_gap" else found.gap.after, found.gap.floor),
+        _closing(found),
+        overlays_of(found),
+        proposal_of(found, session),
+    )
+
+
+def _stage(found: Diagnosis, stage: Stage) -> StageStory:
+    where = found.where
+    lit = found.verdict != "no_gap" and where.above_floor and stage == where.stage
+    lines = [
+        f"{sentence(item.what).rstrip('.')}: {number(item.error / item.floor, 3)} floors of the {item.channel}."
+        for item in where.findings
+        if item.stage == stage
+    ]
+    lines += [
+        f"The effect that explains the gap belongs here: {effect_words(name)}."
+        for name in found.combination
+        if name in library() and library()[name].stage == stage
+    ]
+    if not lines and stage in where.evidence.nearest:
+        times = where.evidence.nearest[stage]
+        left = f"what it leaves is {number(times, 3)} times the floor"
+        lines.append(
+            f"Nothing speaks against it: {left}{'' if times <= MARGIN else ', which is put down to another stage'}."
+        )
+    return StageStory(stage, where.shares[stage], lit, tuple(lines) or ("Nothing speaks against it.",))
+
+
+def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumStory:
+    unit, scale = FINE_UNITS[found.channel]
+    least = 0.1 * scale * float(np.sqrt(found.noise[0]))
+    lines = {}
+    for name in ("recorded", "residual", "linear", "even", "odd", "noise"):
+        values = scale * np.sqrt(getattr(found, name))
+        lines[name] = np.log10(np.where(values >= least, values, np.nan))
+    bands = tuple((float(np.log10(max(low, 0.1))), float(np.log10(max(high, 0.1)))) for low, high in bands_hz)
+    return SpectrumStory(found.channel, unit, np.log10(np.maximum(found.frequency_hz, 0.1)), lines, bands)
+
+
+def _profile(found: Profile, scale: float) -> ProfileStory:
+    known = np.isfinite(found.error)
+    middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
+    error = np.log10(np.maximum(found.error[known], _LEAST_FLOORS))
+    return ProfileStory(middle[known], error, np.asarray(found.above[known]))
+
+
+def _rival(found: Diagnosis, item: Ranked) -> Rival:
+    known = library().get(item.effect)
+    low, high = item.closed_ci
+    interval = f" ({_percent(low)} to {_percent(high)} %)" if np.isfinite(low) and np.isfinite(high) else ""
+    return Rival(
+        sentence(effect_words(item.effect)).rstrip("."),
+        item.stage,
+        item.effect in found.combination,
+        item.probability,
+        f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else "cannot be told",
+        ", ".join(effect_words(name) for name in item.indistinguishable),
+        "" if known is None else sentence(known.signature),
+        "" if known is None else sentence(known.remedy),
+        _figures(found, item),
+    )
+
+
+def _figures(found: Diagnosis, item: Ranked) -> tuple[tuple[str, str], ...]:
+    values, stds = item.parameters, {}
+    if item.effect in found.combination and found.best is not None:
+        values = parameters_of(found.best, item.effect)
+        try:
+            stds = twin_of(found.best, "").stds
+        except UnusableInputError:
+            stds = {}
+    known = library().get(item.effect)
+    about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
+    rows = []
+    for name, value in values.items():
+        unit, scale = people_unit(about[name].unit if name in about else "")
+        meaning = about[name].meaning if name in about else ""
+        text = plus_minus(Estimate(value, stds.get(f"{item.effect}.{name}")), scale)
+        rows.append((sentence(meaning or name.replace("_", " ")).rstrip("."), with_unit(text, unit)))
+    return tuple(rows)
+
+
+def _closing(found: Diagnosis) -> str:
+    gap = found.gap
+    if found.verdict == "no_gap":
+        return "There is no gap to close: what is left is the noise."
+    if not np.isfinite(gap.closed):
+        return "No candidate was fitted to it."
+    low, high = gap.closed_ci
+    words = f"Closed: {_percent(gap.closed)} % of what stands above the floor"
+    if np.isfinite(low) and np.isfinite(high):
+        words += f" (95 %: {_percent(low)} to {_percent(high)} %)"
+    words += f", announced {_percent(gap.announced)} %."
+    if np.isfinite(found.ceiling):
+        words += f" Something flexible would close {_percent(found.ceiling)} %."
+    return words
+
+
+def _percent(share: float) -> str:
+    return fixed(100.0 * share, 0)

@@ -1,0 +1,131 @@
+"""Where the gap lies: against frequency, depth, velocity and time, with the floor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtWidgets import QGridLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+
+if TYPE_CHECKING:
+    from tissueid.app.views.gap.story import ProfileStory, SpectrumStory, Story
+
+_LINES = {
+    "recorded": ("recorded", "muted", 1),
+    "residual": ("left by the twin", "text", 2),
+    "linear": ("linear", "measured", 1),
+    "even": ("even", "model", 1),
+    "odd": ("odd", "good", 1),
+    "noise": ("floor", "check", 1),
+}
+"""Line: what it is called, the role of its colour, and its width."""
+_ABOVE = {"above floor": "poor"}
+_NOTHING = np.zeros(0)
+_NOT_THERE = "Nothing was left to look at."
+_FAR = 20.0
+
+
+class WhereTab(QWidget):
+    """Four plots."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        key = {label: role for label, role, _ in _LINES.values()}
+        self.frequency = PlotCard("By frequency", "Frequency (Hz)", "", key=key, log_axes=("bottom", "left"))
+        self._bands = self.frequency.band("poor", alpha=28)
+        self._lines = {name: self.frequency.line(role, width=width) for name, (_, role, width) in _LINES.items()}
+        self.frequency.setToolTip("Shaded: bands that stand above the floor with significance")
+        self.profiles = {
+            "depth_m": _profile_card("By depth", "Depth (mm)"),
+            "velocity_m_s": _profile_card("By velocity", "Velocity (mm/s), positive goes in"),
+            "time_s": _profile_card("By time", "Time (s)"),
+        }
+        self._items = {
+            name: (card.line("muted"), card.dots("poor", 7), card.dots("muted", 6))
+            for name, card in self.profiles.items()
+        }
+        for card in self.profiles.values():
+            floor = card.mark(upright=False, text="floor")
+            floor.setValue(0.0)
+            floor.show()
+            card.setToolTip(
+                "Root-mean-square error in floors; 1 is what noise alone leaves. Red: above it with significance"
+            )
+        self.cards: tuple[PlotCard, ...] = (self.frequency, *self.profiles.values())
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 6, 0, 0)
+        grid.setSpacing(8)
+        for place, card in enumerate(self.cards):
+            card.setMinimumHeight(165)
+            grid.addWidget(card, min(place, 1), max(place - 1, 0), 1, 3 if place == 0 else 1)
+            grid.setColumnStretch(max(place - 1, 0), 1)
+            grid.setRowStretch(min(place, 1), 1)
+
+    def show_story(self, story: Story) -> None:
+        """Draw what a diagnosis found."""
+        self._show_spectrum(story.spectrum)
+        channel = story.spectrum.channel if story.spectrum is not None else ""
+        for name, card in self.profiles.items():
+            self._show_profile(card, name, story.profiles.get(name), channel)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in self.cards:
+            card.paint_with(theme)
+
+    def _show_spectrum(self, spectrum: SpectrumStory | None) -> None:
+        card = self.frequency
+        card.say_missing("" if spectrum is not None else _NOT_THERE)
+        if spectrum is None:
+            return
+        card.retitle(f"By frequency, {spectrum.channel}", f"{spectrum.unit}/√Hz")
+        for name, line in self._lines.items():
+            line.setData(spectrum.frequency, spectrum.lines[name])
+        self._shade(spectrum.bands)
+        drawn = np.concatenate([values[np.isfinite(values)] for values in spectrum.lines.values()])
+        if drawn.size:
+            card.plot.setYRange(float(drawn.min()), float(drawn.max()), padding=0.05)
+        card.plot.setXRange(float(spectrum.frequency[0]), float(spectrum.frequency[-1]), padding=0.02)
+
+    def _shade(self, bands: tuple[tuple[float, float], ...]) -> None:
+        # From far below to far above inside of a band, of no height outside.
+        x = [value for low, high in bands for value in (low, low, high, high)]
+        top = [value for _ in bands for value in (-_FAR, _FAR, _FAR, -_FAR)]
+        lower, upper = self._bands
+        lower.setData(np.array(x), np.full(len(x), -_FAR))
+        upper.setData(np.array(x), np.array(top))
+
+    def _show_profile(self, card: PlotCard, name: str, profile: ProfileStory | None, channel: str) -> None:
+        there = profile is not None and profile.middle.size > 0
+        card.say_missing("" if there else _NOT_THERE)
+        if profile is None or not there:
+            return
+        card.setAccessibleDescription(_described(profile, channel))
+        line, above, at = self._items[name]
+        line.setData(profile.middle, profile.error)
+        _dot(above, profile, profile.above)
+        _dot(at, profile, ~profile.above)
+        low = min(float(profile.error.min()), np.log10(0.7))
+        card.plot.setYRange(float(low), max(float(profile.error.max()), np.log10(3.0)), padding=0.06)
+        card.plot.setXRange(float(profile.middle[0]), float(profile.middle[-1]), padding=0.04)
+
+
+def _dot(item: pg.PlotDataItem, profile: ProfileStory, chosen: np.ndarray) -> None:
+    item.setData(profile.middle[chosen], profile.error[chosen]) if chosen.any() else item.setData(_NOTHING, _NOTHING)
+
+
+def _described(profile: ProfileStory, channel: str) -> str:
+    most = int(np.argmax(profile.error))
+    many = int(profile.above.sum())
+    return (
+        f"Error of the {channel}: {many} of {profile.above.size} bins stand above the floor; "
+        f"most at {profile.middle[most]:.3g}, {10.0 ** profile.error[most]:.3g} floors."
+    )
+
+
+def _profile_card(title: str, x_label: str) -> PlotCard:
+    return PlotCard(title, x_label, "floors", key=_ABOVE, log_axes=("left",))

@@ -1,0 +1,101 @@
+"""Which effect causes the gap: the ranking, and what is known of each candidate."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.gap.bars import BarTable
+from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.views.gap.words import STAGE_TITLES
+
+if TYPE_CHECKING:
+    from tissueid.app.views.gap.story import Rival, Story
+
+
+class WhichTab(QWidget):
+    """The candidates, best first; the chosen one's figures beside them."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._rivals: tuple[Rival, ...] = ()
+        self.table = BarTable("Candidates, likeliest first", ("Effect", "Stage", "Probability", "Closed (95 %)"), 2)
+        self.none = plain_label("muted")
+        self.none.setText("No effect leaves a trace in this recording that a refit of the twin would not take up.")
+        self.title = plain_label("heading")
+        self.alike = plain_label()
+        self.leaves = plain_label("muted")
+        self.remedy = plain_label()
+        self.figures = plain_label()
+        self.table.itemSelectionChanged.connect(self._show_chosen)
+        self._details = self._make_details()
+        columns = QHBoxLayout(self)
+        columns.setContentsMargins(0, 6, 0, 0)
+        columns.setSpacing(8)
+        columns.addWidget(self.table, 3)
+        columns.addWidget(self.none, 3)
+        columns.addWidget(self._details, 2)
+
+    def show_story(self, story: Story) -> None:
+        """List the candidates and choose the first."""
+        self._rivals = story.ranking
+        self.table.fill(
+            [
+                (
+                    (item.title, STAGE_TITLES[item.stage], _percent(item.probability), item.closed),
+                    item.probability,
+                    item.named,
+                )
+                for item in self._rivals
+            ]
+        )
+        there = bool(self._rivals)
+        self.table.setVisible(there)
+        self._details.setVisible(there)
+        self.none.setVisible(not there)
+        if there:
+            self.table.clearSelection()
+            self.table.selectRow(0)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.table.paint_with(theme)
+
+    def _show_chosen(self) -> None:
+        row = self.table.currentRow()
+        if not 0 <= row < len(self._rivals):
+            return
+        rival = self._rivals[row]
+        self.title.setText(rival.title)
+        alike = f"This data cannot tell it from: {rival.alike}." if rival.alike else ""
+        self.alike.setText(alike or "No rival looks the same in this data.")
+        self.leaves.setText(f"What it leaves: {rival.signature}")
+        self.remedy.setText(f"What to do: {rival.remedy}" if rival.remedy else "")
+        self.figures.setText("\n".join(["Fitted:", *(f"{name}: {value}" for name, value in rival.figures)]))
+        self.figures.setVisible(bool(rival.figures))
+
+    def _make_details(self) -> QWidget:
+        inside = QWidget()
+        column = QVBoxLayout(inside)
+        column.setContentsMargins(12, 8, 12, 8)
+        column.setSpacing(6)
+        for widget in (self.title, self.alike, self.figures, self.remedy, self.leaves):
+            column.addWidget(widget)
+        column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setAccessibleName("The chosen candidate")
+        scroll.setWidget(inside)
+        card = QFrame()
+        card.setProperty("role", "card")
+        frame = QVBoxLayout(card)
+        frame.setContentsMargins(0, 0, 0, 0)
+        frame.addWidget(scroll)
+        return card
+
+
+def _percent(share: float) -> str:
+    return "< 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"

@@ -1,0 +1,310 @@
+"""Analyses of the chosen tests: which engine with which options, what came of it, and what was run before."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtWidgets import (
+    QFileDialog,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QTabWidget,
+    QWidget,
+)
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.arranging import arrange
+from tissueid.app.views.researcher.batch import Batch, run, run_folder
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.engine_form import EngineForm
+from tissueid.app.views.researcher.history import History
+from tissueid.app.views.researcher.history_list import HistoryList
+from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.pictures import Pictures
+from tissueid.app.views.researcher.progress import Progress
+from tissueid.app.views.researcher.recommendation_view import RecommendationView
+from tissueid.app.views.researcher.results_table import SERIES, ResultsTable
+from tissueid.app.views.researcher.saver import Saver
+from tissueid.app.views.researcher.state import STATE, recall, remembered
+from tissueid.app.views.researcher.task import MOST_TESTS, Task, TestRef
+from tissueid.app.views.view import Desk
+from tissueid.app.words import in_words, sentence
+from tissueid.errors import TissueIDError
+from tissueid.options import reason
+
+_STEPS = 1000
+_LOOK_MS = 100
+_MOST_RESULTS = 5000
+_TOLD = 3
+
+
+class AnalysisPanel(QWidget):
+    """Runs engines on tests, and shows and keeps what comes of it."""
+
+    def __init__(self, desk: Desk, parent: QWidget | None = None, *, history: History | None = None) -> None:
+        super().__init__(parent)
+        self.desk = desk
+        self._history = history or History()
+        self._chosen: tuple[Chosen, ...] = ()
+        self._work: Progress | None = None
+        self._doing = ""
+        self._busy = self._testing = False
+        self.form = EngineForm()
+        self.run = QPushButton("R&un")
+        self.run.setToolTip("Fit the engine to every chosen test")
+        self.compare = QPushButton("Co&mpare engines")
+        self.compare.setToolTip("Fit every engine to every chosen test, and say which one it bears out")
+        self.folder = QPushButton("Run on folder…")
+        self.folder.setToolTip("Fit the engine to every stochastic test of every session below a folder")
+        self.cancelling = QPushButton("Cancel")
+        self.bar = QProgressBar()
+        self.bar.setRange(0, _STEPS)
+        self.bar.setTextVisible(False)
+        self.bar.setAccessibleName("Progress of the analysis")
+        self.step = _line()
+        self.results = ResultsTable()
+        self.pictures = Pictures()
+        self.save_table = QPushButton("Table…")
+        self.save_table.setAccessibleName("Save the table")
+        self.save_table.setToolTip("Save the table of results as CSV")
+        self.save_figure = QPushButton("Figure…")
+        self.save_figure.setAccessibleName("Save the figure")
+        self.save_figure.setToolTip("Save the figure as PNG or SVG")
+        self._saver = Saver(desk, self)
+        self.clear = QPushButton("Clear")
+        self.clear.setToolTip("Take all results out of the table (Delete: the selected ones)")
+        self.verdicts = RecommendationView()
+        self.past = HistoryList()
+        self.tabs = QTabWidget()
+        self._show_working()
+        arrange(self)
+        self._looking = QTimer(self)
+        self._looking.setInterval(_LOOK_MS)
+        self._looking.timeout.connect(self._look)
+        self._connect()
+        self._read_history()
+        recall(self.desk.settings.value(STATE), self.form, self.verdicts, self.pictures.choice, self.tabs)
+        self._rest()
+
+    def show_tests(self, chosen: Sequence[Chosen]) -> None:
+        """These tests are selected: what is run next is run on them."""
+        self._chosen = tuple(chosen)[:MOST_TESTS]
+        self._rest()
+
+    def settle(self, *, busy: bool, testing: bool) -> None:
+        """Enable what makes sense now."""
+        self._busy, self._testing = busy, testing
+        self._enable()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.results.paint_with(theme)
+        self.pictures.paint_with(theme)
+
+    def cancel(self) -> None:
+        """End what goes on, as soon as the fit that runs is done."""
+        if self._work is not None:
+            self._work.cancel()
+            self.step.setText("Cancelling: what is being fitted is finished first.")
+            self.cancelling.setEnabled(False)
+
+    def save_state(self) -> None:
+        """Write engine, options and what is shown, for the next start."""
+        self.desk.settings.setValue(STATE, remembered(self.form, self.verdicts, self.pictures.choice, self.tabs))
+
+    # -- running ------------------------------------------------------------------------------------------
+
+    def start(self, task: Task, folder: Path | None = None) -> None:
+        """Begin a task, on the tests of a folder if one is named."""
+        if self.desk.busy or self._testing:
+            return
+        progress = Progress()
+        moment = datetime.now(UTC).isoformat(timespec="milliseconds")
+        work: Callable[[], Batch]
+        if folder is None:
+            work = functools.partial(run, task, progress, self._history, moment)
+        else:
+            work = functools.partial(run_folder, folder, task, progress, self._history, moment)
+        self._work, self._doing = progress, "Comparing" if task.kind == "compare" else "Fitting"
+        self.cancelling.setEnabled(True)
+        self._show_working()
+        self._looking.start()
+        self.desk.jobs.do(work, self._done, self._failed)
+
+    def _task(self, **changes: Any) -> Task | None:
+        """What the form asks for, or None where it cannot be, which is then said."""
+        into, out = self.form.signals
+        try:
+            asked = {
+                "engines": (self.form.name,),
+                "options": self.form.options() if "engines" not in changes else {},
+                "input_name": into,
+                "output_name": out,
+                "together": self.form.together.isChecked(),
+                "tests": tuple(TestRef.of(test) for test in self._chosen),
+            }
+            return Task.model_validate(asked | changes)
+        except ValidationError as error:
+            self.desk.say(sentence(reason(error)), problem=True)
+        except TissueIDError as error:
+            self.desk.say(in_words(error), problem=True)
+        return None
+
+    def _run(self) -> None:
+        if self._chosen and (task := self._task()) is not None:
+            self.start(task)
+
+    def _compare(self) -> None:
+        engines = self.verdicts.compared
+        if not engines:
+            self.desk.say("Choose at least one engine to compare.", problem=True)
+        elif self._chosen and (task := self._task(kind="compare", engines=engines)) is not None:
+            self.start(task)
+
+    def _choose_folder(self) -> None:
+        if self._task(tests=()) is None:
+            return
+        dialog = QFileDialog(self, "Run on the sessions below a folder", str(self.desk.around.folder))
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self._run_folder)
+        dialog.open()
+
+    def _run_folder(self, folder: str) -> None:
+        if (task := self._task(tests=())) is not None:
+            self.start(task, Path(folder))
+
+    def _look(self) -> None:
+        if self._work is not None and not self._work.cancelled:
+            words, share = self._work.state
+            self.bar.setValue(round(_STEPS * share))
+            self.step.setText(f"{self._doing} {words}" if words else f"{self._doing}.")
+
+    def _done(self, batch: Batch) -> None:
+        self._end()
+        if batch.entry is not None:
+            self.past.add(batch.entry)
+        self._keep(batch.outcomes)
+        self.verdicts.add(batch.verdicts)
+        self.tabs.setCurrentIndex(1 if batch.verdicts else 0)
+        if batch.problems:
+            more = len(batch.problems) - _TOLD
+            told = [*batch.problems[:_TOLD], *([f"And {more} more."] if more > 0 else [])]
+            self.desk.say(" ".join(told), problem=True)
+        elif batch.cancelled:
+            self.desk.say("Cancelled; what was done by then is shown.")
+
+    def _failed(self, words: str) -> None:
+        self._end()
+        self.desk.say(words, problem=True)
+
+    def _end(self) -> None:
+        self._looking.stop()
+        self._work = None
+        self._show_working()
+        self._rest()
+
+    def _keep(self, new: Sequence[Outcome]) -> None:
+        """Add results; one of the same engine, options and tests takes the old one's place."""
+        kept = {outcome.key: outcome for outcome in self.results.outcomes}
+        fresh = {outcome.key: outcome for outcome in new}
+        self.results.show_outcomes(list((kept | fresh).values())[-_MOST_RESULTS:])
+        if len(self.results.outcomes) > len(SERIES):
+            self.results.select(list(fresh.values())[: len(SERIES)])
+        self._draw()
+
+    def _draw(self) -> None:
+        self.results.colour(self.pictures.show_outcomes(self.results.chosen))
+        self._enable()
+
+    def _remove(self, some: list[Outcome]) -> None:
+        gone = {id(outcome) for outcome in some}
+        self.results.show_outcomes([outcome for outcome in self.results.outcomes if id(outcome) not in gone])
+        self._draw()
+
+    def _clear(self) -> None:
+        self._remove(list(self.results.outcomes))
+
+    # -- history and state --------------------------------------------------------------------------------
+
+    def _read_history(self) -> None:
+        try:
+            self.past.show_entries(*self._history.read())
+        except OSError as error:
+            self.past.remark.setText(f"The history cannot be read: {in_words(error)}")
+
+    def _take_task(self, task: Task) -> None:
+        """Put the settings of an earlier run back into the form; which tests are chosen stays."""
+        try:
+            if task.kind == "compare":
+                self.verdicts.take_compared(task.engines)
+                self.tabs.setCurrentIndex(1)
+            else:
+                self.form.choose(task.engines[0], task.options)
+        except TissueIDError as error:
+            self.desk.say(in_words(error), problem=True)
+            return
+        self.form.take_signals(task.input_name, task.output_name, task.together)
+        self.desk.say("The settings of that run are in the form; the chosen tests are as they were.")
+
+    def _save_table(self) -> None:
+        self._saver.save_table(self.results.rows())
+
+    def _save_figure(self) -> None:
+        self._saver.save_figure(self.pictures.canvas)
+
+    # -- how it stands ------------------------------------------------------------------------------------
+
+    def _rest(self) -> None:
+        """Nothing of ours goes on."""
+        if self._work is None:
+            count = len(self._chosen)
+            self.step.setText(f"{count} {'test' if count == 1 else 'tests'} chosen." if count else "No test is chosen.")
+        self._enable()
+
+    def _show_working(self) -> None:
+        working = self._work is not None
+        self.bar.setValue(0)
+        self.bar.setVisible(working)
+        self.cancelling.setVisible(working)
+
+    def _enable(self) -> None:
+        free = not (self._busy or self._testing)
+        self.run.setEnabled(free and bool(self._chosen))
+        self.compare.setEnabled(free and bool(self._chosen))
+        self.folder.setEnabled(free)
+        there = bool(self.results.outcomes)
+        self.save_table.setEnabled(free and there)
+        self.save_figure.setEnabled(free and there)
+        self.clear.setEnabled(there and self._work is None)
+        self.past.settle(busy=not free)
+
+    def _connect(self) -> None:
+        self.run.clicked.connect(self._run)
+        self.compare.clicked.connect(self._compare)
+        self.folder.clicked.connect(self._choose_folder)
+        self.cancelling.clicked.connect(self.cancel)
+        self.results.chosen_changed.connect(self._draw)
+        self.results.removed.connect(self._remove)
+        self.clear.clicked.connect(self._clear)
+        self.save_table.clicked.connect(self._save_table)
+        self.save_figure.clicked.connect(self._save_figure)
+        self.past.again.connect(self.start)
+        self.past.wanted.connect(self._take_task)
+
+
+def _line() -> QLabel:
+    """Words that change as work goes on, and are cut off where there is no room."""
+    label = QLabel()
+    label.setProperty("role", "muted")
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setMinimumWidth(1)
+    return label

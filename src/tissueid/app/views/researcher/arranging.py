@@ -1,0 +1,61 @@
+"""Where everything stands in the panel of analyses."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QHBoxLayout, QSplitter, QVBoxLayout, QWidget
+
+if TYPE_CHECKING:
+    from tissueid.app.views.researcher.analysis import AnalysisPanel
+
+_FORM_WIDTH = 232
+_HEIGHTS = (104, 400)
+"""Of the table and of the plots below it, before anybody moves what is between them."""
+
+
+def arrange(panel: AnalysisPanel) -> None:
+    """Put the form at the left; buttons, progress and results beside it."""
+    panel.form.setMinimumWidth(_FORM_WIDTH)
+    top = QHBoxLayout()
+    top.setSpacing(6)
+    for widget in (panel.run, panel.compare, panel.folder):
+        top.addWidget(widget)
+    top.addStretch(1)
+    below = QHBoxLayout()
+    below.setSpacing(6)
+    below.addWidget(panel.step, 2)
+    below.addWidget(panel.bar, 1)
+    below.addWidget(panel.cancelling)
+    for widget in (panel.save_figure, panel.save_table, panel.clear):
+        panel.pictures.tools.addWidget(widget)
+    panel.pictures.tools.addStretch(1)
+    results = QSplitter(Qt.Orientation.Vertical)
+    results.setChildrenCollapsible(False)
+    results.addWidget(panel.results)
+    results.addWidget(panel.pictures)
+    results.setSizes(list(_HEIGHTS))
+    results.setStretchFactor(0, 1)
+    results.setStretchFactor(1, 3)
+    panel.tabs.setDocumentMode(True)
+    panel.tabs.tabBar().setDrawBase(False)
+    panel.tabs.addTab(results, "Results")
+    panel.tabs.addTab(panel.verdicts, "Recommendation")
+    panel.tabs.addTab(panel.past, "History")
+    right = QWidget()
+    column = QVBoxLayout(right)
+    column.setContentsMargins(6, 0, 0, 0)
+    column.setSpacing(6)
+    column.addLayout(top)
+    column.addLayout(below)
+    column.addWidget(panel.tabs, 1)
+    parts = QSplitter(Qt.Orientation.Horizontal)
+    parts.addWidget(panel.form)
+    parts.addWidget(right)
+    parts.setChildrenCollapsible(False)
+    parts.setStretchFactor(1, 1)
+    parts.setSizes([_FORM_WIDTH, 4 * _FORM_WIDTH])
+    layout = QVBoxLayout(panel)
+    layout.setContentsMargins(0, 6, 0, 0)
+    layout.addWidget(parts)

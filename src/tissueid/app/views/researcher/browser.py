@@ -1,0 +1,283 @@
+"""The sessions of a year: where they are looked for, what is listed, and which tests are selected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from queue import Empty
+
+from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, Signal
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.errand import ErrandStrip
+from tissueid.app.views.researcher.filter_bar import FilterBar
+from tissueid.app.views.researcher.folders import FolderButton
+from tissueid.app.views.researcher.index import Entry, Search, TestEntry
+from tissueid.app.views.researcher.kept import keep_texts, kept_texts
+from tissueid.app.views.researcher.session_filter import SessionFilter
+from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
+from tissueid.app.views.researcher.session_tree import SessionTree
+from tissueid.app.views.view import Desk
+from tissueid.wording import clean, grouped
+
+_FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
+_SETTLED_MS = 120
+"""A selection that stands so long is what was meant; the arrow keys pass over many."""
+_DRAIN_MS = 80
+_AT_ONCE = 200
+_LONGEST_LABEL = 60
+_WIDTHS = (134, 70, 116, 56, 46, 84, 70, 100, 180)
+
+
+class Browser(QWidget):
+    """``selected`` is sent when other tests are chosen, ``opened`` with the file that is to be opened.
+
+    ``work_waits`` says that :meth:`go_on` has something to begin.
+    """
+
+    selected = Signal()
+    opened = Signal(object)
+    work_waits = Signal()
+
+    def __init__(self, desk: Desk, strip: ErrandStrip, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._desk = desk
+        self._strip = strip
+        self._search: Search | None = None
+        self._all_wanted = True
+        self._heard: list[Path] = []
+        self._single: list[Path] = []
+        self.model = SessionModel(self)
+        self.shown = SessionFilter(self.model, self)
+        self.bar = FilterBar()
+        self.tree = SessionTree(self.shown)
+        self.count = QLabel()
+        self.picked = QLabel()
+        folders = [Path(text) for text in kept_texts(desk.settings, _FOLDERS)]
+        self.folders = FolderButton(folders or [desk.around.folder], self)
+        self.again = QPushButton("Look again")
+        self.again.setToolTip("Look for new sessions in the folders (F5)")
+        self._restore()
+        self._arrange()
+        self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
+        self._settled = self._timer(_SETTLED_MS, self._tell_selected, single=True)
+        self._connect()
+        self._tell_count()
+
+    # -- for the page ---------------------------------------------------------------------------------------
+
+    def chosen(self) -> list[Chosen]:
+        """The selected tests in the order in which they are shown; a session stands for its tests that are shown."""
+        tops: dict[int, set[int]] = {}
+        for index in self.tree.selectionModel().selectedRows(DATE):
+            below = index.parent().isValid()
+            tops.setdefault(index.parent().row() if below else index.row(), set()).add(index.row() if below else -1)
+        chosen = []
+        for row in sorted(tops):
+            top = self.shown.index(row, DATE)
+            entry = self.shown.data(top, ITEM)
+            rows = range(self.shown.rowCount(top))
+            wanted = rows if -1 in tops[row] else sorted(tops[row])
+            chosen += [
+                self._chosen(entry, self.shown.data(self.shown.index(place, DATE, top), ITEM)) for place in wanted
+            ]
+        return chosen
+
+    def go_on(self) -> bool:
+        """Begin what waits, if anything; the page asks when nothing else goes on."""
+        if not (self._all_wanted or self._heard):
+            return False
+        whole = self._all_wanted
+        self._single = list(dict.fromkeys([*self._single, *self._heard]))
+        files = self._single if whole else self._heard
+        self._all_wanted, self._heard = False, []
+        # Before the first test the folder of new sessions is not there yet: that is no problem.
+        folders = [path for path in self.folders.paths if path != self._desk.around.folder or path.is_dir()]
+        self._search = Search(folders if whole else (), files, self.model.by_path if whole else {})
+        self._whole = whole
+        self._seen: set[Path] = set()
+        self._strip.watch(self._search)
+        self._drain.start()
+        self._desk.jobs.do(self._search.run, self._ended, self._failed)
+        return True
+
+    def heard_of(self, path: Path) -> None:
+        """A new session: it is listed as soon as nothing else goes on."""
+        self._heard.append(path)
+        self.work_waits.emit()
+
+    def look_again(self) -> None:
+        """Look through all folders, as soon as nothing else goes on."""
+        self._all_wanted = True
+        self.work_waits.emit()
+
+    def settle(self, *, testing: bool) -> None:
+        """Nothing here works beside a running test."""
+        self.setEnabled(not testing)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.model.paint_with(theme)
+
+    def save_state(self) -> None:
+        """Keep folders, filters and columns."""
+        keep_texts(self._desk.settings, _FOLDERS, [str(path) for path in self.folders.paths])
+        keep_texts(self._desk.settings, _ASKED, list(self.bar.asked))
+        self._desk.settings.setValue(_HEADER, self.tree.header().saveState())
+
+    # -- searching ------------------------------------------------------------------------------------------
+
+    def _take_found(self) -> None:
+        """List what was found since last time, a handful at once so that the window stays quick."""
+        if self._search is None:
+            return
+        entries: list[Entry] = []
+        try:
+            while len(entries) < _AT_ONCE:
+                entries.append(self._search.found.get_nowait())
+        except Empty:
+            pass
+        if entries:
+            self._seen |= {entry.path for entry in entries}
+            self.model.add(entries)
+            self.tree.span_problems()
+            self.bar.offer(self.model.entries)
+            self._tell_count()
+
+    def _ended(self, search: Search) -> None:
+        self._close()
+        while not search.found.empty():
+            self._take_found()
+        if self._whole and not search.cancelled and self._seen != set(self.model.by_path):
+            self.model.show([entry for entry in self.model.entries if entry.path in self._seen])
+            self.tree.span_problems()
+            self.bar.offer(self.model.entries)
+        self._search = None
+        self._tell_count()
+        if search.remarks:
+            self._desk.say(" ".join(search.remarks), problem=not search.cancelled)
+
+    def _failed(self, words: str) -> None:
+        self._close()
+        self._search = None
+        self._desk.say(words, problem=True)
+
+    def _close(self) -> None:
+        self._drain.stop()
+        self._strip.rest()
+
+    # -- what is shown --------------------------------------------------------------------------------------
+
+    def _ask(self) -> None:
+        self.shown.ask(*self.bar.asked)
+        self.tree.span_problems()
+        self._tell_count()
+
+    def _tell_count(self) -> None:
+        entries = self.model.entries
+        bad = sum(bool(entry.problem) for entry in entries)
+        shown = self.shown.rowCount()
+        listed = len(entries) - bad
+        words = f"{grouped(listed)} session{'' if listed == 1 else 's'}"
+        if bad:
+            words += f", {grouped(bad)} unreadable"
+        if shown != len(entries):
+            words += f"; {grouped(shown)} shown"
+        self.count.setText(words)
+        empty = "" if entries or self._search is not None or self._all_wanted else "No sessions in these folders."
+        if entries and not shown:
+            empty = "Nothing matches."
+        self.tree.say_empty(empty)
+
+    def _select(self, _now: QItemSelection, _before: QItemSelection) -> None:
+        self._settled.start()
+
+    def _tell_selected(self) -> None:
+        chosen = self.chosen()
+        sessions = len({one.path for one in chosen})
+        tests = f"{len(chosen)} test{'' if len(chosen) == 1 else 's'}"
+        of = f" of {sessions} session{'' if sessions == 1 else 's'}"
+        self.picked.setText(f"{tests}{of} selected" if chosen else "Nothing selected")
+        self.selected.emit()
+
+    def _chosen(self, entry: Entry, test: TestEntry) -> Chosen:
+        parts = [clean(entry.pseudonym), clean(test.site), f"test {test.number}"]
+        label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
+        return Chosen(entry.path, test.number, test.site, entry.pseudonym, f"{label} ({clean(entry.path.stem)[:40]})")
+
+    # -- building -------------------------------------------------------------------------------------------
+
+    def _restore(self) -> None:
+        header = self.tree.header()
+        for column, width in enumerate(_WIDTHS):
+            header.resizeSection(column, width)
+        state = self._desk.settings.value(_HEADER)
+        if isinstance(state, QByteArray):
+            header.restoreState(state)
+        asked = kept_texts(self._desk.settings, _ASKED)
+        if len(asked) == 4:
+            self.bar.ask(*asked)
+            self.shown.ask(*self.bar.asked)
+
+    def _arrange(self) -> None:
+        for label in (self.count, self.picked):
+            label.setProperty("role", "muted")
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setMinimumWidth(1)
+        self.picked.setText("Nothing selected")
+        top = QHBoxLayout()
+        top.setSpacing(6)
+        top.addWidget(self.folders)
+        top.addWidget(self.again)
+        top.addStretch(1)
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.setSpacing(6)
+        rows.addLayout(top)
+        rows.addWidget(self.bar)
+        rows.addWidget(self.tree, 1)
+        self.foot = QHBoxLayout()
+        self.foot.setSpacing(6)
+        told = QVBoxLayout()
+        told.setSpacing(0)
+        told.addWidget(self.count)
+        told.addWidget(self.picked)
+        self.foot.addLayout(told, 1)
+        rows.addLayout(self.foot)
+
+    def _connect(self) -> None:
+        self.bar.changed.connect(self._ask)
+        self.again.clicked.connect(self.look_again)
+        self.folders.changed.connect(self.look_again)
+        self.tree.opened.connect(self._open)
+        self.tree.selectionModel().selectionChanged.connect(self._select)
+        for keys, what in (
+            (QKeySequence.StandardKey.Find, self._find),
+            (QKeySequence.StandardKey.Refresh, self.look_again),
+        ):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
+            shortcut.activated.connect(what)
+
+    def _find(self) -> None:
+        self.bar.words.setFocus()
+        self.bar.words.selectAll()
+
+    def _open(self, index: QModelIndex) -> None:
+        top = index.parent() if index.parent().isValid() else index
+        entry = self.shown.data(top.siblingAtColumn(DATE), ITEM)
+        if isinstance(entry, Entry) and not entry.problem:
+            self.opened.emit(entry.path)
+
+    def _timer(self, milliseconds: int, what: Callable[[], None], *, single: bool) -> QTimer:
+        timer = QTimer(self)
+        timer.setInterval(milliseconds)
+        timer.setSingleShot(single)
+        timer.timeout.connect(what)
+        return timer
+
+
+__all__ = ["Browser"]

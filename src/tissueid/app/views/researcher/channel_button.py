@@ -1,0 +1,66 @@
+"""Which signals are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QMenu, QPushButton, QWidget
+
+from tissueid.app.views.researcher.plot_stack import MOST_PLOTS
+from tissueid.app.views.researcher.reading import Channel
+
+_FIRST = ("force", "position", "voltage", "input", "output", "current")
+"""What is drawn before anybody chose, the first three of them that are there."""
+_AT_FIRST = 3
+
+
+class ChannelButton(QPushButton):
+    """A button with a menu of all signals, each with a check mark. ``changed`` is sent when another set is drawn."""
+
+    changed = Signal()
+
+    def __init__(self, wanted: Sequence[str], parent: QWidget | None = None) -> None:
+        super().__init__("Signals", parent)
+        self.wanted = list(wanted)
+        """Names that a person chose; none where nobody chose."""
+        self._channels: list[Channel] = []
+        self.setMenu(QMenu(self))
+        self.setToolTip("Which signals are drawn")
+        self.offer([])
+
+    def offer(self, channels: Sequence[Channel]) -> None:
+        """These are there, in this order."""
+        self._channels = list(channels)
+        menu = self.menu()
+        menu.clear()
+        drawn = self.drawn
+        for channel in channels:
+            action = menu.addAction(channel.title.replace("&", "&&"))
+            action.setCheckable(True)
+            action.setChecked(channel in drawn)
+            action.setData(channel)
+            action.setEnabled(channel in drawn or len(drawn) < MOST_PLOTS)
+            action.toggled.connect(self._toggle)
+        self.setEnabled(bool(channels))
+        self.setText(f"Signals ({len(drawn)} of {len(channels)})" if channels else "Signals")
+
+    @property
+    def drawn(self) -> list[Channel]:
+        """What is to be drawn, from top to bottom."""
+        names = {channel.name for channel in self._channels}
+        wanted = [name for name in self.wanted if name in names]
+        if not wanted:
+            wanted = [name for name in _FIRST if name in names][:_AT_FIRST]
+        if not wanted:
+            wanted = [channel.name for channel in self._channels][:_AT_FIRST]
+        return [channel for channel in self._channels if channel.name in wanted][:MOST_PLOTS]
+
+    def _toggle(self) -> None:
+        checked = [action.data().name for action in self.menu().actions() if action.isChecked()]
+        self.wanted = checked
+        self.offer(self._channels)
+        self.changed.emit()
+
+
+__all__ = ["ChannelButton"]

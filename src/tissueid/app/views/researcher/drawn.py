@@ -1,0 +1,71 @@
+"""What an analysis leaves to be drawn: lines and images, thinned, in the units that people read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+Panel = Literal[
+    "impulse",
+    "magnitude",
+    "phase",
+    "coherence",
+    "nonlinearity",
+    "mass",
+    "damping",
+    "stiffness",
+    "autocorrelation",
+    "cross",
+]
+"""A plot, whatever is laid over another in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One curve; all arrays have shape (n,). ``low`` and ``high`` bound a band where there is one.
+
+    ``out_x`` and ``out_y`` (m,) are what holds for the way out of the tissue, where that differs. ``dots`` says that
+    points stand for themselves, and no line joins them.
+    """
+
+    x: Array
+    y: Array
+    low: Array | None = None
+    high: Array | None = None
+    out_x: Array | None = None
+    out_y: Array | None = None
+    dots: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """``values`` (columns, rows) over evenly spaced ``x`` (columns,) and ``y`` (rows,), with their names and units."""
+
+    title: str
+    unit: str
+    x: Array
+    y: Array
+    values: Array
+    x_label: str
+    y_label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """All that can be drawn of one analysis; ``units`` are those of the panels that have one.
+
+    ``missing`` says in words why a panel has no line.
+    """
+
+    lines: dict[Panel, Line]
+    units: dict[Panel, str]
+    images: tuple[Image, ...]
+    missing: dict[Panel, str]
+
+
+__all__ = ["Array", "Drawn", "Image", "Line", "Panel"]

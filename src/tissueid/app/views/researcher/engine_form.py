@@ -1,0 +1,319 @@
+"""The form of an analysis: engine, its options made from its declaration, signals; what was changed can be undone."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from typing import Any
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeySequence, QShortcut, QUndoCommand, QUndoStack
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.views.researcher.fields import OptionField
+from tissueid.app.words import sentence
+from tissueid.errors import UnusableInputError
+from tissueid.identification import engine_names, get_engine
+from tissueid.wording import engine_label
+
+INPUTS = ("force", "current", "voltage", "command")
+OUTPUTS = ("position", "force", "current", "acceleration_x")
+_UNDOABLE = 200
+
+
+class EngineForm(QWidget):
+    """Engine, options and signals. ``changed`` is sent whenever one of them is another than before."""
+
+    changed = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._values: dict[str, dict[str, Any]] = {}
+        self._fields: dict[str, OptionField] = {}
+        self._stack = QUndoStack(self)
+        self._stack.setUndoLimit(_UNDOABLE)
+        self.engine = QComboBox()
+        self.engine.setAccessibleName("Identification engine")
+        for name in engine_names():
+            self.engine.addItem(engine_label(name), name)
+            about = " ".join((get_engine(name).__doc__ or "").split("\n\n")[0].split())
+            self.engine.setItemData(self.engine.count() - 1, about, Qt.ItemDataRole.ToolTipRole)
+        self.about = QLabel()
+        self.about.setProperty("role", "field")
+        self.about.setWordWrap(True)
+        self.about.setMinimumWidth(1)
+        self.about.setTextFormat(Qt.TextFormat.PlainText)
+        self.input, self.output = _signals("Input", INPUTS), _signals("Output", OUTPUTS)
+        self.together = QCheckBox("Fit tests of a file together")
+        self.together.setToolTip("One model for all chosen tests of a session; otherwise one for each test")
+        self.defaults = QPushButton("&Defaults")
+        self.defaults.setToolTip("All options of this engine as they are when nothing is chosen")
+        self.undo = QPushButton("Undo")
+        self.redo = QPushButton("Redo")
+        self.undo.setToolTip("Take the last change back (Ctrl+Z)")
+        self.redo.setToolTip("Make it again (Ctrl+Shift+Z)")
+        self.problem = QLabel()
+        self.problem.setProperty("role", "readout")
+        self.problem.setProperty("level", "poor")
+        self.problem.setWordWrap(True)
+        self.problem.setMinimumWidth(1)
+        self.problem.setTextFormat(Qt.TextFormat.PlainText)
+        self.problem.hide()
+        self._arrange()
+        self.engine.currentIndexChanged.connect(self._choose_engine)
+        for combo in (self.input, self.output):
+            combo.currentIndexChanged.connect(self.changed)
+        self.together.toggled.connect(self.changed)
+        self.defaults.clicked.connect(self._take_defaults)
+        self.undo.clicked.connect(self._stack.undo)
+        self.redo.clicked.connect(self._stack.redo)
+        self._stack.canUndoChanged.connect(self.undo.setEnabled)
+        self._stack.canRedoChanged.connect(self.redo.setEnabled)
+        self.undo.setEnabled(False)
+        self.redo.setEnabled(False)
+        for keys, act in (
+            (QKeySequence.StandardKey.Undo, self._stack.undo),
+            (QKeySequence.StandardKey.Redo, self._stack.redo),
+        ):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            shortcut.activated.connect(act)
+        self._shown = str(self.engine.currentData())
+        self.choose("lms")
+        self._stack.clear()
+
+    @property
+    def name(self) -> str:
+        """The engine that is shown."""
+        return str(self.engine.currentData())
+
+    @property
+    def signals(self) -> tuple[str, str]:
+        """Input and output of the model."""
+        return str(self.input.currentData()), str(self.output.currentData())
+
+    def options(self) -> dict[str, Any]:
+        """The options of the engine that is shown.
+
+        Raises:
+            UnusableInputError: one cannot be read, or they do not go together.
+        """
+        found = {name: field.value() for name, field in self._fields.items()}
+        get_engine(self.name).from_options(found)
+        return found
+
+    def field(self, name: str) -> OptionField:
+        """The control of an option of the engine that is shown.
+
+        Raises:
+            KeyError: it has none of that name.
+        """
+        return self._fields[name]
+
+    def choose(self, engine: str, options: Mapping[str, Any] | None = None) -> None:
+        """Show an engine, with options where they are given; what an engine does not know is left out.
+
+        Raises:
+            UnusableInputError: there is no such engine, or it takes no such value.
+        """
+        kind = get_engine(engine)
+        if options is not None:
+            known = {name: value for name, value in options.items() if name in kind.model_fields}
+            values = kind.from_options(known).options()
+            self._stack.push(_Change(self, engine, self._of(engine), values, "options"))
+            return
+        index = self.engine.findData(engine)
+        if index != self.engine.currentIndex():
+            self.engine.setCurrentIndex(index)
+        else:
+            self._show_engine(engine)
+
+    def take_signals(self, input_name: str, output_name: str, together: bool) -> None:
+        """Show which signals are identified; ones that are not on offer are added."""
+        for combo, name in ((self.input, input_name), (self.output, output_name)):
+            if combo.findData(name) < 0:
+                combo.addItem(name[:40], name)
+            combo.setCurrentIndex(combo.findData(name))
+        self.together.setChecked(together)
+
+    def restore(self, values: Mapping[str, Mapping[str, Any]]) -> None:
+        """Take the options of several engines from the last start; what does not fit any more is left out."""
+        for engine in engine_names():
+            try:
+                given = {n: v for n, v in values.get(engine, {}).items() if n in get_engine(engine).model_fields}
+                self._values[engine] = get_engine(engine).from_options(given).options()
+            except (UnusableInputError, TypeError, AttributeError):
+                self._values.pop(engine, None)
+        self._show_engine(self.name)
+        self._stack.clear()
+
+    def all_options(self) -> dict[str, dict[str, Any]]:
+        """The options of every engine that was changed, for the next start."""
+        return {engine: dict(values) for engine, values in self._values.items()}
+
+    def apply(self, engine: str, values: Mapping[str, Any]) -> None:
+        """Put values where they belong, for a change that is made, undone or redone."""
+        self._values[engine] = dict(values)
+        if self.name != engine:
+            self.engine.blockSignals(True)
+            self.engine.setCurrentIndex(self.engine.findData(engine))
+            self.engine.blockSignals(False)
+        self._show_engine(engine)
+
+    # -- reacting -----------------------------------------------------------------------------------------
+
+    def _of(self, engine: str) -> dict[str, Any]:
+        if engine not in self._values:
+            self._values[engine] = get_engine(engine)().options()
+        return self._values[engine]
+
+    def _choose_engine(self) -> None:
+        self._show_engine(self.name)
+
+    def _show_engine(self, engine: str) -> None:
+        values = self._of(engine)
+        if engine != self._shown or not self._fields:
+            self._shown = engine
+            self._make_fields(engine)
+        for name, field in self._fields.items():
+            field.set_value(values[name])
+        self._judge()
+        self.changed.emit()
+
+    def _edited(self) -> None:
+        """A control was changed by hand: that is one step that can be undone."""
+        try:
+            found = {name: field.value() for name, field in self._fields.items()}
+        except UnusableInputError:
+            self._judge()
+            return
+        before = self._of(self.name)
+        changed = [name for name, value in found.items() if value != before.get(name)]
+        if changed:
+            self._stack.push(_Change(self, self.name, before, found, changed[0]))
+
+    def _take_defaults(self) -> None:
+        values = get_engine(self.name)().options()
+        if values != self._of(self.name):
+            self._stack.push(_Change(self, self.name, self._of(self.name), values, "defaults"))
+
+    def _judge(self) -> None:
+        try:
+            self.options()
+        except UnusableInputError as error:
+            self.problem.setText(sentence(str(error)))
+        else:
+            self.problem.clear()
+        self.problem.setVisible(bool(self.problem.text()))
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _make_fields(self, engine: str) -> None:
+        for field in self._fields.values():
+            field.hide()
+            field.deleteLater()
+        while (item := self._grid.takeAt(0)) is not None:
+            if (widget := item.widget()) is not None:
+                widget.hide()
+                widget.deleteLater()
+        kind = get_engine(engine)
+        self._fields = {}
+        self.about.setText(" ".join((kind.__doc__ or "").split("\n\n")[0].split()))
+        before: QWidget = self.engine
+        for row, (name, info) in enumerate(kind.model_fields.items()):
+            field = OptionField(name, info)
+            label = QLabel(field.label)
+            label.setProperty("role", "field")
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setToolTip(f"<qt>{html.escape(info.description)}</qt>" if info.description else "")
+            self._grid.addWidget(label, 2 * row, 0)
+            self._grid.addWidget(field, 2 * row + 1, 0)
+            field.edited.connect(self._edited)
+            field.undone.connect(self._stack.undo)
+            field.redone.connect(self._stack.redo)
+            self._fields[name] = field
+            for control in field.controls:
+                QWidget.setTabOrder(before, control)
+                before = control
+        for control in (self.defaults, self.undo, self.redo, self.input, self.output, self.together):
+            QWidget.setTabOrder(before, control)
+            before = control
+
+    def _arrange(self) -> None:
+        self._grid = QGridLayout()
+        self._grid.setContentsMargins(0, 0, 0, 0)
+        self._grid.setVerticalSpacing(2)
+        signals = QGridLayout()
+        signals.setVerticalSpacing(2)
+        for column, (name, combo) in enumerate((("Input", self.input), ("Output", self.output))):
+            label = QLabel(name)
+            label.setProperty("role", "field")
+            signals.addWidget(label, 0, column)
+            signals.addWidget(combo, 1, column)
+            signals.setColumnStretch(column, 1)
+        content = QWidget()
+        inside = QVBoxLayout(content)
+        inside.setContentsMargins(0, 0, 8, 0)
+        inside.setSpacing(6)
+        inside.addWidget(self.about)
+        inside.addLayout(self._grid)
+        inside.addWidget(self.problem)
+        buttons = QHBoxLayout()
+        buttons.setSpacing(4)
+        for button in (self.defaults, self.undo, self.redo):
+            buttons.addWidget(button)
+        inside.addLayout(buttons)
+        inside.addLayout(signals)
+        inside.addWidget(self.together)
+        inside.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(content)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.setSpacing(4)
+        rows.addWidget(self.engine)
+        rows.addWidget(scroll, 1)
+
+
+class _Change(QUndoCommand):
+    """Options of an engine before and after."""
+
+    def __init__(
+        self, form: EngineForm, engine: str, before: Mapping[str, Any], after: Mapping[str, Any], what: str
+    ) -> None:
+        super().__init__(f"{engine}: {what}")
+        self._form, self._engine = form, engine
+        self._before, self._after = dict(before), dict(after)
+
+    def undo(self) -> None:
+        """As it was."""
+        self._form.apply(self._engine, self._before)
+
+    def redo(self) -> None:
+        """As it became."""
+        self._form.apply(self._engine, self._after)
+
+
+def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
+    combo = QComboBox()
+    combo.setAccessibleName(f"{name} of the model")
+    combo.setMinimumContentsLength(5)
+    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    for signal in offered:
+        combo.addItem(signal.replace("_", " ").capitalize(), signal)
+    return combo

@@ -1,0 +1,88 @@
+"""The selected tests as files for other programs; what is exported is read again, and never changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.errand import Errand
+from tissueid.app.words import in_words
+from tissueid.audit import Trail
+from tissueid.errors import CancelledError, TissueIDError
+from tissueid.sessions import read_session_head, read_test
+from tissueid.sessions.imports import export_session
+
+EXPORTS = {"csv": "CSV tables", "mat": "MATLAB files", "parquet": "Parquet tables"}
+
+
+class Export(Errand):
+    """Writes a folder a session below ``folder``; a session that fails costs only itself."""
+
+    def __init__(self, chosen: Sequence[Chosen], folder: Path, kind: str, trail: Trail) -> None:
+        super().__init__("Exporting")
+        self.written: list[Path] = []
+        self.problems: list[str] = []
+        self._folder = folder
+        self._kind = kind
+        self._trail = trail
+        self._tests: dict[Path, list[int]] = {}
+        for one in chosen:
+            self._tests.setdefault(one.path, []).append(one.number)
+
+    def run(self) -> Export:
+        """Do it; the session in which it is cancelled leaves nothing behind."""
+        try:
+            for done, (path, numbers) in enumerate(self._tests.items()):
+                self._begun = done / len(self._tests)
+                try:
+                    self._export(path, numbers)
+                except CancelledError:
+                    raise
+                except (TissueIDError, OSError) as error:
+                    self.problems.append(in_words(error))
+        except CancelledError:
+            pass  # what is written stays
+        return self
+
+    @property
+    def words_after(self) -> str:
+        """What came of it."""
+        count = len(self.written)
+        said = []
+        if count == 1:
+            said.append(f"Exported into {self.written[0]}.")
+        elif count:
+            said.append(f"Exported {count} sessions into folders in {self._folder}.")
+        if self.cancelled:
+            said.append("The export was stopped; the other sessions are not exported.")
+        return " ".join([*said, *dict.fromkeys(self.problems)])
+
+    def _export(self, path: Path, numbers: Sequence[int]) -> None:
+        self.tell(self._begun)
+        session = read_session_head(path)
+        tests = []
+        for number in numbers:
+            tests.append(read_test(path, number))
+            self.tell(self._begun)
+        folder = self._free_name(path.stem)
+        export_session(replace(session, tests=tuple(tests)), folder, self._kind, self._told)
+        self.written.append(folder)
+        told = {"tests": len(tests), "format": self._kind}
+        self._trail.record("session.exported", subject=session.session_id, new=told)
+
+    def _told(self, share: float) -> None:
+        self.tell(self._begun + share / len(self._tests))
+
+    def _free_name(self, stem: str) -> Path:
+        """A folder that is not there: nothing is ever written over."""
+        folder = self._folder / f"{stem}-{self._kind}"
+        count = 1
+        while folder.exists():
+            count += 1
+            folder = self._folder / f"{stem}-{self._kind}-{count}"
+        return folder
+
+
+__all__ = ["EXPORTS", "Export"]

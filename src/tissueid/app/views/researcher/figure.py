@@ -1,0 +1,81 @@
+"""The signals that are looked at as a figure for paper: PNG or SVG, drawn apart from the window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tissueid.app.theme import LIGHT
+from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.errors import UnusableInputError
+from tissueid.reports.style import drawing, frequency_axis, log_axis, new_figure
+from tissueid.whole_file import whole_file
+from tissueid.wording import people_unit
+
+FIGURES = {".png": "PNG picture (*.png)", ".svg": "SVG drawing (*.svg)"}
+_WIDTH, _PANEL, _REST = 7.2, 1.7, 1.1
+"""Inches."""
+_COLUMNS = 1200
+_DPI = 200
+
+
+@dataclass(frozen=True)
+class FigurePlan:
+    """What is drawn: signals of tests between two times, s, and the spectrum of one of them below."""
+
+    loaded: Sequence[Loaded]
+    channels: Sequence[Channel]
+    low_s: float
+    high_s: float
+    spectrum: Channel | None
+
+    def save(self, path: Path) -> Path:
+        """Draw it into a file, by the ending of its name; returns that name.
+
+        Raises:
+            UnusableInputError: neither PNG nor SVG.
+            OSError: the disk is full or not writable; nothing is left behind.
+        """
+        if path.suffix.lower() not in FIGURES:
+            raise UnusableInputError(f"{path.name}: figures are saved as {' or '.join(FIGURES)}")
+        self._draw(path)
+        return path
+
+    @drawing
+    def _draw(self, path: Path) -> None:
+        count = len(self.channels) + (self.spectrum is not None)
+        figure = new_figure(_WIDTH, _PANEL * count + _REST)
+        every = figure.subplots(count, 1, squeeze=False)[:, 0]
+        colours = series(LIGHT)
+        for axes, channel in zip(every, self.channels, strict=False):
+            unit, scale = people_unit(channel.unit)
+            axes.set_title(f"{channel.title} ({unit})" if unit else channel.title)
+            for test, colour in zip(self.loaded, colours, strict=False):
+                if (track := test.tracks.get(channel)) is not None:
+                    times, values = track.outline(self.low_s, self.high_s, _COLUMNS)
+                    axes.plot(times, scale * values, color=colour, linewidth=0.8, label=test.chosen.label)
+            axes.set_xlim(self.low_s, self.high_s)
+        every[len(self.channels) - 1].set_xlabel("Time from the start of the test (s)")
+        if self.spectrum is not None:
+            unit, scale = people_unit(self.spectrum.unit)
+            axes = every[-1]
+            axes.set_title(f"Power spectrum of {self.spectrum.title} ({unit}²/Hz)" if unit else "Power spectrum (1/Hz)")
+            for test, colour in zip(self.loaded, colours, strict=False):
+                if (track := test.tracks.get(self.spectrum)) is not None:
+                    frequency, density = track.spectrum(self.low_s, self.high_s)
+                    if np.any(density > 0.0):
+                        axes.plot(frequency, scale**2 * density, color=colour, linewidth=0.8)
+            drawn = np.concatenate([line.get_xdata() for line in axes.get_lines()] or [np.array([1.0, 1e3])])
+            frequency_axis(axes, float(drawn.min()), float(drawn.max()))
+            log_axis(axes)
+        handles, labels = every[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=1 + (len(labels) > 3))
+        with whole_file(path) as partial:
+            figure.savefig(partial, format=path.suffix.lower()[1:], dpi=_DPI)
+
+
+__all__ = ["FIGURES", "FigurePlan"]

@@ -1,0 +1,89 @@
+"""What the brushed stretch amounts to: one row a test, one column a signal. Its colours are the key to the plots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor, QPixmap
+from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.records import Estimate
+from tissueid.wording import MISSING, people_unit, plus_minus
+
+_ROW = 22
+_NAME_WIDTH = 150
+_SWATCH = 10
+
+
+class FiguresTable(QTableWidget):
+    """Mean and standard deviation of every signal that is drawn."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(0, 1, parent)
+        self._theme: Theme | None = None
+        self.setAccessibleName("Mean and standard deviation of the brushed stretch")
+        self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
+        self.setTabKeyNavigation(False)
+        self.setShowGrid(False)
+        self.setWordWrap(False)
+        self.verticalHeader().hide()
+        self.verticalHeader().setDefaultSectionSize(_ROW)
+        header = self.horizontalHeader()
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setHighlightSections(False)
+        self.setToolTip("The selected test is drawn over the others")
+
+    def show_stretch(self, loaded: Sequence[Loaded], channels: Sequence[Channel], low_s: float, high_s: float) -> None:
+        """Fill it in for the stretch between two times."""
+        self.setColumnCount(1 + len(channels))
+        self.setRowCount(len(loaded))
+        titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
+        self.setHorizontalHeaderLabels(["Mean ± SD", *titles])
+        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Fixed)
+        self.horizontalHeader().resizeSection(0, _NAME_WIDTH)
+        for row, test in enumerate(loaded):
+            name = QTableWidgetItem(test.chosen.label)
+            name.setToolTip(plain_tip(test.chosen.label))
+            self.setItem(row, 0, name)
+            for column, channel in enumerate(channels, 1):
+                self.setItem(row, column, _figure(test, channel, low_s, high_s))
+        self._colour()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        self._colour()
+
+    def _colour(self) -> None:
+        if self._theme is None:
+            return
+        for row, colour in zip(range(self.rowCount()), series(self._theme), strict=False):
+            swatch = QPixmap(_SWATCH, _SWATCH)
+            swatch.fill(QColor(colour))
+            if (item := self.item(row, 0)) is not None:
+                item.setData(Qt.ItemDataRole.DecorationRole, swatch)
+
+
+def _units(channels: Sequence[Channel]) -> list[tuple[Channel, str]]:
+    return [(channel, people_unit(channel.unit)[0]) for channel in channels]
+
+
+def _figure(test: Loaded, channel: Channel, low_s: float, high_s: float) -> QTableWidgetItem:
+    track = test.tracks.get(channel)
+    if track is None:
+        return QTableWidgetItem(MISSING)
+    stretch = track.stretch(low_s, high_s)
+    item = QTableWidgetItem(plus_minus(Estimate(stretch.mean, stretch.std), people_unit(channel.unit)[1]))
+    lost = f", {stretch.lost} lost" if stretch.lost else ""
+    item.setToolTip(f"{stretch.samples} samples{lost}")
+    return item
+
+
+__all__ = ["FiguresTable"]

@@ -1,0 +1,145 @@
+"""The analyses that were run, newest first: run one again, or put its settings back into the form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import QModelIndex, Qt, Signal
+from PySide6.QtWidgets import (
+    QAbstractItemView,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.views.researcher.history import MOST_ENTRIES, Entry
+from tissueid.app.views.researcher.task import Task
+from tissueid.identification import engine_names, get_engine
+from tissueid.wording import clean, engine_label, plain_text
+
+_COLUMNS = ("When", "Engine", "Tests", "Figures", "Options that differ from the defaults")
+_ROW = 22
+_LONGEST = 200
+
+
+class HistoryList(QWidget):
+    """``again`` and ``wanted`` carry a task: to be run anew, or to be put into the form."""
+
+    again = Signal(object)
+    wanted = Signal(object)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._entries: list[Entry] = []
+        self._busy = False
+        self.run = QPushButton("Run again")
+        self.fill = QPushButton("Put into the form")
+        self.remark = QLabel()
+        self.remark.setProperty("role", "muted")
+        self.remark.setTextFormat(Qt.TextFormat.PlainText)
+        self.remark.setWordWrap(True)
+        self.remark.setMinimumWidth(1)
+        self.table = QTableWidget(0, len(_COLUMNS))
+        self.table.setHorizontalHeaderLabels(list(_COLUMNS))
+        self.table.setAccessibleName("History of analyses")
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setTabKeyNavigation(False)
+        self.table.setShowGrid(False)
+        self.table.setWordWrap(False)
+        self.table.verticalHeader().hide()
+        self.table.verticalHeader().setDefaultSectionSize(_ROW)
+        header = self.table.horizontalHeader()
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
+        header.setStretchLastSection(True)
+        header.setHighlightSections(False)
+        row = QHBoxLayout()
+        row.addWidget(self.fill)
+        row.addWidget(self.run)
+        row.addWidget(self.remark, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 6, 0, 0)
+        layout.setSpacing(6)
+        layout.addLayout(row)
+        layout.addWidget(self.table, 1)
+        self.table.itemSelectionChanged.connect(self._settle)
+        self.table.activated.connect(self._activated)
+        self.run.clicked.connect(self._again)
+        self.fill.clicked.connect(self._fill)
+        self._settle()
+
+    def show_entries(self, entries: Sequence[Entry], bad: int = 0) -> None:
+        """Show lines, newest first; ``bad`` is how many of the file could not be read."""
+        self._entries = list(entries)[:MOST_ENTRIES]
+        self.remark.setText(f"{bad} lines of the history could not be read and are passed over." if bad else "")
+        self.table.setRowCount(len(self._entries))
+        for row, entry in enumerate(self._entries):
+            for column, text in enumerate(_texts(entry)):
+                item = QTableWidgetItem(text[:_LONGEST])
+                item.setToolTip(text[: 5 * _LONGEST].replace("<", "‹").replace(">", "›"))
+                self.table.setItem(row, column, item)
+        for column in range(len(_COLUMNS) - 1):
+            self.table.resizeColumnToContents(column)
+            self.table.setColumnWidth(column, min(240, self.table.columnWidth(column) + 6))
+        self._settle()
+
+    def add(self, entry: Entry) -> None:
+        """A further run, the newest."""
+        self.show_entries([entry, *self._entries])
+
+    def settle(self, *, busy: bool) -> None:
+        """Nothing is run again beside other work."""
+        self._busy = busy
+        self._settle()
+
+    def _chosen(self) -> Task | None:
+        rows = self.table.selectionModel().selectedRows()
+        return self._entries[rows[0].row()].task if rows else None
+
+    def _settle(self) -> None:
+        chosen = self._chosen() is not None
+        self.fill.setEnabled(chosen)
+        self.run.setEnabled(chosen and not self._busy)
+
+    def _again(self) -> None:
+        if (task := self._chosen()) is not None and not self._busy:
+            self.again.emit(task)
+
+    def _fill(self) -> None:
+        if (task := self._chosen()) is not None:
+            self.wanted.emit(task)
+
+    def _activated(self, _index: QModelIndex) -> None:
+        self._fill()
+
+
+def _texts(entry: Entry) -> tuple[str, str, str, str, str]:
+    task = entry.task
+    when = entry.time.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+    names = ", ".join(engine_label(clean(name)) for name in task.engines)
+    what = f"{len(task.engines)} compared" if task.kind == "compare" else names
+    first = clean(task.tests[0].label or task.tests[0].path) if task.tests else "none"
+    tests = first if len(task.tests) < 2 else f"{len(task.tests)}: {first} …"
+    return when, what, tests, clean(entry.headline), names if task.kind == "compare" else _changed(task)
+
+
+def _changed(task: Task) -> str:
+    """What was chosen otherwise than the defaults are; all of it, where the engine is not installed any more."""
+    name = task.engines[0]
+    options: dict[str, object] = dict(task.options)
+    if name in engine_names():
+        defaults = get_engine(name)().options()
+        options = {option: value for option, value in options.items() if value != defaults.get(option, object())}
+    words = [plain_text(options)] if options else []
+    if (task.input_name, task.output_name) != ("force", "position"):
+        words.append(f"{clean(task.input_name)} to {clean(task.output_name)}")
+    if task.together:
+        words.append("tests of a file together")
+    return "; ".join(words) or "defaults"

@@ -1,0 +1,99 @@
+"""A kernel as an image with a colour bar: of a second order over two lags, or over lag and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import QRectF
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.drawn import Image
+from tissueid.app.views.researcher.outcome import Outcome
+
+_MISSING = "No result has a kernel to show: run Volterra, Depth or Direction."
+
+
+class KernelImage(QWidget):
+    """Shows one image at a time; ``choice`` says of which result."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.choice = QComboBox()
+        self.choice.setAccessibleName("Result whose kernel is shown")
+        self.choice.currentIndexChanged.connect(self._show)
+        self.card = PlotCard("Kernel", " ", "")
+        self.card.plot.getAxis("left").setWidth(66)
+        self._item = pg.ImageItem()
+        self.card.plot.addItem(self._item)
+        self._bar = pg.ColorBarItem(interactive=False, width=14)
+        self._bar.setImageItem(self._item, insert_in=self.card.plot.getPlotItem())
+        self._images: list[Image] = []
+        self._theme: Theme | None = None
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(self.choice)
+        layout.addWidget(self.card, 1)
+        self._show()
+
+    @property
+    def image(self) -> Image | None:
+        """What is shown."""
+        place = self.choice.currentIndex()
+        return self._images[place] if 0 <= place < len(self._images) else None
+
+    def offer(self, outcomes: Sequence[Outcome]) -> None:
+        """Offer the images of results; the one that was shown stays if it is among them."""
+        before = self.choice.currentText()
+        pairs = [(f"{outcome.label}: {image.title}", image) for outcome in outcomes for image in outcome.drawn.images]
+        self.choice.blockSignals(True)
+        self.choice.clear()
+        self.choice.addItems([text for text, _ in pairs])
+        self._images = [image for _, image in pairs]
+        self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
+        self.choice.blockSignals(False)
+        self.choice.setVisible(bool(pairs))
+        self._show()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme: nothing is the colour of the card, so that only what there is stands out."""
+        self._theme = theme
+        self.card.paint_with(theme)
+        ends = QColor(theme.measured), QColor(theme.panel), QColor(theme.model)
+        self._bar.setColorMap(pg.ColorMap([0.0, 0.5, 1.0], list(ends)))
+        self._bar.axis.setPen(theme.line)
+        self._bar.axis.setTextPen(theme.muted)
+        self._label()
+
+    def _show(self) -> None:
+        image = self.image
+        self.card.say_missing("" if image else _MISSING)
+        if image is None:
+            return
+        # Cells are drawn about the points that they stand for.
+        (left, width), (low, height) = _reach(image.x), _reach(image.y)
+        limit = float(np.nanmax(np.abs(image.values))) or 1.0
+        self._item.setImage(image.values, levels=(-limit, limit))
+        self._item.setRect(QRectF(left, low, width, height))
+        self._bar.setLevels((-limit, limit))
+        self.card.plot.setXRange(left, left + width, padding=0.0)
+        self.card.plot.setYRange(low, low + height, padding=0.0)
+        self.card.retitle(image.title, image.unit)
+        self._label()
+
+    def _label(self) -> None:
+        image, theme = self.image, self._theme
+        if image is not None and theme is not None:
+            for side, text in (("bottom", image.x_label), ("left", image.y_label)):
+                self.card.plot.getAxis(side).setLabel(text, siPrefixEnableRanges=(), color=theme.muted)
+
+
+def _reach(points: np.ndarray) -> tuple[float, float]:
+    """Where the first of evenly spaced cells begins, and how far all of them go."""
+    step = float(points[1] - points[0]) if points.size > 1 else 1.0
+    return float(points[0]) - 0.5 * step, step * points.size

@@ -1,0 +1,256 @@
+"""Plots of several results laid over each other: one picture at a time, of one to three panels."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.drawn import Line, Panel
+from tissueid.app.views.researcher.kernels import KernelImage
+from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.results_table import SERIES
+
+_NOTHING = np.zeros(0)
+_KERNELS = "Kernel image"
+_LONGEST = 48
+_PLAIN, _LABELLED = 76, 104
+"""Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A panel: what it is called, its axis, which axes are logarithmic, and what its band means."""
+
+    title: str
+    x_label: str
+    logs: tuple[str, ...] = ()
+    band: str = ""
+
+
+_PANELS: dict[Panel, _Look] = {
+    "impulse": _Look(
+        "Impulse response about the mean input",
+        "Lag (ms)",
+        band="Band: one standard deviation to either side, where the engine tells it",
+    ),
+    "magnitude": _Look("Magnitude", "", ("bottom", "left"), "Band: 95 % confidence, where it was measured"),
+    "phase": _Look("Phase", "", ("bottom",), "Band: 95 % confidence, where it was measured"),
+    "coherence": _Look("Coherence of the record", "Frequency (Hz)", ("bottom",)),
+    "nonlinearity": _Look(
+        "Static nonlinearity",
+        "Input of the curve (N, or what the input is measured in)",
+        band="Band: Wiener, the standard deviation of what was measured about the curve; Hammerstein, 95 % confidence",
+    ),
+    "mass": _Look("Mass", "", band="Band: one standard deviation to either side"),
+    "damping": _Look("Damping", "", band="Band: one standard deviation to either side"),
+    "stiffness": _Look("Stiffness", "Position (mm)", band="Band: one standard deviation to either side"),
+    "autocorrelation": _Look(
+        "Autocorrelation of the held-out residual",
+        "Lag (ms)",
+        band="Band: what one lag exceeds one time in twenty, 1.96 over the root of the samples for a white residual",
+    ),
+    "cross": _Look(
+        "Input against the held-out residual",
+        "Lag (ms)",
+        band="Band: what one lag exceeds one time in twenty if the residual is unrelated to the input",
+    ),
+}
+
+PICTURES: Mapping[str, tuple[Panel, ...]] = {
+    "Impulse response": ("impulse",),
+    "Bode diagram": ("magnitude", "phase", "coherence"),
+    "Static nonlinearity": ("nonlinearity",),
+    "Against depth": ("mass", "damping", "stiffness"),
+    "Residual tests": ("autocorrelation", "cross"),
+    _KERNELS: (),
+}
+
+
+class Pictures(QWidget):
+    """Shows results. ``show_outcomes`` returns which of them are drawn, in the order of their colours."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.choice = QComboBox()
+        self.choice.setAccessibleName("Picture")
+        self._pages = QStackedWidget()
+        self._cards: dict[Panel, PlotCard] = {}
+        self._slots: dict[Panel, list[_Slot]] = {}
+        self._theme: Theme | None = None
+        self._drawn: list[Outcome] = []
+        self._left_out = 0
+        self.kernel = KernelImage()
+        for name, panels in PICTURES.items():
+            self.choice.addItem(name)
+            self._pages.addWidget(QWidget() if panels else self.kernel)
+        self.legend = QLabel()
+        self.legend.setTextFormat(Qt.TextFormat.RichText)
+        self.legend.setWordWrap(True)
+        self.legend.setMinimumWidth(1)
+        self.legend.setAccessibleName("Key of the plots")
+        self.choice.currentIndexChanged.connect(self._turn)
+        self.canvas = QWidget()
+        inside = QVBoxLayout(self.canvas)
+        inside.setContentsMargins(0, 0, 0, 0)
+        inside.setSpacing(4)
+        inside.addWidget(self.legend)
+        inside.addWidget(self._pages, 1)
+        self.tools = QHBoxLayout()
+        self.tools.setSpacing(6)
+        self.tools.addWidget(self.choice)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addLayout(self.tools)
+        layout.addWidget(self.canvas, 1)
+        self._make(0)
+        self.show_outcomes(())
+
+    def show_outcomes(self, outcomes: Sequence[Outcome]) -> list[Outcome]:
+        """Draw what can be told apart: the first seven of the same signals that were not refused."""
+        there = [outcome for outcome in outcomes if outcome.report is not None]
+        self._drawn = [outcome for outcome in there if outcome.drawn.units == there[0].drawn.units][: len(SERIES)]
+        self._left_out = len(there) - len(self._drawn)
+        for panel in self._cards:
+            self._fill(panel)
+        self.kernel.offer([o for o in there if o.drawn.images])
+        self._show_legend()
+        return self._drawn
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        for panel in self._cards:
+            self._paint(panel)
+        self.kernel.paint_with(theme)
+        self._show_legend()
+
+    # -- inside -------------------------------------------------------------------------------------------
+
+    def _make(self, place: int) -> None:
+        """Make a page when it is first looked at: ten plots would hold up the start of the window."""
+        panels = list(PICTURES.values())[place]
+        page = self._pages.widget(place)
+        if not panels or page is None or panels[0] in self._cards:
+            return
+        column = QVBoxLayout(page)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(4)
+        for panel in panels:
+            look = _PANELS[panel]
+            card = PlotCard(look.title, look.x_label, "", log_axes=look.logs)
+            card.setToolTip(look.band)
+            card.plot.getAxis("left").setWidth(52)
+            card.plot.getAxis("left").enableAutoSIPrefix(False)
+            self._cards[panel] = card
+            self._slots[panel] = []
+            if panel != panels[0] and len(panels) > 1 and look.logs:
+                card.plot.setXLink(self._cards[panels[0]].plot)
+            if panel == "coherence":
+                card.plot.setYRange(0.0, 1.05, padding=0.0)
+            card.setMinimumHeight(_LABELLED if look.x_label else _PLAIN)
+            column.addWidget(card, 4 if look.x_label else 3)
+            self._fill(panel)
+            self._paint(panel)
+
+    def _fill(self, panel: Panel) -> None:
+        card = self._cards[panel]
+        lines = [outcome.drawn.lines.get(panel) for outcome in self._drawn]
+        slots = self._slots[panel]
+        for role in SERIES[len(slots) : len(lines)]:  # made when they are needed: a plot's items take their time
+            slots.append(_Slot(card, role))
+            self._paint(panel)
+        for place, slot in enumerate(slots):
+            slot.show(lines[place] if place < len(lines) else None)
+        unit = self._drawn[0].drawn.units.get(panel, "") if self._drawn else ""
+        card.retitle(_PANELS[panel].title, unit)
+        if any(line is not None for line in lines):
+            card.say_missing("")
+            if panel in PICTURES["Against depth"]:
+                _hold_bands(card, [line for line in lines if line is not None])
+            without = sum(line is None for line in lines)
+            card.remark(f"{without} of {len(lines)} have none" if without else "")
+            return
+        reasons = dict.fromkeys(o.drawn.missing.get(panel, "") for o in self._drawn)
+        card.say_missing(" ".join(filter(None, reasons)) or "Nothing to show yet: choose tests and run an engine.")
+
+    def _paint(self, panel: Panel) -> None:
+        if self._theme is not None:
+            self._cards[panel].paint_with(self._theme)
+            for slot in self._slots[panel]:
+                slot.paint_with(self._theme)
+
+    def _turn(self, place: int) -> None:
+        self._make(place)
+        self._pages.setCurrentIndex(place)
+        self._show_legend()
+
+    def _show_legend(self) -> None:
+        theme = self._theme
+        if theme is None:
+            return
+        entries = []
+        for role, outcome in zip(SERIES, self._drawn, strict=False):
+            name = html.escape(outcome.label[:_LONGEST]).replace(" ", "&nbsp;")
+            entries.append(f'<span style="color:{getattr(theme, role)}">■</span>&nbsp;{name}')
+        words = []
+        if self._pages.currentIndex() == list(PICTURES).index("Against depth") and any(
+            line.out_x is not None for o in self._drawn for line in o.drawn.lines.values()
+        ):
+            words.append("faint: on the way out")
+        if self._left_out:
+            words.append(f"{self._left_out} more are not drawn: select which in the table")
+        entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
+        self.legend.setText(" &nbsp;&nbsp; ".join(entries))
+        self.legend.setVisible(bool(entries) and self.choice.currentText() != _KERNELS)
+
+
+def _hold_bands(card: PlotCard, lines: Sequence[Line]) -> None:
+    """Make room for the bands too, unless they are wider than what they are about."""
+    values = np.concatenate([part for line in lines for part in (line.y, line.out_y) if part is not None])
+    edges = [part for line in lines for part in (line.low, line.high) if part is not None]
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return
+    every = np.concatenate([values, *edges])
+    reach = float(np.median(np.abs(values)))
+    low = max(float(np.nanmin(every)), float(values.min()) - reach)
+    high = min(float(np.nanmax(every)), float(values.max()) + reach)
+    if high > low:
+        card.plot.setYRange(low, high, padding=0.08)
+
+
+class _Slot:
+    """The items of one colour in one card."""
+
+    def __init__(self, card: PlotCard, role: str) -> None:
+        self._low, self._high = card.band(role, alpha=45)
+        self._line = card.line(role, width=1)
+        self._out = card.line(role, width=1, alpha=130)
+        self._dots = card.dots(role, 9)
+        self._role = role
+
+    def show(self, line: Line | None) -> None:
+        """Draw a line, or nothing."""
+        nothing = Line(_NOTHING, _NOTHING)
+        line = line or nothing
+        joined, apart = (nothing, line) if line.dots else (line, nothing)
+        self._line.setData(joined.x, joined.y)
+        self._dots.setData(apart.x, apart.y)
+        banded = line.low is not None and line.high is not None
+        for edge, values in ((self._low, line.low), (self._high, line.high)):
+            edge.setData(line.x if banded else _NOTHING, values if banded else _NOTHING)
+        there = line.out_x is not None and line.out_y is not None
+        self._out.setData(line.out_x if there else _NOTHING, line.out_y if there else _NOTHING)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Lines in a width that can be followed among others."""
+        self._line.setPen(pg.mkPen(getattr(theme, self._role), width=2))

@@ -1,0 +1,296 @@
+"""Plots of several signals over time, linked by a brush: drag over one of them, and the others show that stretch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer, Signal
+from PySide6.QtGui import QMouseEvent, QResizeEvent
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme, faint
+from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded
+from tissueid.wording import fixed, people_unit
+
+MOST_PLOTS = 6
+SHORTEST_S = 0.005
+"""A drag over less is a click."""
+_FRAME_MS = 16
+_GRIP_PX = 6
+_ROOM = 0.06
+_AXIS_HEIGHT = 17
+_NOTHING = np.zeros(0)
+
+
+class PlotStack(QWidget):
+    """``brushed`` carries where the brushed stretch begins and ends, s. Without a brush that is the whole test."""
+
+    brushed = Signal(float, float)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._plots: list[_Plot] = []
+        self._loaded: Sequence[Loaded] = ()
+        self._channels: Sequence[Channel] = ()
+        self._theme: Theme | None = None
+        self._whole = (0.0, 1.0)
+        self.brush: tuple[float, float] | None = None
+        self._source: _Plot | None = None
+        self._held: tuple[float, float] | None = None
+        self._grip = ""
+        self._pressed_on: _Plot | None = None
+        self._frame = QTimer(self)
+        self._frame.setSingleShot(True)
+        self._frame.setInterval(_FRAME_MS)
+        self._frame.timeout.connect(self.draw)
+        self._axis = QLabel("Time from the start of the test (s)")
+        self._axis.setProperty("role", "field")
+        self._axis.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._column = QVBoxLayout(self)
+        self._column.setContentsMargins(0, 0, 0, 0)
+        self._column.setSpacing(4)
+        self._column.addWidget(self._axis)
+
+    @property
+    def cards(self) -> list[PlotCard]:
+        """The plots that are shown, from top to bottom."""
+        return [plot.card for plot in self._plots[: len(self._channels)]]
+
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """What is brushed, or the whole."""
+        return self.brush or self._whole
+
+    @property
+    def whole(self) -> tuple[float, float]:
+        """From the start to the end of the longest test."""
+        return self._whole
+
+    def show_tests(self, loaded: Sequence[Loaded], channels: Sequence[Channel]) -> None:
+        """Draw these signals of these tests, and keep the brush while it lies within."""
+        self._loaded, self._channels = loaded[:MOST_TESTS], channels[:MOST_PLOTS]
+        self._whole = 0.0, max((test.seconds for test in self._loaded), default=1.0)
+        while len(self._plots) < len(self._channels):
+            self._add()
+        for place, plot in enumerate(self._plots):
+            used = place < len(self._channels)
+            plot.card.setVisible(used)
+            if used:
+                plot.show_channel(self._channels[place], self._loaded)
+        self._axis.setVisible(bool(self._channels))
+        inside = self.brush is not None and self.brush[1] <= self._whole[1]
+        if self.brush is not None and inside and self._source in self._plots[: len(self._channels)]:
+            self._place_views(self.brush)
+        else:
+            self.show_whole()
+
+    def show_whole(self) -> None:
+        """No brush: every plot shows everything."""
+        self.brush = self._source = None
+        for plot in self._plots:
+            plot.view = self._whole
+        self._tell()
+
+    def set_brush(self, low_s: float, high_s: float) -> None:
+        """Brush a stretch; the plot that was brushed last, or else the first, keeps the view around it."""
+        low, high = max(self._whole[0], low_s), min(self._whole[1], high_s)
+        if not self._channels or high - low < SHORTEST_S:
+            return
+        if self._source is None:
+            self._source = self._plots[0]
+        self.brush = low, high
+        self._place_views(self.brush)
+        self._tell()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        for plot in self._plots:
+            plot.paint_with(theme)
+
+    def bring_forward(self, place: int) -> None:
+        """Draw this test over the others."""
+        for plot in self._plots:
+            plot.bring_forward(place)
+
+    def draw(self) -> None:
+        """Draw what the views show now."""
+        for plot in self._plots[: len(self._channels)]:
+            plot.draw(self._loaded, self.brush if plot is self._source else None)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Another width has another number of pixels to fill."""
+        super().resizeEvent(event)
+        self._frame.start()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Mouse over a plot: drag to brush, drag the brush or an end of it, double-click for the whole."""
+        plot = next((plot for plot in self._plots if plot.card.plot.viewport() is watched), None)
+        if plot is None or not isinstance(event, QMouseEvent) or not self._loaded:
+            return super().eventFilter(watched, event)
+        kind = event.type()
+        if kind == QEvent.Type.MouseButtonDblClick:
+            self._held = None
+            self.show_whole()
+        elif kind == QEvent.Type.MouseButtonPress and event.button() == Qt.MouseButton.LeftButton:
+            self._take_hold(plot, event.position().toPoint())
+        elif kind == QEvent.Type.MouseMove and self._held is not None:
+            self._drag(plot.time_at(event.position().toPoint()))
+        elif kind == QEvent.Type.MouseButtonRelease and self._held is not None:
+            self._drag(plot.time_at(event.position().toPoint()))
+            self._held = None
+        else:
+            return super().eventFilter(watched, event)
+        return True
+
+    # -- brushing -------------------------------------------------------------------------------------------
+
+    def _take_hold(self, plot: _Plot, where: QPoint) -> None:
+        time = plot.time_at(where)
+        self._grip, self._held = "new", (time, time)
+        if self.brush is not None and plot is self._source:
+            reach = _GRIP_PX * plot.seconds_per_pixel
+            low, high = self.brush
+            if abs(time - low) <= reach:
+                self._grip, self._held = "end", (high, time)
+            elif abs(time - high) <= reach:
+                self._grip, self._held = "end", (low, time)
+            elif low < time < high:
+                self._grip, self._held = "move", (time - low, high - low)
+        self._pressed_on = plot
+
+    def _drag(self, time: float) -> None:
+        if self._held is None:
+            return
+        fixed_at, length = self._held
+        if self._grip == "move":
+            low = min(max(self._whole[0], time - fixed_at), self._whole[1] - length)
+            ends = low, low + length
+        else:
+            ends = min(fixed_at, time), max(fixed_at, time)
+        if ends[1] - ends[0] >= SHORTEST_S:
+            self._source = self._pressed_on
+            self.set_brush(*ends)
+
+    def _place_views(self, brush: tuple[float, float]) -> None:
+        for plot in self._plots:
+            if plot is not self._source:
+                plot.view = brush
+            elif not (plot.view[0] <= brush[0] and brush[1] <= plot.view[1]):
+                plot.view = self._whole
+
+    def _tell(self) -> None:
+        if not self._frame.isActive():
+            self._frame.start()
+        self.brushed.emit(*self.stretch)
+
+    def _add(self) -> None:
+        plot = _Plot(self)
+        if self._theme is not None:
+            plot.paint_with(self._theme)
+        plot.card.plot.viewport().installEventFilter(self)
+        plot.card.plot.viewport().setCursor(Qt.CursorShape.CrossCursor)
+        self._column.insertWidget(len(self._plots), plot.card, 1)
+        self._plots.append(plot)
+
+
+class _Plot:
+    """One signal of every test, over the times in ``view``."""
+
+    def __init__(self, parent: QWidget) -> None:
+        self.card = PlotCard("Signal", "", "", parent=parent)
+        self.card.setToolTip("Drag over a stretch: the other plots look closer at it. A double click shows everything")
+        self.view = (0.0, 1.0)
+        self._channel = Channel("", "")
+        self._curves: list[pg.PlotDataItem] = []
+        self._region = pg.LinearRegionItem(movable=False)
+        self._region.setZValue(-10)
+        self._region.hide()
+        self.card.plot.addItem(self._region, ignoreBounds=True)
+        self._preload = self.card.mark()
+        self._theme: Theme | None = None
+        self._drawn: tuple[tuple[float, float], int] | None = None
+        """What the curves show: as long as that is what is wanted, they need not be drawn anew."""
+
+    @property
+    def seconds_per_pixel(self) -> float:
+        """How much time a pixel stands for."""
+        return (self.view[1] - self.view[0]) / max(1.0, float(self.card.plot.getViewBox().width()))
+
+    def time_at(self, where: QPoint) -> float:
+        """The time under a place in the plot, within its view."""
+        box = self.card.plot.getViewBox()
+        time = float(box.mapSceneToView(self.card.plot.mapToScene(where)).x())
+        return min(max(time, self.view[0]), self.view[1])
+
+    def show_channel(self, channel: Channel, loaded: Sequence[Loaded]) -> None:
+        """This one from now on."""
+        self._channel = channel
+        self.card.retitle(channel.title, people_unit(channel.unit)[0])
+        while len(self._curves) < len(loaded):
+            self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite", skipFiniteCheck=False))
+            self._colour()
+        ends = {test.preload_s for test in loaded if test.preload_s > 0.0}
+        self._preload.setVisible(len(ends) == 1)
+        if len(ends) == 1:
+            self._preload.setValue(ends.pop())
+            self._preload.setToolTip("The preload ends here")
+        self._drawn = None
+
+    def bring_forward(self, place: int) -> None:
+        """Draw this test over the others."""
+        for number, curve in enumerate(self._curves):
+            curve.setZValue(1 if number == place else 0)
+
+    def draw(self, loaded: Sequence[Loaded], brush: tuple[float, float] | None) -> None:
+        """Draw what the view shows; ``brush`` is what is shaded, None for nothing."""
+        self._region.setVisible(brush is not None)
+        if brush is not None:
+            self._region.setRegion(brush)
+        box = self.card.plot.getViewBox()
+        columns = max(50, int(box.width()))
+        if self._drawn == (self.view, columns):
+            return
+        self._drawn = self.view, columns
+        scale = people_unit(self._channel.unit)[1]
+        low, high = math.inf, -math.inf
+        for place, curve in enumerate(self._curves):
+            track = loaded[place].tracks.get(self._channel) if place < len(loaded) else None
+            if track is None:
+                curve.setData(_NOTHING, _NOTHING)
+                continue
+            times, values = track.outline(*self.view, columns)
+            values = scale * values
+            curve.setData(times, values)
+            if np.isfinite(values).any():
+                low, high = min(low, float(np.nanmin(values))), max(high, float(np.nanmax(values)))
+        box.setXRange(*self.view, padding=0.0)
+        if low <= high:
+            room = _ROOM * (high - low) or 0.5 * abs(high) or 1.0
+            box.setYRange(low - room, high + room, padding=0.0)
+        self.card.remark(f"{fixed(self.view[0], 3)} to {fixed(self.view[1], 3)} s")
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        self.card.paint_with(theme)
+        # Each plot may show other times than its neighbours.
+        self.card.plot.getAxis("bottom").setStyle(showValues=True)
+        self.card.plot.getAxis("bottom").setHeight(_AXIS_HEIGHT)
+        self._region.setBrush(faint(theme.accent, 45))
+        for line in self._region.lines:
+            line.setPen(pg.mkPen(theme.accent, width=1))
+        self._colour()
+
+    def _colour(self) -> None:
+        if self._theme is not None:
+            for curve, colour in zip(self._curves, series(self._theme), strict=False):
+                curve.setPen(pg.mkPen(colour, width=1))
+
+
+__all__ = ["MOST_PLOTS", "SHORTEST_S", "PlotStack"]

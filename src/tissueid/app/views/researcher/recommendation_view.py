@@ -1,0 +1,143 @@
+"""What comparing engines recommends, in words and as a table; and which engines are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QMenu,
+    QPlainTextEdit,
+    QPushButton,
+    QSplitter,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.views.researcher.verdict import COLUMNS, Verdict
+from tissueid.identification import engine_names
+from tissueid.wording import engine_label
+
+_ROW = 22
+_NOTHING = (
+    "No comparison yet. “Compare engines” fits every engine to the chosen tests and says which one they bear out."
+)
+
+
+class RecommendationView(QWidget):
+    """Shows verdicts, one at a time."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._verdicts: dict[str, Verdict] = {}
+        self.choice = QComboBox()
+        self.choice.setAccessibleName("Test whose comparison is shown")
+        self.choice.currentIndexChanged.connect(self._show)
+        self.engines = QPushButton("En&gines compared")
+        self._menu = QMenu(self.engines)
+        self._actions: dict[str, QAction] = {}
+        for name in engine_names():
+            action = self._menu.addAction(engine_label(name))
+            action.setCheckable(True)
+            action.setChecked(True)
+            action.toggled.connect(self._count)
+            self._actions[name] = action
+        self.engines.setMenu(self._menu)
+        self.headline = QLabel()
+        self.headline.setProperty("role", "headline")
+        self.headline.setWordWrap(True)
+        self.headline.setMinimumWidth(1)
+        self.headline.setTextFormat(Qt.TextFormat.PlainText)
+        self.words = QPlainTextEdit()
+        self.words.setReadOnly(True)
+        self.words.setTabChangesFocus(True)
+        self.words.setAccessibleName("Reasons of the recommendation")
+        self.standings = QTableWidget(0, len(COLUMNS))
+        self.standings.setHorizontalHeaderLabels(list(COLUMNS))
+        self.standings.setAccessibleName("Engines by how well they do")
+        self.standings.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        self.standings.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
+        self.standings.setTabKeyNavigation(False)
+        self.standings.setShowGrid(False)
+        self.standings.setWordWrap(False)
+        self.standings.verticalHeader().hide()
+        self.standings.verticalHeader().setDefaultSectionSize(_ROW)
+        header = self.standings.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setHighlightSections(False)
+        top = QHBoxLayout()
+        top.addWidget(self.engines)
+        top.addWidget(self.choice, 1)
+        parts = QSplitter(Qt.Orientation.Vertical)
+        parts.setChildrenCollapsible(False)
+        parts.addWidget(self.words)
+        parts.addWidget(self.standings)
+        parts.setStretchFactor(0, 2)
+        parts.setStretchFactor(1, 3)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 6, 0, 0)
+        layout.setSpacing(6)
+        layout.addLayout(top)
+        layout.addWidget(self.headline)
+        layout.addWidget(parts, 1)
+        self._count()
+        self._show()
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The engines that are compared."""
+        return tuple(name for name, action in self._actions.items() if action.isChecked())
+
+    def take_compared(self, engines: Sequence[str]) -> None:
+        """Compare these; names that are no engines are passed over, and none at all are all."""
+        known = [name for name in engines if name in self._actions] or list(self._actions)
+        for name, action in self._actions.items():
+            action.setChecked(name in known)
+
+    def add(self, verdicts: Sequence[Verdict]) -> None:
+        """Show further verdicts, the first of them at once; a later one of a test takes an earlier one's place."""
+        if not verdicts:
+            return
+        self._verdicts |= {verdict.label: verdict for verdict in verdicts}
+        self.choice.blockSignals(True)
+        self.choice.clear()
+        self.choice.addItems(list(self._verdicts))
+        self.choice.setCurrentIndex(self.choice.findText(verdicts[0].label))
+        self.choice.blockSignals(False)
+        self._show()
+
+    def _count(self) -> None:
+        some = len(self.compared)
+        self.engines.setText(f"En&gines compared: {'all' if some == len(self._actions) else some}")
+
+    def _show(self) -> None:
+        verdict = self._verdicts.get(self.choice.currentText())
+        self.choice.setVisible(verdict is not None)
+        self.standings.setVisible(verdict is not None)
+        if verdict is None:
+            self.headline.setText("")
+            self.headline.hide()
+            self.words.setPlainText(_NOTHING)
+            return
+        self.headline.show()
+        self.headline.setText(verdict.headline)
+        parts = [verdict.judged_on, *verdict.reasons]
+        parts += ["", "Doubts", *verdict.doubts] if verdict.doubts else []
+        parts += ["", "To know more", *verdict.experiments] if verdict.experiments else []
+        self.words.setPlainText("\n".join(parts))
+        self.standings.setRowCount(len(verdict.rows))
+        for row, texts in enumerate(verdict.rows):
+            for column, text in enumerate(texts):
+                item = QTableWidgetItem(text)
+                item.setToolTip(text.replace("<", "‹").replace(">", "›") if column == len(texts) - 1 else "")
+                if column in (2, 3, 4, 5):
+                    item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                self.standings.setItem(row, column, item)

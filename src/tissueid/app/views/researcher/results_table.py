@@ -1,0 +1,274 @@
+"""Results side by side: one row for each engine on each test, with the colour that it is drawn in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from PySide6.QtCore import (
+    QAbstractTableModel,
+    QItemSelectionModel,
+    QModelIndex,
+    QPersistentModelIndex,
+    QSortFilterProxyModel,
+    Qt,
+    Signal,
+)
+from PySide6.QtGui import QColor, QKeyEvent, QKeySequence
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.wording import (
+    MISSING,
+    axis_label,
+    clean,
+    engine_label,
+    fixed,
+    named_unit,
+    people_unit,
+    plain_text,
+    plus_minus,
+)
+
+SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
+"""Roles of the theme in which results are drawn; no more can be told apart."""
+
+_FIXED = ("Engine", "Test", "VAF fitted (%)", "VAF held out (%)")
+_LAST = ("Subject", "Site")
+_ROW = 22
+_LEAST = 96
+_SORT = Qt.ItemDataRole.UserRole
+_LONGEST = 60
+Index = QModelIndex | QPersistentModelIndex
+_TOP = QModelIndex()
+
+
+class ResultsTable(QTableView):
+    """``chosen_changed`` is sent when other results are to be drawn; ``removed`` for those that Delete takes out."""
+
+    chosen_changed = Signal()
+    removed = Signal(list)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._model = _Results(self)
+        self._sorted = QSortFilterProxyModel(self)
+        self._sorted.setSourceModel(self._model)
+        self._sorted.setSortRole(_SORT)
+        self.setModel(self._sorted)
+        self.setAccessibleName("Results of the analyses")
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSortingEnabled(True)
+        self.setTabKeyNavigation(False)
+        self.setWordWrap(False)
+        self.setShowGrid(False)
+        self.setMinimumHeight(_LEAST)
+        self.verticalHeader().hide()
+        self.verticalHeader().setDefaultSectionSize(_ROW)
+        header = self.horizontalHeader()
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
+        header.setHighlightSections(False)
+        self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
+        self.selectionModel().selectionChanged.connect(self._selected)
+
+    @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """All results, in the order in which they came."""
+        return tuple(self._model.outcomes)
+
+    @property
+    def chosen(self) -> list[Outcome]:
+        """The results that are selected, or all where none is, in the order of the table."""
+        rows = sorted(index.row() for index in self.selectionModel().selectedRows()) or range(self._sorted.rowCount())
+        return [self._model.outcomes[self._source(row)] for row in rows]
+
+    def show_outcomes(self, outcomes: Sequence[Outcome]) -> None:
+        """Show results; the selection goes."""
+        self._model.take(outcomes)
+        self.resizeColumnsToContents()
+        for column in range(self._sorted.columnCount()):
+            self.setColumnWidth(column, min(220, self.columnWidth(column) + 6))
+
+    def select(self, outcomes: Sequence[Outcome]) -> None:
+        """Select results, so that they are drawn; nothing is sent."""
+        wanted = {id(outcome) for outcome in outcomes}
+        flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
+        model = self.selectionModel()
+        model.blockSignals(True)
+        model.clearSelection()
+        for row in range(self._sorted.rowCount()):
+            if id(self._model.outcomes[self._source(row)]) in wanted:
+                model.select(self._sorted.index(row, 0), flags)
+        model.blockSignals(False)
+        self.viewport().update()
+
+    def colour(self, drawn: Sequence[Outcome]) -> None:
+        """Mark the results that are drawn with their colours, in the order of ``SERIES``."""
+        self._model.colour({id(outcome): place for place, outcome in enumerate(drawn)})
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._model.paint_with(theme)
+
+    def rows(self) -> list[list[str]]:
+        """A head and all results, SI, with a column for every value and every standard deviation."""
+        names = self._model.parameters
+        head = ["engine", "test", "subject", "site", "file", "numbers", "input", "output", "options"]
+        head += ["vaf_percent", "vaf_validation_percent", "validated_on", "aicc", "seconds"]
+        head += [column for name in names for column in (name, f"{name}_std")] + ["refused"]
+        return [head, *(_plain_row(outcome, names) for outcome in self.outcomes)]
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Delete takes the selected results out of the table."""
+        if event.matches(QKeySequence.StandardKey.Delete):
+            if self.selectionModel().hasSelection():
+                self.removed.emit(self.chosen)
+            return
+        super().keyPressEvent(event)
+
+    def _source(self, row: int) -> int:
+        return self._sorted.mapToSource(self._sorted.index(row, 0)).row()
+
+    def _selected(self) -> None:
+        self.chosen_changed.emit()
+
+
+class _Results(QAbstractTableModel):
+    """The results behind the view."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.outcomes: list[Outcome] = []
+        self.parameters: list[str] = []
+        self._colours: dict[int, int] = {}
+        self._theme: Theme | None = None
+
+    def take(self, outcomes: Sequence[Outcome]) -> None:
+        self.beginResetModel()
+        self.outcomes = list(outcomes)
+        reports = [outcome.report for outcome in outcomes if outcome.report is not None]
+        counts: dict[str, int] = {}
+        for report in reports:
+            for name in report.parameters:
+                counts[name] = counts.get(name, 0) + 1
+        # What most of them have stands first, so that it can be compared without scrolling.
+        self.parameters = sorted(counts, key=lambda name: -counts[name])
+        self.endResetModel()
+
+    def colour(self, places: dict[int, int]) -> None:
+        self._colours = places
+        self._tell_colours()
+
+    def paint_with(self, theme: Theme) -> None:
+        self._theme = theme
+        self._tell_colours()
+
+    def _tell_colours(self) -> None:
+        if self.outcomes:
+            self.dataChanged.emit(self.index(0, 0), self.index(len(self.outcomes) - 1, 0))
+
+    def rowCount(self, parent: Index = _TOP) -> int:  # noqa: N802
+        return 0 if parent.isValid() else len(self.outcomes)
+
+    def columnCount(self, parent: Index = _TOP) -> int:  # noqa: N802
+        return 0 if parent.isValid() else len(_FIXED) + len(self.parameters) + len(_LAST)
+
+    def headerData(  # noqa: N802
+        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
+    ) -> Any:
+        if orientation is not Qt.Orientation.Horizontal or role != Qt.ItemDataRole.DisplayRole:
+            return None
+        if section < len(_FIXED):
+            return _FIXED[section]
+        if section >= len(_FIXED) + len(self.parameters):
+            return _LAST[section - len(_FIXED) - len(self.parameters)]
+        name = self.parameters[section - len(_FIXED)]
+        return axis_label(name, people_unit(named_unit(name)[1])[0])
+
+    def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+        outcome, column = self.outcomes[index.row()], index.column()
+        if role == Qt.ItemDataRole.DisplayRole:
+            return self._text(outcome, column)
+        if role == _SORT:
+            return self._sorted_by(outcome, column)
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return _told(outcome) if self._is_text(column) else None
+        if role == Qt.ItemDataRole.DecorationRole and column == 0 and self._theme is not None:
+            place = self._colours.get(id(outcome))
+            return None if place is None else QColor(getattr(self._theme, SERIES[place % len(SERIES)]))
+        if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
+            return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        if role == Qt.ItemDataRole.ForegroundRole and outcome.refused and self._theme is not None:
+            return QColor(self._theme.muted)
+        return None
+
+    def _is_text(self, column: int) -> bool:
+        return column < 2 or column >= len(_FIXED) + len(self.parameters)
+
+    def _text(self, outcome: Outcome, column: int) -> str:
+        first, report = outcome.tests[0], outcome.report
+        if column < 2:
+            return (engine_label(outcome.engine), outcome.test_label)[column][:_LONGEST]
+        if self._is_text(column):
+            about = first.pseudonym, first.site
+            return clean(about[column - len(_FIXED) - len(self.parameters)])[:_LONGEST]
+        if report is None:
+            return "refused" if column == 2 else MISSING
+        if column < len(_FIXED):
+            return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
+        name = self.parameters[column - len(_FIXED)]
+        found = report.parameters.get(name)
+        return MISSING if found is None else plus_minus(found, people_unit(named_unit(name)[1])[1])
+
+    def _sorted_by(self, outcome: Outcome, column: int) -> str | float:
+        report = outcome.report
+        if self._is_text(column):
+            return self._text(outcome, column).lower()
+        if report is None:
+            return float("-inf")
+        if column < len(_FIXED):
+            value = report.vaf_percent if column == 2 else report.vaf_validation_percent
+            return float("-inf") if value is None else value
+        found = report.parameters.get(self.parameters[column - len(_FIXED)])
+        return float("-inf") if found is None else found.value
+
+
+def _told(outcome: Outcome) -> str:
+    """Options, findings and warnings, as plain lines: what is in angle brackets is text, and not markup."""
+    lines = [outcome.refused] if outcome.refused else []
+    if outcome.options:
+        lines.append(f"Options: {plain_text(outcome.options)}")
+    if outcome.report is not None:
+        lines += [f"VAF held out on {outcome.validated_on}"]
+        lines += [*outcome.report.findings, *(f"Warning: {warning}" for warning in outcome.report.warnings)]
+    lines += [f"Residual: {finding}" for finding in outcome.findings]
+    return "\n".join(clean(line).replace("<", "‹").replace(">", "›") for line in lines)
+
+
+def _plain_row(outcome: Outcome, names: Sequence[str]) -> list[str]:
+    first, report = outcome.tests[0], outcome.report
+    numbers = " ".join(str(test.number) for test in outcome.tests)
+    row = [outcome.engine, outcome.test_label, first.pseudonym, first.site, str(first.path), numbers]
+    row = [_harmless(text) for text in [*row, *outcome.signals, plain_text(outcome.options)]]
+    if report is None:
+        return row + [""] * (5 + 2 * len(names)) + [_harmless(outcome.refused)]
+    row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
+    row += [_bare(report.aicc), _bare(report.seconds)]
+    for name in names:
+        found = report.parameters.get(name)
+        row += ["", ""] if found is None else [_bare(found.value), _bare(found.std)]
+    return [*row, ""]
+
+
+def _bare(value: float | None) -> str:
+    return "" if value is None else f"{value:.10g}"
+
+
+def _harmless(text: str) -> str:
+    """Text that a spreadsheet takes for text: one that begins as a formula is marked as none."""
+    text = clean(text)
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text

@@ -1,0 +1,272 @@
+"""The signals of the selected tests over one another, what a brushed stretch of them amounts to, and its spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtWidgets import (
+    QDoubleSpinBox,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.channel_button import ChannelButton
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.errand import ErrandStrip
+from tissueid.app.views.researcher.figure import FIGURES, FigurePlan
+from tissueid.app.views.researcher.figures_table import FiguresTable
+from tissueid.app.views.researcher.kept import keep_texts, kept_texts
+from tissueid.app.views.researcher.plot_stack import SHORTEST_S, PlotStack
+from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded, Reading
+from tissueid.app.views.researcher.spectrum_card import SpectrumCard
+from tissueid.app.views.view import Desk
+from tissueid.wording import fixed, grouped
+
+_SIGNALS = "research/signals"
+_STEP_S = 0.1
+_FIGURES_MS = 40
+_HEIGHTS = (330, 170)
+NOTHING = "Select a test in the list to see its signals; select several to lay them over one another."
+WAITS = "The signals are read as soon as nothing else goes on."
+
+
+class SignalsPanel(QWidget):
+    """``work_waits`` says that :meth:`go_on` has something to begin."""
+
+    work_waits = Signal()
+
+    def __init__(self, desk: Desk, strip: ErrandStrip, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._desk = desk
+        self._strip = strip
+        self._chosen: list[Chosen] = []
+        self._wanted: list[Chosen] | None = None
+        self._reading: Reading | None = None
+        self.loaded: list[Loaded] = []
+        self.channels = ChannelButton(kept_texts(desk.settings, _SIGNALS))
+        self.low, self.high = QDoubleSpinBox(), QDoubleSpinBox()
+        self.whole = QPushButton("Whole test")
+        self.whole.setToolTip("Show everything again (a double click on a plot does the same)")
+        self.save = QPushButton("Save figure…")
+        self.save.setToolTip("What is shown, as PNG or SVG")
+        self.about = QLabel()
+        self.stack = PlotStack()
+        self.table = FiguresTable()
+        self.spectrum = SpectrumCard()
+        self.empty = QLabel(NOTHING)
+        self._figures = QTimer(self)
+        self._figures.setSingleShot(True)
+        self._figures.setInterval(_FIGURES_MS)
+        self._figures.timeout.connect(self._show_figures)
+        self._arrange()
+        self.channels.changed.connect(self._redraw)
+        self.stack.brushed.connect(self._brushed)
+        self.low.valueChanged.connect(self._typed)
+        self.high.valueChanged.connect(self._typed)
+        self.whole.clicked.connect(self.stack.show_whole)
+        self.save.clicked.connect(self._choose_figure)
+        self.table.currentCellChanged.connect(self.stack.bring_forward)
+        self._redraw()
+
+    # -- for the page ---------------------------------------------------------------------------------------
+
+    def show_tests(self, chosen: Sequence[Chosen]) -> None:
+        """Show these, as soon as they are read."""
+        self._chosen = list(chosen)
+        self._wanted = self._chosen[:MOST_TESTS]
+        if self._reading is not None:
+            self._reading.cancel()  # what it reads is not wanted any more
+        if not chosen:
+            self._wanted = None
+            self.loaded = []
+            self._redraw()
+            return
+        self._say_empty(WAITS)
+        self.work_waits.emit()
+
+    def go_on(self) -> bool:
+        """Begin to read what waits, if anything; the page asks when nothing else goes on."""
+        if self._wanted is None:
+            return False
+        self._reading = Reading(self._wanted, {test.chosen: test for test in self.loaded})
+        self._wanted = None
+        self._strip.watch(self._reading)
+        self._desk.jobs.do(self._reading.run, self._read, self._failed)
+        return True
+
+    def settle(self, *, busy: bool, testing: bool) -> None:
+        """Nothing here works beside a running test, and no figure is saved beside other work."""
+        self.setEnabled(not testing)
+        self.save.setEnabled(not busy and bool(self.loaded))
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for part in (self.stack, self.table, self.spectrum):
+            part.paint_with(theme)
+
+    def save_state(self) -> None:
+        """Keep which signals are drawn."""
+        keep_texts(self._desk.settings, _SIGNALS, self.channels.wanted)
+
+    # -- reading --------------------------------------------------------------------------------------------
+
+    def _read(self, reading: Reading) -> None:
+        self._strip.rest()
+        self._reading = None
+        if self._wanted is not None:
+            return  # somebody has selected others since
+        self.loaded = reading.loaded if self._chosen else []
+        self._redraw()
+        if reading.problems:
+            self._desk.say(" ".join(reading.problems), problem=True)
+
+    def _failed(self, words: str) -> None:
+        self._strip.rest()
+        self._reading = None
+        self.loaded = []
+        self._redraw()
+        self._desk.say(words, problem=True)
+
+    # -- showing --------------------------------------------------------------------------------------------
+
+    def _redraw(self) -> None:
+        found: dict[Channel, None] = {}
+        for test in self.loaded:
+            found.update(dict.fromkeys(test.tracks))
+        self.channels.offer(sorted(found, key=lambda channel: channel.rank))
+        self._say_empty("" if self.loaded else NOTHING)
+        for field in (self.low, self.high, self.whole, self.channels):
+            field.setEnabled(bool(self.loaded))
+        self.save.setEnabled(bool(self.loaded) and not self._desk.busy)
+        self.spectrum.offer(self.channels.drawn)
+        self.stack.show_tests(self.loaded, self.channels.drawn)
+        self._brushed(*self.stack.stretch)
+
+    def _say_empty(self, words: str) -> None:
+        """Words in place of everything, unless tests are shown."""
+        self.empty.setText(words)
+        self.empty.setVisible(not self.loaded)
+        self.parts.setVisible(bool(self.loaded))
+
+    def _brushed(self, low_s: float, high_s: float) -> None:
+        end = self.stack.whole[1]
+        for field, value in ((self.low, low_s), (self.high, high_s)):
+            field.blockSignals(True)
+            field.setRange(0.0, end)
+            field.setValue(value)
+            field.blockSignals(False)
+        self.whole.setEnabled(self.stack.brush is not None)
+        if not self._figures.isActive():
+            self._figures.start()
+
+    def _typed(self) -> None:
+        low, high = self.low.value(), self.high.value()
+        if self.sender() is self.low and high - low < SHORTEST_S:
+            high = min(self.stack.whole[1], low + SHORTEST_S)
+        if high - low < SHORTEST_S:
+            low = max(0.0, high - SHORTEST_S)
+        self.stack.set_brush(low, high)
+
+    def _show_figures(self) -> None:
+        low, high = self.stack.stretch
+        self.table.show_stretch(self.loaded, self.channels.drawn, low, high)
+        self.spectrum.show_stretch(self.loaded, low, high)
+        if not self.loaded:
+            self.about.setText("")
+            return
+        samples = max(last - first for test in self.loaded for first, last in [self._places(test, low, high)])
+        what = "Brushed" if self.stack.brush else "Whole"
+        words = f"{what}: {fixed(high - low, 3)} s, {grouped(samples)} samples"
+        left_out = len(self._chosen) - len(self.loaded)
+        if left_out:
+            words += f"; {len(self.loaded)} of {len(self._chosen)} tests shown"
+        self.about.setText(words)
+
+    @staticmethod
+    def _places(test: Loaded, low: float, high: float) -> tuple[int, int]:
+        return next(iter(test.tracks.values())).places(low, high)
+
+    # -- figure ---------------------------------------------------------------------------------------------
+
+    def _choose_figure(self) -> None:
+        folder = self._chosen[0].path.parent if self._chosen else self._desk.around.folder
+        dialog = QFileDialog(self.window(), "Save figure", str(folder), ";;".join(FIGURES.values()))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("png")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.filterSelected.connect(lambda chosen: dialog.setDefaultSuffix("svg" if "svg" in chosen else "png"))
+        dialog.fileSelected.connect(self._save_figure)
+        dialog.open()
+
+    def _save_figure(self, name: str) -> None:
+        if self._desk.busy or not self.loaded:
+            self._desk.say("The figure is not saved: something else goes on. Try again.", problem=True)
+            return
+        low, high = self.stack.stretch
+        plan = FigurePlan(tuple(self.loaded), self.channels.drawn, low, high, self.spectrum.channel)
+        self._desk.jobs.do(lambda: plan.save(Path(name)), self._saved, self._not_saved)
+
+    def _saved(self, path: Path) -> None:
+        self._desk.say(f"The figure is saved in {path}.")
+
+    def _not_saved(self, words: str) -> None:
+        self._desk.say(words, problem=True)
+
+    # -- building -------------------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        for field, name in ((self.low, "from"), (self.high, "to")):
+            field.setAccessibleName(f"Brushed {name}")
+            field.setPrefix(f"{name} ")
+            field.setSuffix(" s")
+            field.setDecimals(3)
+            field.setSingleStep(_STEP_S)
+            field.setKeyboardTracking(False)
+            field.setToolTip("What is brushed: the plots below look closer at it")
+        for label in (self.about, self.empty):
+            label.setProperty("role", "muted")
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setMinimumWidth(1)
+        self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.empty.setWordWrap(True)
+        top = QHBoxLayout()
+        top.setSpacing(6)
+        for part in (self.channels, self.low, self.high, self.whole):
+            top.addWidget(part)
+        top.addStretch(1)
+        top.addWidget(self.save)
+        below = QWidget()
+        row = QHBoxLayout(below)
+        row.setContentsMargins(0, 4, 0, 0)
+        row.setSpacing(8)
+        figures = QVBoxLayout()
+        figures.setSpacing(4)
+        self.about.setFixedHeight(self.spectrum.choice.sizeHint().height())
+        figures.addWidget(self.about)
+        figures.addWidget(self.table, 1)
+        row.addLayout(figures, 5)
+        row.addWidget(self.spectrum, 4)
+        self.parts = QSplitter(Qt.Orientation.Vertical)
+        self.parts.addWidget(self.stack)
+        self.parts.addWidget(below)
+        self.parts.setChildrenCollapsible(False)
+        self.parts.setStretchFactor(0, 3)
+        self.parts.setStretchFactor(1, 1)
+        self.parts.setSizes(list(_HEIGHTS))
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 6, 0, 0)
+        rows.setSpacing(6)
+        rows.addLayout(top)
+        rows.addWidget(self.parts, 1)
+        rows.addWidget(self.empty, 1)
+
+
+__all__ = ["NOTHING", "SignalsPanel"]

@@ -1,0 +1,108 @@
+"""The power spectrum of the brushed stretch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.wording import people_unit, superscript
+
+_NOTHING = np.zeros(0)
+_TICKS = 4
+_DECADES = 9.0
+"""Below the greatest by so many decades nothing is shown: it is the rounding of the numbers."""
+TOO_SHORT = "Too few samples for a spectrum."
+
+
+class SpectrumCard(QWidget):
+    """Power spectral density of one signal of every test."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.choice = QComboBox()
+        self.choice.setAccessibleName("Signal of the spectrum")
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice.setMinimumContentsLength(10)
+        self.card = PlotCard("Power spectrum", "Frequency (Hz)", "", log_axes=("bottom", "left"))
+        self._curves: list[pg.PlotDataItem] = []
+        self._theme: Theme | None = None
+        self._shown: tuple[Sequence[Loaded], tuple[float, float]] = ((), (0.0, 1.0))
+        self._wanted = "position"
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 0, 0, 0)
+        rows.setSpacing(4)
+        rows.addWidget(self.choice)
+        rows.addWidget(self.card, 1)
+        self.choice.activated.connect(self._choose)
+
+    @property
+    def channel(self) -> Channel | None:
+        """Of which signal the spectrum is."""
+        channel = self.choice.currentData()
+        return channel if isinstance(channel, Channel) else None
+
+    def offer(self, channels: Sequence[Channel]) -> None:
+        """What there is a spectrum of; the one that was chosen stays, where it is there."""
+        self.choice.clear()
+        for channel in channels:
+            self.choice.addItem(f"Spectrum of {channel.title}", channel)
+        names = [channel.name for channel in channels]
+        self.choice.setCurrentIndex(names.index(self._wanted) if self._wanted in names else len(names) - 1)
+
+    def show_stretch(self, loaded: Sequence[Loaded], low_s: float, high_s: float) -> None:
+        """Of the stretch between two times."""
+        self._shown = loaded, (low_s, high_s)
+        channel = self.channel
+        while len(self._curves) < len(loaded):
+            self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite"))
+            self._colour()
+        unit, scale = people_unit(channel.unit) if channel else ("", 1.0)
+        self.card.retitle("Power spectrum", f"{unit}²/Hz" if unit else "1/Hz")
+        low, last, bottom, top = np.inf, -np.inf, np.inf, -np.inf
+        for place, curve in enumerate(self._curves):
+            track = loaded[place].tracks.get(channel) if channel and place < len(loaded) else None
+            frequency, density = track.spectrum(low_s, high_s) if track else (_NOTHING, _NOTHING)
+            if not density.size or not density.max() > 0.0:
+                curve.setData(_NOTHING, _NOTHING)
+                continue
+            floor = density.max() * 10.0**-_DECADES
+            x, y = np.log10(frequency), np.log10(np.maximum(density, floor)) + 2.0 * np.log10(scale)
+            curve.setData(x, y)
+            low, last = min(low, float(x[0])), max(last, float(x[-1]))
+            bottom, top = min(bottom, float(y.min())), max(top, float(y.max()))
+        self.card.say_missing("" if low < last else TOO_SHORT if loaded else "")
+        if low < last:
+            self.card.plot.setXRange(low, last, padding=0.02)
+            self.card.plot.setYRange(bottom, top, padding=0.05)
+            step = max(1, math.ceil((top - bottom) / _TICKS))
+            powers = range(math.floor(top), math.floor(bottom) - 1, -step)
+            self.card.plot.getAxis("left").setTicks([[(power, f"10{superscript(power)}") for power in powers]])
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        self.card.paint_with(theme)
+        self._colour()
+
+    def _choose(self) -> None:
+        channel = self.channel
+        if channel is not None:
+            self._wanted = channel.name
+        loaded, (low, high) = self._shown
+        self.show_stretch(loaded, low, high)
+
+    def _colour(self) -> None:
+        if self._theme is not None:
+            for curve, colour in zip(self._curves, series(self._theme), strict=False):
+                curve.setPen(pg.mkPen(colour, width=1))
+
+
+__all__ = ["TOO_SHORT", "SpectrumCard"]

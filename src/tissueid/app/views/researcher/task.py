@@ -1,0 +1,84 @@
+"""What is asked of an analysis: engines, options and signals, as the form, the history and the work know it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.identification import Engine, get_engine
+
+LONGEST_TEXT = 300
+MOST_TESTS = 5000
+_LONGEST_PATH = 4096
+
+Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
+Name = Annotated[str, Field(min_length=1, max_length=60)]
+Value = None | bool | int | float | Text | Annotated[list[float], Field(max_length=200)]
+
+
+class _Specification(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class TestRef(_Specification):
+    """A test as it is written down: enough to find it again."""
+
+    __test__ = False  # not a test case, whatever pytest thinks of the name
+
+    path: Annotated[str, Field(min_length=1, max_length=_LONGEST_PATH)]
+    number: Annotated[int, Field(ge=0, le=1_000_000)]
+    site: Text = ""
+    pseudonym: Text = ""
+    label: Text = ""
+
+    @classmethod
+    def of(cls, test: Chosen) -> TestRef:
+        """Write a chosen test down."""
+        site, pseudonym, label = (text[:LONGEST_TEXT] for text in (test.site, test.pseudonym, test.label))
+        return cls(path=str(test.path), number=test.number, site=site, pseudonym=pseudonym, label=label)
+
+    @property
+    def chosen(self) -> Chosen:
+        """The test, to be analysed again."""
+        return Chosen(Path(self.path), self.number, self.site, self.pseudonym, self.label)
+
+
+class Task(_Specification):
+    """One run. ``engines`` are several for a comparison, which knows their default options alone.
+
+    ``together`` fits the tests of one file together; otherwise each is fitted by itself.
+    """
+
+    kind: Literal["run", "compare"] = "run"
+    engines: Annotated[tuple[Name, ...], Field(min_length=1, max_length=100)]
+    options: Annotated[dict[Name, Value], Field(max_length=60)] = {}
+    input_name: Name = "force"
+    output_name: Name = "position"
+    together: bool = False
+    tests: Annotated[tuple[TestRef, ...], Field(max_length=MOST_TESTS)] = ()
+
+    @property
+    def groups(self) -> list[tuple[Chosen, ...]]:
+        """Tests that are fitted at once, in the order in which they were chosen."""
+        chosen = list(dict.fromkeys(test.chosen for test in self.tests))
+        if not self.together:
+            return [(test,) for test in chosen]
+        by_file: dict[Path, list[Chosen]] = {}
+        for test in chosen:
+            by_file.setdefault(test.path, []).append(test)
+        return [tuple(tests) for tests in by_file.values()]
+
+    def specification(self) -> Engine:
+        """The engine with its options.
+
+        Raises:
+            UnusableInputError: there is no such engine, or an option is not one that it takes.
+        """
+        options: dict[str, Any] = dict(self.options)
+        return get_engine(self.engines[0]).from_options(options)
+
+
+__all__ = ["Task", "TestRef"]

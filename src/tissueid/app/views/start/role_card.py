@@ -1,0 +1,69 @@
+"""One big card a role: who it is for, and what it does."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from tissueid.app.buttons import BigButton
+from tissueid.app.theme import Theme
+from tissueid.audit import Role
+
+
+class RoleCard(BigButton):
+    """A button with a title and a sentence."""
+
+    def __init__(self, role: Role, sentence: str, parent: QWidget | None = None) -> None:
+        super().__init__("", parent)
+        self.role: Role = role
+        self._sentence = sentence
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Minimum)
+        self._title = QLabel(role.capitalize())
+        self._title.setProperty("role", "headline")
+        self._text = QLabel(sentence)
+        self._text.setWordWrap(True)
+        self._text.setMinimumWidth(1)
+        self._text.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(16, 10, 14, 12)
+        layout.setSpacing(4)
+        for label in (self._title, self._text):
+            label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+            layout.addWidget(label)
+        layout.addStretch(1)
+        self.show_taken(False)
+
+    def show_taken(self, taken: bool) -> None:
+        """Whether this is the role of who sits there now."""
+        self.setProperty("taken", taken)
+        self._title.setText(f"{self.role.capitalize()} · now" if taken else self.role.capitalize())
+        self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
+        self.style().unpolish(self)
+        self.style().polish(self)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.setStyleSheet(
+            f"RoleCard {{ background: {theme.panel}; border: 1px solid {theme.edge}; border-radius: 6px; }}"
+            f"RoleCard[taken='true'] {{ border-left: 5px solid {theme.accent}; }}"
+            f"RoleCard:hover {{ border-color: {theme.accent}; }}"
+            f"RoleCard:focus {{ border: 2px solid {theme.accent}; }}"
+            f"RoleCard[taken='true']:focus {{ border-left: 5px solid {theme.accent}; }}"
+        )
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """As high as its sentence needs at its width."""
+        layout = self.layout()
+        assert layout is not None
+        return QSize(240, layout.heightForWidth(max(200, self.width())))
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """A third of the smallest window."""
+        return QSize(200, self.sizeHint().height())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """At another width the sentence needs another height."""
+        super().resizeEvent(event)
+        if event.size().width() != event.oldSize().width():
+            self.updateGeometry()

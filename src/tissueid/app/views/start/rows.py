@@ -1,0 +1,113 @@
+"""A table of whole rows, for the keyboard as for the mouse."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QColor, QKeyEvent
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+
+from tissueid.app.theme import LIGHT, Theme
+
+Cell = tuple[str, str]
+"""What a cell says, and the level of its colour: good, check, poor, or none."""
+_LEVEL = Qt.ItemDataRole.UserRole
+_LOWEST = 4
+"""Rows that are seen at least."""
+
+
+class Rows(QTableWidget):
+    """Shows lines of words. ``taken`` carries the number of a row that was double-clicked, or on which Return fell."""
+
+    taken = Signal(int)
+
+    def __init__(
+        self, name: str, headings: Sequence[str], stretched: Sequence[int], parent: QWidget | None = None
+    ) -> None:
+        super().__init__(0, len(headings), parent)
+        self._theme = LIGHT
+        self.setAccessibleName(name)
+        self.setHorizontalHeaderLabels(list(headings))
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setTabKeyNavigation(False)  # the tab key goes on to the next control
+        self.setShowGrid(False)
+        self.setWordWrap(True)
+        self.setVerticalScrollMode(QAbstractItemView.ScrollMode.ScrollPerPixel)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.verticalHeader().hide()
+        self.verticalHeader().setDefaultSectionSize(self.fontMetrics().height() + 8)
+        header = self.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionsClickable(False)
+        for column in range(len(headings)):
+            kind = QHeaderView.ResizeMode.Stretch if column in stretched else QHeaderView.ResizeMode.ResizeToContents
+            header.setSectionResizeMode(column, kind)
+        self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.verticalHeader().setMinimumSectionSize(self.verticalHeader().defaultSectionSize())
+        self.setMinimumHeight(header.sizeHint().height() + _LOWEST * self.verticalHeader().defaultSectionSize())
+        self.cellDoubleClicked.connect(self._take)
+
+    @property
+    def chosen(self) -> int:
+        """The number of the row that is selected; -1 where none is."""
+        rows = self.selectionModel().selectedRows()
+        return rows[0].row() if rows else -1
+
+    def fill(self, rows: Sequence[Sequence[Cell]]) -> None:
+        """Show other lines; the row that is selected stays so."""
+        kept = min(self.chosen, len(rows) - 1)
+        self.setRowCount(len(rows))
+        for row, cells in enumerate(rows):
+            for column, (text, level) in enumerate(cells):
+                item = QTableWidgetItem(text)
+                item.setToolTip(text)
+                item.setData(_LEVEL, level)
+                self.setItem(row, column, item)
+        self._colour()
+        if kept >= 0:
+            self.selectRow(kept)
+
+    def explain(self, row: int, text: str) -> None:
+        """What a row says at length, to whoever points at it or listens."""
+        for column in range(self.columnCount()):
+            if (item := self.item(row, column)) is not None:
+                item.setToolTip(text)
+                item.setData(Qt.ItemDataRole.AccessibleDescriptionRole, text)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        self.setStyleSheet(
+            f"QTableView {{ background: {theme.panel}; color: {theme.text}; border: 1px solid {theme.line};"
+            f" border-radius: 6px; selection-background-color: {theme.accent};"
+            f" selection-color: {theme.accent_text}; outline: none; }}"
+            f"QTableView:focus {{ border: 1px solid {theme.accent}; }}"
+            f"QTableView::item {{ padding: 4px 6px; }}"
+            f"QTableView::item:selected {{ background: {theme.accent}; color: {theme.accent_text}; }}"
+            f"QHeaderView {{ background: {theme.panel}; }}"
+            f"QHeaderView::section {{ background: {theme.panel}; color: {theme.muted}; border: none;"
+            f" border-bottom: 1px solid {theme.line}; padding: 3px 8px; }}"
+        )
+        self._colour()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
+        """Return takes the row that is selected, once for each time that the key goes down."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            if self.chosen >= 0 and not event.isAutoRepeat():
+                self.taken.emit(self.chosen)
+            return
+        super().keyPressEvent(event)
+
+    def _take(self, row: int, _column: int) -> None:
+        self.taken.emit(row)
+
+    def _colour(self) -> None:
+        colours = {"good": self._theme.good, "check": self._theme.check, "poor": self._theme.poor}
+        for row in range(self.rowCount()):
+            for column in range(self.columnCount()):
+                if (item := self.item(row, column)) is not None:
+                    item.setForeground(QColor(colours.get(item.data(_LEVEL), self._theme.text)))

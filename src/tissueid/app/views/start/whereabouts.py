@@ -1,0 +1,26 @@
+"""What is kept, and where: all of it on this computer."""
+
+from __future__ import annotations
+
+from platformdirs import user_data_path, user_log_path
+from PySide6.QtCore import QSettings
+
+from tissueid.app.surroundings import Surroundings
+from tissueid.app.words import in_words
+from tissueid.calibration.store import LOCAL, calibration_folder
+from tissueid.errors import TissueIDError
+
+
+def whereabouts(around: Surroundings, settings: QSettings) -> list[tuple[str, str]]:
+    """What is kept, in a word or two, and its place."""
+    try:
+        calibrations = str(around.calibrations or calibration_folder() or user_data_path("tissueid") / LOCAL)
+    except TissueIDError as error:
+        calibrations = in_words(error)
+    return [
+        ("Sessions", str(around.folder)),
+        ("Calibrations", calibrations),
+        ("Audit log", str(around.audit.path)),
+        ("Settings of this window", settings.fileName()),
+        ("Details of defects", str(user_log_path("tissueid", appauthor=False) / "last-defect.txt")),
+    ]

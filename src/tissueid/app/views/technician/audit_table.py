@@ -1,0 +1,247 @@
+"""The fourth tab: the audit log as a table, whether it is whole, and as a file for a spreadsheet."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.errand import Errands
+from tissueid.app.views.technician.events import moment
+from tissueid.app.views.technician.log_reading import LogPage, haystack, read_log, shown, write_csv
+from tissueid.app.views.technician.pieces import PiecesModel, table_of
+from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
+from tissueid.app.views.view import Desk
+from tissueid.audit import ROLES, Line, Verification, verify
+from tissueid.errors import UnusableInputError
+from tissueid.wording import clean, grouped
+
+_ALL_ROLES, _ALL_ACTS = "All roles", "All acts"
+_ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
+_MOST_ACTS = 60
+_BLIND = "Lines cut off at its end are seen only against a session or a calibration: 'tissueid audit verify FILE'."
+
+
+@dataclass(frozen=True)
+class Read:
+    """The log, with what of each line is searched, and the acts that occur."""
+
+    page: LogPage
+    texts: tuple[str, ...]
+    acts: tuple[str, ...]
+
+
+def read(path: Path, cancelled: Callable[[], None]) -> Read:
+    """Read the log for the table.
+
+    Raises:
+        UnusableInputError, OSError: it cannot be read.
+    """
+    page = read_log(path, cancelled)
+    texts = tuple(haystack(line) for line in page.lines)
+    acts = sorted({line.what for line in page.lines if isinstance(line.what, str)})
+    return Read(page, texts, tuple(acts[:_MOST_ACTS]))
+
+
+def check(path: Path, cancelled: Callable[[], None]) -> Verification:
+    """Verify the log.
+
+    Raises:
+        UnusableInputError: there is none.
+        OSError: it cannot be read.
+    """
+    if not path.is_file():
+        raise UnusableInputError(f"there is no audit log {path}: nothing has been logged yet, or it was moved")
+    return verify(path, cancelled=cancelled)
+
+
+def _cell(line: Line, column: int) -> str:
+    if column == 1:
+        return moment(line.time)
+    return shown((line.number, line.time, line.role, line.who, line.what, line.subject, line.old, line.new)[column])
+
+
+class AuditTab(Tab):
+    """Newest first. The rows are filtered in memory and handed to the view in pieces."""
+
+    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
+        super().__init__(desk, errands, parent)
+        self._read = Read(LogPage(), (), ())
+        self._csv: Path | None = None
+        self.role = QComboBox()
+        self.role.setAccessibleName("Role whose lines are shown")
+        self.role.addItems([_ALL_ROLES, *ROLES])
+        self.role.setCurrentIndex(max(0, self.role.findText(str(desk.settings.value(_ROLE, _ALL_ROLES)))))
+        self.act = QComboBox()
+        self.act.setAccessibleName("Which acts are shown")
+        self.act.addItem(_ALL_ACTS)
+        self.act.setMinimumContentsLength(20)
+        self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
+        self.search.setPlaceholderText("Search (Ctrl+F)")
+        self.search.setAccessibleName("Search the audit log")
+        self.search.setClearButtonEnabled(True)
+        self.search.setMaxLength(200)
+        self.again = QPushButton("Read again")
+        self.again.setAccessibleName("Read the audit log again")
+        self.again.clicked.connect(self.load)
+        self.verify = QPushButton("Verify")
+        self.verify.setToolTip("Goes through the log from its first line: is every one as it was written?")
+        self.verify.clicked.connect(self.begin_verifying)
+        self.export = QPushButton("Export CSV…")
+        self.export.setToolTip("Writes the lines that are shown, for a spreadsheet")
+        self.export.clicked.connect(self._choose_csv)
+        self.verdict = QFrame()
+        self.verdict.setProperty("role", "verdict")
+        self.words = plain_label("Not verified yet: press Verify to see whether every line is as it was written.")
+        inside = QHBoxLayout(self.verdict)
+        inside.setContentsMargins(12, 6, 10, 6)
+        inside.addWidget(self.words)
+        self.count = plain_label(role="muted")
+        self.model = PiecesModel(
+            ("Line", "Time (UTC)", "Role", "Who", "What", "About", "Old", "New"), _cell, right=(0,)
+        )
+        self.list = table_of(self.model, "Audit log", (60, 138, 82, 80, 150, 190, 100))
+        self.full = plain_label()
+        self.full.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.list.selectionModel().selectionChanged.connect(self._show_full)
+        self.role.currentIndexChanged.connect(self._show)
+        self.act.currentIndexChanged.connect(self._show)
+        self.search.textChanged.connect(self._show)
+        top = QHBoxLayout()
+        top.setSpacing(8)
+        for widget in (self.role, self.act, self.search, self.again, self.verify, self.export):
+            top.addWidget(widget, 1 if widget is self.search else 0)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 8, 0, 0)
+        layout.setSpacing(6)
+        layout.addLayout(top)
+        layout.addWidget(self.verdict)
+        layout.addWidget(self.list, 1)
+        layout.addWidget(self.full)
+        layout.addWidget(self.count)
+        self._show()
+
+    # -- work ---------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Read the log."""
+        work = functools.partial(read, self.desk.around.audit.path)
+        if self.errands.start("Reading the audit log…", work, self._loaded, self.complain):
+            self.stale = False
+
+    def _loaded(self, found: Read) -> None:
+        self._read = found
+        kept = self.act.currentText()
+        self.act.blockSignals(True)
+        self.act.clear()
+        self.act.addItem(_ALL_ACTS)
+        self.act.addItems([clean(act)[:60] for act in found.acts])
+        self.act.setCurrentIndex(max(0, self.act.findText(kept)))
+        self.act.blockSignals(False)
+        self._show()
+
+    def begin_verifying(self) -> None:
+        """Verify the log, in a job."""
+        work = functools.partial(check, self.desk.around.audit.path)
+        if self.errands.start("Verifying the audit log…", work, self._verified, self.complain):
+            self._tell("", "Verifying…")
+
+    def complain(self, words: str) -> None:
+        """Nothing is known of the log then."""
+        if self.words.text() == "Verifying…":
+            self._tell("", "Not verified.")
+        super().complain(words)
+
+    def _verified(self, found: Verification) -> None:
+        remarks = " ".join(f"{line[:1].upper()}{line[1:]}." for line in found.remarks[:3])
+        if found.broken is not None:
+            where = f"Line {grouped(found.broken.place)} of the file"
+            words = f"The log is not as it was written. {where}: {found.broken.words} ({found.broken.damage.value})."
+            self._tell("poor", f"{words} {remarks}".strip())
+        elif not found.lines:
+            self._tell("check", f"The log holds no whole line: nothing has been logged yet. {remarks}".strip())
+        else:
+            words = f"Whole: {grouped(found.lines)} lines, all as they were written. Head {found.head[:22]}…"
+            self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _BLIND])))
+
+    def _tell(self, level: str, words: str) -> None:
+        mark_level(self.verdict, level)
+        self.words.setText(clean(words))
+        self.verdict.setAccessibleName(clean(words))
+
+    def _choose_csv(self) -> None:
+        if self.desk.busy:
+            return
+        dialog = QFileDialog(self, "Export the audit log", str(Path.home() / "audit.csv"), "Spreadsheets (*.csv)")
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("csv")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.export_to)
+        dialog.open()
+
+    def export_to(self, path: str) -> None:
+        """Write the lines that are shown to a file, in a job."""
+        self._csv = Path(path)
+        work = functools.partial(write_csv, self._csv, self.desk.around.audit.path, tuple(self.model.rows))
+        self.errands.start("Writing the audit log…", work, self._exported, self.complain)
+
+    def _exported(self, lines: int) -> None:
+        self.desk.say(f"{grouped(lines)} lines of the audit log are saved in {clean(str(self._csv))}.")
+
+    # -- showing ------------------------------------------------------------------------------------------
+
+    def settle(self, *, busy: bool) -> None:
+        """All of it is slow."""
+        self.again.setEnabled(not busy)
+        self.verify.setEnabled(not busy)
+        self.export.setEnabled(not busy and bool(self.model.rows))
+
+    def _show(self) -> None:
+        role = "" if self.role.currentIndex() <= 0 else self.role.currentText()
+        act = "" if self.act.currentIndex() <= 0 else self._read.acts[self.act.currentIndex() - 1]
+        words = self.search.text().casefold().split()
+        lines, texts = self._read.page.lines, self._read.texts
+        if role or act or words:
+            found = [
+                line
+                for line, text in zip(lines, texts, strict=True)
+                if (not role or line.role == role)
+                and (not act or line.what == act)
+                and all(word in text for word in words)
+            ]
+        else:
+            found = list(lines)
+        self.model.show_rows(found)
+        said = f"{grouped(len(found))} of {grouped(len(lines))} lines, newest first, in {self.desk.around.audit.path}."
+        self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
+        self.export.setEnabled(bool(found) and not self.desk.busy)
+        self._show_full()
+
+    def _show_full(self) -> None:
+        """All of the selected line, for what the columns cut off."""
+        rows = [index.row() for index in self.list.selectionModel().selectedRows()]
+        if not rows or rows[-1] >= len(self.model.rows):
+            self.full.hide()
+            return
+        line = self.model.rows[rows[-1]]
+        parts = [f"Line {shown(line.number)}, {moment(line.time)} UTC, {shown(line.role)} {shown(line.who)}"]
+        parts += [f"{shown(line.what)} {shown(line.subject)}".strip()]
+        parts += [
+            f"{name}: {shown(value)}" for name, value in (("old", line.old), ("new", line.new)) if value is not None
+        ]
+        self.full.setText(" · ".join(parts))
+        self.full.show()
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.model.paint_with(theme)
+
+    def save_state(self) -> None:
+        """Filter and search."""
+        self.desk.settings.setValue(_ROLE, self.role.currentText())
+        self.desk.settings.setValue(_SEARCH, self.search.text())

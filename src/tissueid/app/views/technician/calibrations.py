@@ -1,0 +1,186 @@
+"""The second tab: the way to a new calibration, and all that there are, held against each other."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
+
+from tissueid.app.layout import MEASURE
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.errand import Errands
+from tissueid.app.views.technician.pieces import PiecesModel, table_of
+from tissueid.app.views.technician.statics_panel import StaticsPanel
+from tissueid.app.views.technician.stored_rows import HEADERS, Row, rows_of
+from tissueid.app.views.technician.sweeps_panel import SweepsPanel
+from tissueid.app.views.technician.tab import Tab, plain_label
+from tissueid.app.views.view import Desk
+from tissueid.calibration.file import Calibration
+from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from tissueid.device import DeviceDescription
+from tissueid.wording import clean
+
+_HINT = (
+    "Select a calibration to see its figures. Select two or more sweeps, with Ctrl or Shift, to lay them over each "
+    "other and see what has drifted."
+)
+_TO_MEASURE = "Press “Begin static calibration” or “Begin dynamic sweep” on the tab Calibration; the coil will move."
+_ROLE = "Only a technician can calibrate: choose the role Technician at the top, then press this button again."
+_MOST_WHY = 4
+_SPLIT = "instrument/calibrations/split"
+
+
+def read_stored(folder: Path | None, cancelled: Callable[[], None]) -> tuple[Stored, ...]:
+    """The calibrations of the folder in force, or of a given one.
+
+    Raises:
+        UnusableInputError: it is not there, or cannot be read.
+    """
+    cancelled()
+    return stored_calibrations(calibration_folder(folder))
+
+
+class CalibrationsTab(Tab):
+    """A list on the left; what is selected on the right."""
+
+    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
+        super().__init__(desk, errands, parent)
+        self._stored: tuple[Stored, ...] = ()
+        self._nominal: DeviceDescription | None = None
+        self.calibrate = QPushButton("Calibrate…")
+        self.calibrate.setToolTip("Shows the page Measure, where calibrations are made")
+        self.calibrate.clicked.connect(self._go)
+        self.again = QPushButton("Read again")
+        self.again.setAccessibleName("Read the folder of calibrations again")
+        self.again.clicked.connect(self.load)
+        self.about = plain_label(role="muted")
+        self.model = PiecesModel(HEADERS, Row.cell, level=lambda row: row.level, marked=4)
+        self.list = table_of(self.model, "Calibrations", (82, 50, 58, 64, 190))
+        self.list.selectionModel().selectionChanged.connect(self._show_selected)
+        self.why = plain_label(role="muted")
+        self.hint = plain_label(_HINT, "muted")
+        self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.sweeps = SweepsPanel()
+        self.statics = StaticsPanel()
+        self.detail = QStackedWidget()
+        for page in (self.hint, self.sweeps, self.statics):
+            self.detail.addWidget(page)
+        left = QWidget()
+        column = QVBoxLayout(left)
+        column.setContentsMargins(0, 0, 6, 0)
+        column.setSpacing(6)
+        column.addWidget(self.list, 1)
+        column.addWidget(self.why)
+        self.split = QSplitter(Qt.Orientation.Horizontal)
+        self.split.setChildrenCollapsible(False)
+        self.split.addWidget(left)
+        self.split.addWidget(self.detail)
+        self.split.setStretchFactor(0, 2)
+        self.split.setStretchFactor(1, 3)
+        self.split.setSizes([450, 600])
+        if (state := desk.settings.value(_SPLIT)) is not None:
+            self.split.restoreState(state)
+        top = QHBoxLayout()
+        top.setSpacing(8)
+        top.addWidget(self.calibrate)
+        top.addWidget(self.again)
+        top.addWidget(self.about, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 8, 0, 0)
+        layout.setSpacing(6)
+        layout.addLayout(top)
+        layout.addWidget(self.split, 1)
+        self._show()
+
+    # -- work ---------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Read the folder."""
+        work = functools.partial(read_stored, self.desk.around.calibrations)
+        if self.errands.start("Reading the calibrations…", work, self._loaded, self.complain):
+            self.stale = False
+
+    def _loaded(self, stored: tuple[Stored, ...]) -> None:
+        self._stored = stored
+        self._show()
+
+    def tell_instrument(self, nominal: DeviceDescription | None) -> None:
+        """The instrument that was asked: for it a calibration is in force, or is not."""
+        self._nominal = nominal
+        self._show()
+
+    def _go(self) -> None:
+        """To where calibrations are made; nothing is begun."""
+        technician = self.desk.role() == "technician"
+        if not technician:
+            self.desk.say(_ROLE, problem=True)
+            return
+        self.desk.go(MEASURE)
+        self.desk.say(_TO_MEASURE)
+
+    # -- showing ------------------------------------------------------------------------------------------
+
+    def settle(self, *, busy: bool) -> None:
+        """Reading is slow, and nobody leaves for a calibration beside something else."""
+        self.again.setEnabled(not busy)
+        self.calibrate.setEnabled(not busy)
+
+    @property
+    def selected(self) -> list[Calibration]:
+        """What is selected and can be read, newest first."""
+        return [row.item.calibration for row in self._rows if row.item.calibration is not None]
+
+    @property
+    def _rows(self) -> list[Row]:
+        numbers = sorted(index.row() for index in self.list.selectionModel().selectedRows())
+        return [self.model.rows[number] for number in numbers if number < len(self.model.rows)]
+
+    def _show(self) -> None:
+        kept = {row.item.path for row in self._rows}
+        rows = rows_of(self._stored, self._nominal, datetime.now(UTC))
+        self.model.show_rows(rows)
+        selection = self.list.selectionModel()
+        for number, row in enumerate(rows[: self.model.rowCount()]):
+            if row.item.path in kept:
+                selection.select(
+                    self.model.index(number, 0), selection.SelectionFlag.Select | selection.SelectionFlag.Rows
+                )
+        if not rows:
+            self.about.setText("There is no calibration yet: the nominal figures are used.")
+        elif self._nominal is None:
+            self.about.setText("Ask the instrument under Health to see which of them are in force.")
+        else:
+            self.about.setText(f"In force or not for {clean(self._nominal.serial_number)[:60]}.")
+        self._show_selected()
+
+    def _show_selected(self) -> None:
+        rows = self._rows
+        self.why.setText("\n".join(f"{row.cell(5)}: {row.force}" for row in rows[:_MOST_WHY]))
+        self.why.setVisible(bool(rows))
+        chosen = self.selected
+        sweeps = [item for item in chosen if item.kind == "sweep"]
+        if sweeps and len(sweeps) >= len(chosen) - len(sweeps):
+            self.sweeps.show_sweeps(sweeps)
+            self.detail.setCurrentWidget(self.sweeps)
+        elif chosen:
+            statics = [item for item in chosen if item.kind == "static"]
+            readable = [item.calibration for item in self._stored if item.calibration is not None]
+            self.statics.show_statics(statics, readable)
+            self.detail.setCurrentWidget(self.statics)
+        else:
+            self.hint.setText("\n".join(row.force for row in rows[:_MOST_WHY]) or _HINT)
+            self.detail.setCurrentWidget(self.hint)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.model.paint_with(theme)
+        self.sweeps.paint_with(theme)
+        self.statics.paint_with(theme)
+
+    def save_state(self) -> None:
+        """Where the two halves part."""
+        self.desk.settings.setValue(_SPLIT, self.split.saveState())

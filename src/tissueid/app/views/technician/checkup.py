@@ -1,0 +1,293 @@
+"""Asking an instrument how it is, without energising anything, and what its answers are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.views.technician.events import Event, read_events
+from tissueid.app.views.technician.log_reading import LogPage, read_log
+from tissueid.app.words import sentence
+from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from tissueid.device import DeviceDescription
+from tissueid.errors import CancelledError, TissueIDError
+from tissueid.instrument import PROFILES, Instrument, Limits, SerialInstrument
+from tissueid.instrument.answers import describe_faults
+from tissueid.instrument.thermal import PLAUSIBLE_C
+from tissueid.sessions import read_outline, read_test
+from tissueid.wording import fixed, grouped
+
+LISTEN_S = 1.0
+"""So long the free instrument's samples are listened to."""
+RECENT_FILES, RECENT_BYTES = 20, 2 * 1024 * 1024
+"""Of sessions and of the audit log so much tells how the newest test ended."""
+_POLL_S = 0.1
+_MOST_POLLS = 400
+DAMAGED_SHARE = 0.01
+"""Of frames; the host copes with more, but a cable that damages so many will soon damage the rest."""
+LOST_SHARE = 0.01
+WARM_C = 50.0
+RESTING_A = 0.3
+"""A free coil carries no current: beyond this the current channel is off, by as much as a calibration may say."""
+
+Cancelled = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Link:
+    """What the cable did while the instrument was open; ``round_trip_s`` None where none was measured."""
+
+    frames: int
+    damaged: int
+    repeated: int
+    round_trip_s: float | None
+
+
+@dataclass(frozen=True)
+class Checkup:
+    """What an instrument answered: its ``nominal`` figures, and as ``device`` those by the calibration in force.
+
+    ``link`` is None where there is no cable; NaN is what no sensor said.
+    """
+
+    url: str
+    nominal: DeviceDescription
+    device: DeviceDescription
+    calibration: CalibrationState
+    limits: dict[str, Limits]
+    samples: int
+    lost: int
+    temperature_c: float
+    resting_a: float
+    faults: str
+    link: Link | None
+
+
+@dataclass(frozen=True)
+class LastTest:
+    """The newest test in the folder of sessions, and what arrived of it."""
+
+    path: Path
+    created: str
+    status: str
+    samples: int
+    lost: int
+    late_blocks: int
+    held_samples: int
+
+
+@dataclass(frozen=True)
+class Background:
+    """What is known without asking: the newest test, every calibration of the folder, how the newest test ended.
+
+    ``fault`` is there where that was with a fault. ``problem`` is why the calibrations cannot be read.
+    """
+
+    last: LastTest | None
+    stored: tuple[Stored, ...]
+    fault: Event | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Light:
+    """The traffic light: ``level`` is good, check, poor, or none before anything was asked."""
+
+    level: str
+    headline: str
+    reasons: tuple[str, ...]
+
+
+NOT_ASKED = Light(
+    "",
+    "The instrument has not been asked yet",
+    ("Press “Ask the instrument”. It is opened, listened to for a second and closed; the coil stays free.",),
+)
+
+
+def ask(
+    url: str,
+    opener: Callable[[str], Instrument],
+    calibrate: Callable[[Instrument], object],
+    cancelled: Cancelled,
+) -> Checkup:
+    """Open an instrument, put its calibration in force, listen to it, and close it. The coil stays free throughout.
+
+    Raises:
+        TissueIDError, OSError: it does not answer, or not as it should.
+    """
+    instrument = opener(url)
+    try:
+        cancelled()
+        calibrate(instrument)
+        device = instrument.device
+        wanted = round(LISTEN_S * device.sample_rate_hz)
+        samples = lost = 0
+        temperatures: list[float] = []
+        currents: list[float] = []
+        for _ in range(_MOST_POLLS):
+            cancelled()
+            block = instrument.poll(_POLL_S)
+            samples += block.size
+            received = np.isfinite(block["position"])
+            lost += int(np.count_nonzero(~received))
+            for kept, name in ((temperatures, "temperature"), (currents, "current")):
+                values = block[name][np.isfinite(block[name])]
+                if values.size:
+                    kept.append(float(values.mean()))
+            if samples >= wanted:
+                break
+        return Checkup(
+            url,
+            instrument.nominal,
+            device,
+            calibration_state(device),
+            {name: instrument.narrowed(limits) for name, limits in PROFILES.items()},
+            samples,
+            lost,
+            float(np.mean(temperatures)) if temperatures else np.nan,
+            float(np.mean(currents)) if currents else np.nan,
+            _faults(instrument),
+            _link(instrument),
+        )
+    finally:
+        instrument.close()
+
+
+def _faults(instrument: Instrument) -> str:
+    """What is latched although it was cleared when the instrument was opened; empty where nothing is."""
+    status = instrument.status if isinstance(instrument, SerialInstrument) else None
+    return describe_faults(status.faults) if status is not None and status.faults else ""
+
+
+def _link(instrument: Instrument) -> Link | None:
+    if not isinstance(instrument, SerialInstrument):
+        return None
+    frames = instrument.statistics
+    return Link(frames.accepted, frames.refused, instrument.repeated_requests, instrument.round_trip_s)
+
+
+def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
+    """What is to be thought of an instrument, with every reason in words.
+
+    ``problem`` is why it could not be asked; ``fault`` how its newest test ended, where that was with a fault.
+    """
+    if problem:
+        return Light("poor", "Do not measure with this instrument", (problem,))
+    if checkup is None:
+        return NOT_ASKED
+    poor, check = _concerns(checkup)
+    if fault is not None:
+        check.append(f"The newest test, of {fault.time}, ended with a fault: {fault.reason}")
+    if poor:
+        return Light("poor", "Do not measure with this instrument", tuple(poor + check))
+    if check:
+        return Light("check", "It can be used, but look at this", tuple(check))
+    temperature = f"the coil is at {fixed(checkup.temperature_c, 0)} °C"
+    words = (
+        f"It answers, {temperature}, nothing was lost on the way, and its calibration is in force. "
+        "Whether the coil pushes as it should only a test or a calibration can tell.",
+    )
+    return Light("good", "Nothing speaks against this instrument", words)
+
+
+def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
+    """What speaks against measuring at all, and what is worth a look."""
+    poor: list[str] = []
+    check: list[str] = []
+    hottest = min(limits.max_temperature_c for limits in checkup.limits.values())
+    temperature = checkup.temperature_c
+    if not checkup.samples:
+        poor.append("It sends no samples: check the cable, and ask again.")
+    elif not PLAUSIBLE_C[0] <= temperature <= PLAUSIBLE_C[1]:
+        poor.append("The coil's temperature sensor gives no usable reading: check its plug and cable.")
+    elif temperature > hottest:
+        poor.append(f"The coil is at {fixed(temperature, 0)} °C; the limit is {hottest:g} °C: let it cool.")
+    elif temperature > WARM_C:
+        check.append(f"The coil is warm, {fixed(temperature, 0)} °C: let it cool before a calibration.")
+    if abs(checkup.resting_a) > RESTING_A:
+        poor.append(
+            f"The current reads {fixed(checkup.resting_a, 2)} A although the coil is free: check the current channel."
+        )
+    if checkup.faults:
+        poor.append(sentence(f"a fault stays: {checkup.faults}"))
+    if checkup.lost > LOST_SHARE * checkup.samples:
+        check.append(
+            f"{grouped(checkup.lost)} of {grouped(checkup.samples)} samples did not arrive: check the cable, and close "
+            "other programs."
+        )
+    link = checkup.link
+    if link is not None and link.damaged > DAMAGED_SHARE * max(1, link.frames):
+        check.append(
+            f"{grouped(link.damaged)} frames were damaged on the way, {grouped(link.frames)} were not: check the cable."
+        )
+    if link is not None and link.repeated:
+        check.append(f"{grouped(link.repeated)} requests had to be sent again: check the cable.")
+    if checkup.calibration.level != "good":
+        check.append(sentence(checkup.calibration.words))
+    check += [line for line in checkup.calibration.warnings if line not in check]
+    return poor, check
+
+
+def background(folder: Path, calibrations: Path | None, log: Path, cancelled: Cancelled) -> Background:
+    """What is known without the instrument; a folder of calibrations that cannot be read is said in words.
+
+    Raises:
+        CancelledError: by ``cancelled``.
+    """
+    files = newest_first(folder, ".h5")
+    try:
+        page = read_log(log, cancelled, RECENT_BYTES)
+    except (TissueIDError, OSError) as error:
+        if isinstance(error, CancelledError):
+            raise
+        page = LogPage()  # its own tab says so
+    recent = read_events(files[:RECENT_FILES], page, cancelled)
+    problem = ""
+    stored: tuple[Stored, ...] = ()
+    try:
+        stored = stored_calibrations(calibration_folder(calibrations))
+    except TissueIDError as error:
+        problem = sentence(str(error))
+    return Background(_last_test(files, cancelled), stored, recent.newest_fault, problem)
+
+
+def _last_test(files: list[Path], cancelled: Cancelled) -> LastTest | None:
+    for path in files[:RECENT_FILES]:
+        cancelled()
+        try:
+            outline = read_outline(path)
+            if not outline.tests:
+                continue
+            test = read_test(path, outline.tests[-1].test.number)
+        except (TissueIDError, OSError):
+            continue  # the list of events names it
+        columns = [values for name, values in test.signals.items() if name in ("position", "current")]
+        missing = int(np.any([np.isnan(values) for values in columns], axis=0).sum()) if columns else 0
+        late, held = (test.notes.get(name, 0.0) for name in ("late_blocks", "held_samples"))
+        return LastTest(path, outline.head.created, test.status, test.samples, missing, _count(late), _count(held))
+    return None
+
+
+def _count(value: float | str) -> int:
+    return int(value) if isinstance(value, int | float) and np.isfinite(value) else 0
+
+
+def newest_first(folder: Path, suffix: str) -> list[Path]:
+    """The files of a folder with this suffix, newest first; none where there is no folder."""
+    try:
+        files = [path for path in folder.iterdir() if path.suffix == suffix and path.is_file()]
+    except OSError:
+        return []
+    return sorted(files, key=lambda path: (_changed(path), path.name), reverse=True)
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:  # taken away meanwhile
+        return 0.0

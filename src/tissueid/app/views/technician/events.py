@@ -1,0 +1,199 @@
+"""Faults and ends of tests, of the audit log and of the sessions of a folder: each once, with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tissueid.app.views.technician.log_reading import LogPage
+from tissueid.app.words import sentence
+from tissueid.audit import Line
+from tissueid.errors import TissueIDError
+from tissueid.instrument.answers import describe_faults
+from tissueid.sessions import read_outline
+from tissueid.wire import Fault
+from tissueid.wording import clean, plain_text
+
+MOST_FILES = 2000
+"""So many of the newest sessions are looked through."""
+_LONGEST = 400
+FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = "Fault", "Broken off", "Stopped", "Recovered", "Completed"
+FAILED, UNREADABLE = "Calibration failed", "Unreadable file"
+KINDS = (FAULT, BROKEN, STOPPED, RECOVERED, FAILED, UNREADABLE, COMPLETED)
+LEVELS = {FAULT: "poor", BROKEN: "check", RECOVERED: "check", FAILED: "poor", UNREADABLE: "check"}
+"""The level of a colour by kind; what a person stopped and what was completed has none."""
+
+_LOGGED = {
+    "test.fault": FAULT,
+    "test.aborted": BROKEN,
+    "test.stopped": STOPPED,
+    "test.completed": COMPLETED,
+    "session.broken_off": BROKEN,
+    "session.recovered": RECOVERED,
+    "calibration.broken_off": BROKEN,
+    "calibration.stopped": STOPPED,
+}
+_BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
+_BY_KIND = {
+    STOPPED: "Nothing to mend: a person stopped it. What was recorded is kept.",
+    RECOVERED: "The computer or the program died while it ran. What was recorded is kept; find out why it died.",
+    FAILED: "See its problems under Calibrations, mend them, and calibrate again.",
+    UNREADABLE: "Fetch a copy of the file from where it was kept, or take it away.",
+}
+_ADVICE = (
+    ("the force reached", "Choose a weaker stimulus, and see that nothing pulls at the probe."),
+    ("end of its stroke", "Place the probe nearer to the middle of its stroke."),
+    ("restarted by itself", "Check the power supply and its plug; connect again."),
+    ("went silent", "Check the cable and the power, and connect again."),
+    ("the connection to", "Check the cable, and connect again."),
+)
+
+
+@dataclass(frozen=True)
+class Event:
+    """``time`` as people read it, UTC; ``subject`` what it was about; ``path`` the session, where there is one."""
+
+    time: str
+    kind: str
+    subject: str
+    reason: str
+    advice: str
+    path: Path | None = None
+
+    @property
+    def level(self) -> str:
+        """That of a colour."""
+        return LEVELS.get(self.kind, "")
+
+    @property
+    def text(self) -> str:
+        """What is searched."""
+        name = self.path.name if self.path else ""
+        return f"{self.time} {self.kind} {self.subject} {self.reason} {self.advice} {name}".casefold()
+
+
+@dataclass(frozen=True)
+class Events:
+    """Newest first. ``remarks`` say what could not be looked at."""
+
+    found: tuple[Event, ...]
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def newest_fault(self) -> Event | None:
+        """The newest test, where it ended with a fault."""
+        ends = (FAULT, BROKEN, STOPPED, COMPLETED)
+        newest = next((event for event in self.found if event.kind in ends), None)
+        return newest if newest is not None and newest.kind == FAULT else None
+
+
+def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], None]) -> Events:
+    """All that the log and the newest of these sessions, newest first, tell; each end once.
+
+    Raises:
+        CancelledError: by ``cancelled``.
+    """
+    by_subject: dict[str, Event] = {}
+    for number, line in enumerate(log.lines):
+        if number % 1000 == 0:
+            cancelled()
+        if (event := _of_line(line)) is not None:
+            by_subject.setdefault(
+                f"{line.what} {line.number}" if "test " not in event.subject else event.subject, event
+            )
+    for path in files[:MOST_FILES]:
+        cancelled()
+        for subject, event in _of_session(path):
+            logged = by_subject.get(subject)
+            by_subject[subject] = event if logged is None else replace(logged, path=path, subject=event.subject)
+    remarks = [*log.remarks]
+    if len(files) > MOST_FILES:
+        remarks.append(f"Only the newest {MOST_FILES} of {len(files)} sessions were looked through.")
+    found = sorted(by_subject.values(), key=lambda event: event.time, reverse=True)
+    return Events(tuple(found), tuple(remarks))
+
+
+def _of_line(line: Line) -> Event | None:
+    what = line.what if isinstance(line.what, str) else ""
+    kind = _LOGGED.get(what)
+    new = line.new if isinstance(line.new, dict) else {}
+    reason = new.get("reason", line.new if isinstance(line.new, str) else "")
+    if what == "calibration.made" and new.get("verdict") == "failed":
+        kind, reason = FAILED, f"{new.get('kind', '')} calibration, {new.get('file', '')}"
+    if kind is None:
+        return None
+    subject = _short(line.subject)
+    return Event(moment(line.time), kind, subject, _said(reason), advice(kind, str(reason)))
+
+
+def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
+    try:
+        outline = read_outline(path)
+    except (TissueIDError, OSError) as error:
+        when = datetime.fromtimestamp(_changed(path), UTC).isoformat()
+        reason = _said(str(error).replace(f"{path}:", "").replace(str(path), "The file"))
+        yield str(path), Event(moment(when), UNREADABLE, path.name, reason, _BY_KIND[UNREADABLE], path)
+        return
+    head = outline.head
+    for item in outline.tests:
+        test = item.test
+        reason = str(test.notes.get("reason", ""))
+        kind = _BY_STATUS[test.status]
+        if kind is BROKEN and "released the coil" in reason:
+            kind = FAULT
+        site = f", {clean(test.site)[:60]}" if test.site else ""
+        subject = f"Test {test.number}{site}"
+        yield (
+            f"{head.session_id} test {test.number}",
+            Event(moment(head.created), kind, subject, _said(reason), advice(kind, reason), path),
+        )
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def advice(kind: str, reason: str) -> str:
+    """What to do about an end of this kind for this reason: in the words of the error, where it has some."""
+    if kind in _BY_KIND:
+        return _BY_KIND[kind]
+    if kind == COMPLETED:
+        return ""
+    lowered = reason.casefold()
+    for fault in Fault:
+        condition, _, remedy = describe_faults(fault).partition(": ")
+        if remedy and condition in lowered:
+            return sentence(remedy)
+    for sign, words in _ADVICE:
+        if sign in lowered:
+            return words
+    _, colon, remedy = reason.rpartition(": ")
+    return sentence(clean(remedy)[:_LONGEST]) if colon else "Measure again; if it happens again, ask the instrument."
+
+
+def moment(time: object) -> str:
+    """A time as people read it, UTC, to the second; as it stands where it is none."""
+    text = _short(time)
+    try:
+        known = datetime.fromisoformat(text)
+    except ValueError:
+        return text[:30]
+    aware = known if known.tzinfo else known.replace(tzinfo=UTC)
+    try:
+        return aware.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S")
+    except (ValueError, OverflowError):
+        return text[:30]
+
+
+def _said(reason: object) -> str:
+    return sentence(_short(reason))
+
+
+def _short(value: object) -> str:
+    text = value if isinstance(value, str) else plain_text(value)
+    return clean(text[: _LONGEST + 1]) if len(text) <= _LONGEST else f"{clean(text[:_LONGEST])}…"

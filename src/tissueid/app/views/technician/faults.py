@@ -1,0 +1,168 @@
+"""The third tab: faults and ends of tests, newest first, with what to do about each."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.checkup import newest_first
+from tissueid.app.views.technician.errand import Errands
+from tissueid.app.views.technician.events import COMPLETED, KINDS, LEVELS, Event, Events, read_events
+from tissueid.app.views.technician.log_reading import read_log
+from tissueid.app.views.technician.pieces import PiecesModel, table_of
+from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
+from tissueid.app.views.view import Desk
+from tissueid.wording import clean, grouped
+
+_CONCERNS, _ALL = "Needs a look", "All ends of tests"
+_FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
+
+
+def gather(folder: Path, log: Path, cancelled: Callable[[], None]) -> Events:
+    """The events of a folder of sessions and of an audit log.
+
+    Raises:
+        UnusableInputError, OSError: the log cannot be read.
+    """
+    return read_events(newest_first(folder, ".h5"), read_log(log, cancelled), cancelled)
+
+
+def _cell(event: Event, column: int) -> str:
+    return (event.time, event.kind, event.subject, event.reason)[column]
+
+
+class FaultsTab(Tab):
+    """A list with a filter and a search; below it what the selected one says, and what to do."""
+
+    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
+        super().__init__(desk, errands, parent)
+        self.events = Events(())
+        self.kind = QComboBox()
+        self.kind.setAccessibleName("Which events are shown")
+        for name in (_CONCERNS, _ALL, *KINDS):
+            self.kind.addItem(name, name)
+        self.kind.setCurrentIndex(max(0, self.kind.findData(str(desk.settings.value(_FILTER, _CONCERNS)))))
+        self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
+        self.search.setPlaceholderText("Search (Ctrl+F)")
+        self.search.setAccessibleName("Search the events")
+        self.search.setClearButtonEnabled(True)
+        self.search.setMaxLength(200)
+        self.again = QPushButton("Read again")
+        self.again.setAccessibleName("Read the events again")
+        self.again.clicked.connect(self.load)
+        self.count = plain_label(role="muted")
+        self.model = PiecesModel(
+            ("Time (UTC)", "Kind", "About", "Why"), _cell, level=lambda event: event.level, marked=1
+        )
+        self.list = table_of(self.model, "Faults and events", (140, 120, 260))
+        self.list.selectionModel().selectionChanged.connect(self._show_selected)
+        self.open = QPushButton("Open session")
+        self.open.setToolTip("Analyses the session of the selected event on the page Measure")
+        self.open.clicked.connect(self._open)
+        self.title = plain_label(role="headline")
+        self.reason = plain_label()
+        self.advice = plain_label()
+        self.where = plain_label(role="muted")
+        self.kind.currentIndexChanged.connect(self._show)
+        self.search.textChanged.connect(self._show)
+        top = QHBoxLayout()
+        top.setSpacing(8)
+        for widget in (self.kind, self.search, self.again):
+            top.addWidget(widget, 1 if widget is self.search else 0)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 8, 0, 0)
+        layout.setSpacing(6)
+        layout.addLayout(top)
+        layout.addWidget(self.count)
+        layout.addWidget(self.list, 1)
+        layout.addWidget(self._make_detail())
+        self._busy = False
+        self._show()
+
+    def _make_detail(self) -> QFrame:
+        self.detail = QFrame()
+        self.detail.setProperty("role", "verdict")
+        words = QVBoxLayout()
+        words.setSpacing(3)
+        for label in (self.title, self.reason, self.advice, self.where):
+            words.addWidget(label)
+        row = QHBoxLayout(self.detail)
+        row.setContentsMargins(12, 6, 10, 8)
+        row.addLayout(words, 1)
+        row.addWidget(self.open)
+        self.detail.hide()
+        return self.detail
+
+    def load(self) -> None:
+        """Read the log and the sessions."""
+        around = self.desk.around
+        work = functools.partial(gather, around.folder, around.audit.path)
+        if self.errands.start("Reading faults and events…", work, self._loaded, self.complain):
+            self.stale = False
+
+    def _loaded(self, events: Events) -> None:
+        self.events = events
+        self._show()
+
+    def settle(self, *, busy: bool) -> None:
+        """Reading and opening are slow."""
+        self._busy = busy
+        self.again.setEnabled(not busy)
+        self._settle_open()
+
+    def _settle_open(self) -> None:
+        event = self.selected
+        self.open.setEnabled(not self._busy and event is not None and event.path is not None)
+
+    @property
+    def selected(self) -> Event | None:
+        """The event that is selected."""
+        rows = [index.row() for index in self.list.selectionModel().selectedRows()]
+        return self.model.rows[rows[0]] if rows and rows[0] < len(self.model.rows) else None
+
+    def _show(self) -> None:
+        wanted = str(self.kind.currentData())
+        words = self.search.text().casefold().split()
+        chosen = {_CONCERNS: tuple(LEVELS), _ALL: KINDS}.get(wanted, (wanted,))
+        found = [
+            event for event in self.events.found if event.kind in chosen and all(word in event.text for word in words)
+        ]
+        self.model.show_rows(found)
+        total = sum(event.kind != COMPLETED for event in self.events.found)
+        said = (
+            f"{grouped(len(found))} shown; {grouped(total)} of {grouped(len(self.events.found))} are not completions."
+        )
+        self.count.setText(" ".join([said, *(clean(line) for line in self.events.remarks)]))
+        self._show_selected()
+
+    def _show_selected(self) -> None:
+        event = self.selected
+        self.detail.setVisible(event is not None)
+        self._settle_open()
+        if event is None:
+            return
+        mark_level(self.detail, event.level)
+        self.title.setText(f"{event.kind}, {event.time} UTC")
+        self.reason.setText(event.reason or "No reason was recorded.")
+        self.advice.setText(f"What to do: {event.advice}" if event.advice else "")
+        self.advice.setVisible(bool(event.advice))
+        self.where.setText(clean(str(event.path)) if event.path else event.subject)
+        self.detail.setAccessibleName(" ".join([self.title.text(), event.reason, event.advice]))
+
+    def _open(self) -> None:
+        event = self.selected
+        if event is not None and event.path is not None and not self.desk.busy:
+            self.desk.open_session(event.path)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.model.paint_with(theme)
+
+    def save_state(self) -> None:
+        """Filter and search."""
+        self.desk.settings.setValue(_FILTER, self.kind.currentData())
+        self.desk.settings.setValue(_SEARCH, self.search.text())

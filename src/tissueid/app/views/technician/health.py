@@ -1,0 +1,251 @@
+"""The first tab: whether the instrument is healthy, at a glance."""
+
+from __future__ import annotations
+
+import functools
+from datetime import UTC, datetime
+
+import numpy as np
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
+from tissueid.app.views.technician.errand import Errands
+from tissueid.app.views.technician.events import moment
+from tissueid.app.views.technician.lamps import Lamps
+from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
+from tissueid.app.views.view import Desk
+from tissueid.calibration.file import Calibration
+from tissueid.wording import clean, fixed, grouped, number
+
+_MOST_REASONS = 5
+_FORCE = "force_constant_n_per_a"
+
+
+class HealthTab(Tab):
+    """Asks the chosen instrument, in a job; the calibrations and the newest test are read without asking."""
+
+    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
+        super().__init__(desk, errands, parent)
+        self.checkup: Checkup | None = None
+        self._problem = ""
+        self._known = Background(None, ())
+        self.lamps = Lamps()
+        self.headline = plain_label(role="headline")
+        self.reasons = plain_label()
+        self.chosen = plain_label(role="muted")
+        self.ask = QPushButton("Ask the instrument")
+        self.ask.setToolTip("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)")
+        self.ask.clicked.connect(self.begin_asking)
+        self.identity = FactsCard("Instrument")
+        self.state = FactsCard("Calibration in force")
+        self.link = FactsCard("Cable and samples")
+        self.trend = PlotCard(
+            "Force constant by date", "Days from today", "N/A", key={"static": "measured", "sweep": "model"}
+        )
+        self._static = self.trend.dots("measured", 7)
+        self._sweep = self.trend.dots("model", 7)
+        cards = QHBoxLayout()
+        cards.setSpacing(8)
+        for card in (self.identity, self.state, self.link):
+            cards.addWidget(card, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 8, 0, 0)
+        layout.setSpacing(8)
+        layout.addWidget(self._make_verdict())
+        layout.addLayout(cards)
+        layout.addWidget(self.trend, 1)
+        self._show()
+        self._show_trend()
+
+    def _make_verdict(self) -> QFrame:
+        self.verdict = QFrame()
+        self.verdict.setProperty("role", "verdict")
+        words = QVBoxLayout()
+        words.setSpacing(3)
+        words.addWidget(self.headline)
+        words.addWidget(self.reasons)
+        words.addStretch(1)
+        words.addWidget(self.chosen)
+        button = QVBoxLayout()
+        button.addWidget(self.ask)
+        button.addStretch(1)
+        row = QHBoxLayout(self.verdict)
+        row.setContentsMargins(12, 8, 12, 8)
+        row.setSpacing(14)
+        row.addWidget(self.lamps)
+        row.addLayout(words, 1)
+        row.addLayout(button)
+        return self.verdict
+
+    # -- work ---------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Read the newest test and the calibrations."""
+        around = self.desk.around
+        work = functools.partial(background, around.folder, around.calibrations, around.audit.path)
+        if self.errands.start("Reading calibrations and the newest test…", work, self._loaded, self.complain):
+            self.stale = False
+
+    def _loaded(self, known: Background) -> None:
+        self._known = known
+        self._show()
+        self._show_trend()
+
+    def begin_asking(self) -> None:
+        """Ask the chosen instrument."""
+        if self.desk.busy:
+            return
+        url = self.desk.instrument()
+        if not url:
+            self.desk.say("Choose an instrument on the page Measure first.", problem=True)
+            return
+        around = self.desk.around
+        work = functools.partial(ask, url, around.opener, around.calibrate)
+        self.errands.start(f"Asking {clean(url)[:60]}…", work, self._answered, self._unanswered)
+
+    def _answered(self, checkup: Checkup) -> None:
+        self.checkup, self._problem = checkup, ""
+        self._show()
+        self._show_trend()
+
+    def _unanswered(self, words: str) -> None:
+        if words:
+            self.checkup, self._problem = None, words
+            self._show()
+            self._show_trend()
+
+    # -- showing ------------------------------------------------------------------------------------------
+
+    def settle(self, *, busy: bool) -> None:
+        """Asking is slow."""
+        self.ask.setEnabled(not busy)
+        self._show_chosen()
+
+    def _show_chosen(self) -> None:
+        url = clean(self.desk.instrument())[:120]
+        words = f"Chosen on the page Measure: {url}" if url else "No instrument is chosen on the page Measure."
+        if self.checkup is not None and self.checkup.url != self.desk.instrument():
+            words += f" – what stands here is of {clean(self.checkup.url)[:120]}; ask again."
+        self.chosen.setText(words)
+
+    @property
+    def light(self) -> Light:
+        """What is to be thought of the instrument."""
+        return light(self.checkup, self._problem, self._known.fault)
+
+    def _show(self) -> None:
+        found = self.light
+        self.lamps.show_level(found.level)
+        self.headline.setText(found.headline)
+        more = len(found.reasons) - _MOST_REASONS
+        lines = [*found.reasons[:_MOST_REASONS], *([f"… and {more} more."] if more > 0 else [])]
+        self.reasons.setText("\n".join(clean(line) for line in lines))
+        self.reasons.setToolTip(tip("\n".join(clean(line) for line in found.reasons[:40])))
+        self.verdict.setAccessibleName(" ".join([found.headline, *found.reasons]))
+        for widget in (self.verdict, self.headline):
+            mark_level(widget, found.level)
+        self._show_chosen()
+        self.identity.show_facts(_identity(self.checkup))
+        self.state.show_facts(_calibration(self.checkup, self._known))
+        self.link.show_facts(_link(self.checkup, self._known.last))
+
+    def _show_trend(self) -> None:
+        """The force constant of the asked instrument's calibrations; of the newest one's before it was asked."""
+        passed = [item.calibration for item in self._known.stored if item.calibration is not None]
+        passed = [item for item in passed if item.verdict == "passed" and _FORCE in item.quantities]
+        serial = self.checkup.device.serial_number if self.checkup else passed[0].serial_number if passed else ""
+        mine = [item for item in passed if item.serial_number == serial]
+        whose = f" of {clean(serial)[:40]}" if serial else ""
+        self.trend.remark(clean(serial)[:40])
+        if not mine:
+            self.trend.say_missing(
+                f"No calibration{whose} holds a force constant yet. The button under Calibrations leads to one."
+            )
+            return
+        self.trend.say_missing("")
+        now = datetime.now(UTC)
+        for dots, kind in ((self._static, "static"), (self._sweep, "sweep")):
+            kept = [item for item in mine if item.kind == kind]
+            dots.setData(*_dated(kept, now))
+        x, y = _dated(mine, now)
+        margin = max(0.02 * float(np.abs(y).max()), 0.15 * float(np.ptp(y)))
+        self.trend.plot.setYRange(float(y.min()) - margin, float(y.max()) + margin, padding=0.0)
+        self.trend.plot.setXRange(min(-1.0, 1.05 * float(x.min())), 0.02 * max(1.0, float(np.ptp(x))), padding=0.0)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.lamps.paint_with(theme)
+        self.trend.paint_with(theme)
+
+
+def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, np.ndarray]:
+    days = np.array([-item.age_days(now) for item in calibrations], np.float64)
+    return days, np.array([item.quantities[_FORCE].value for item in calibrations], np.float64)
+
+
+def _identity(checkup: Checkup | None) -> dict[str, str]:
+    if checkup is None:
+        return {"Model": "not asked"}
+    device = checkup.device
+    clinical, research = checkup.limits["clinical"], checkup.limits["research"]
+    return {
+        "Model": clean(device.model)[:80],
+        "Serial number": clean(device.serial_number)[:60],
+        "Firmware": clean(device.firmware_version)[:40] or "not told",
+        "Protocol": clean(device.protocol_version)[:20] or "none, it is in this program",
+        "Temperature": f"{fixed(checkup.temperature_c, 1)} °C",
+        "Force limit": f"{number(clinical.max_force_n)} N clinical, {number(research.max_force_n)} N research",
+        "Position limits": f"{fixed(1e3 * clinical.min_position_m, 1)} to {fixed(1e3 * clinical.max_position_m, 1)} mm",
+        "Heat, time limit": f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",
+    }
+
+
+def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
+    facts: dict[str, str] = {}
+    if known.problem:
+        facts["Folder"] = known.problem
+    else:
+        facts["In the folder"] = f"{grouped(len(known.stored))} calibrations"
+    if checkup is None:
+        return {"State": "not asked"} | facts
+    device = checkup.device
+    held = device.calibration
+    facts = {"State": checkup.calibration.words} | facts
+    for name, label in (("static", "Static"), ("sweep", "Sweep")):
+        if held.get(f"{name}_file"):
+            facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
+    facts["Force constant"] = f"{number(device.force_constant_n_per_a)} N/A"
+    facts["Resistance"] = f"{number(device.coil_resistance_ohm)} Ω"
+    facts["Moving mass"] = f"{number(1e3 * device.moving_mass_kg)} g"
+    facts["Uncertainty of force"] = f"{number(100.0 * device.calibration_relative_uncertainty, 2)} %"
+    return facts
+
+
+def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
+    facts: dict[str, str] = {}
+    if checkup is None:
+        facts["Now"] = "not asked"
+    else:
+        facts["Samples"] = f"{grouped(checkup.samples)}, {grouped(checkup.lost)} of them lost"
+        facts["Coil free reads"] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
+        facts |= _cable(checkup.link)
+    if last is None:
+        return facts | {"Newest test": "none in the folder of sessions"}
+    share = f" ({fixed(100.0 * last.lost / last.samples, 2)} %)" if last.samples and last.lost else ""
+    facts["Newest test"] = f"{moment(last.created)} UTC, {last.status}"
+    facts["– its samples"] = f"{grouped(last.samples)}, {grouped(last.lost)} lost{share}"
+    facts["– its set-points"] = f"{grouped(last.late_blocks)} blocks late, {grouped(last.held_samples)} samples held"
+    return facts
+
+
+def _cable(link: Link | None) -> dict[str, str]:
+    if link is None:
+        return {"Cable": "none: it is a simulation in this program"}
+    trip = "not measured" if link.round_trip_s is None else f"{fixed(1e3 * link.round_trip_s, 1)} ms"
+    return {
+        "Frames": f"{grouped(link.frames)}, {grouped(link.damaged)} damaged",
+        "Round trip": trip,
+        "Requests repeated": grouped(link.repeated),
+    }

@@ -1,0 +1,112 @@
+"""The audit log for a table: its newest lines, read with suspicion, and as a file for a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tissueid.audit import Line
+from tissueid.audit.line import MAX_LINE, fields_of, read_line
+from tissueid.errors import UnusableInputError
+from tissueid.whole_file import whole_file
+from tissueid.wording import clean, grouped, plain_text
+
+MOST_BYTES = 96 * 1024 * 1024
+MOST_LINES = 200_000
+_LOOK = 500
+_LONGEST = 600
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+COLUMNS = ("number", "time", "role", "who", "what", "subject", "old", "new", "software", "previous", "hash")
+"""Of the file for a spreadsheet."""
+
+
+@dataclass(frozen=True)
+class LogPage:
+    """The newest lines of a log, newest first. ``remarks`` are what is to be said of the rest."""
+
+    lines: tuple[Line, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_BYTES) -> LogPage:
+    """The newest lines, of so many bytes; those that do not have the hash that they say are counted, and left out.
+
+    Raises:
+        UnusableInputError: it is no file.
+        OSError: it cannot be read.
+    """
+    if not path.exists():
+        return LogPage((), (f"There is no audit log {path}: nothing has been logged yet, or it was moved.",))
+    if not path.is_file():
+        raise UnusableInputError(f"the audit log {path} is not a file: name another with TISSUEID_AUDIT")
+    size = path.stat().st_size
+    kept: deque[Line] = deque(maxlen=MOST_LINES)
+    whole = damaged = 0
+    with path.open("rb") as file:
+        if size > most_bytes:
+            file.seek(size - most_bytes)
+            file.readline(MAX_LINE)
+        while raw := file.readline(MAX_LINE):
+            if (whole + damaged) % _LOOK == 0:
+                cancelled()
+            if (line := read_line(raw.removesuffix(b"\n"))) is None:
+                damaged += 1
+            else:
+                whole += 1
+                kept.append(line)
+    remarks = []
+    if size > most_bytes or whole > MOST_LINES:
+        remarks.append(f"Only the newest {grouped(len(kept))} lines are shown; 'tissueid audit show' has the others.")
+    if damaged:
+        are = "piece is no whole line" if damaged == 1 else "pieces are no whole lines"
+        remarks.append(f"{grouped(damaged)} {are} and left out: Verify tells more.")
+    return LogPage(tuple(reversed(kept)), tuple(remarks))
+
+
+def shown(value: Any) -> str:
+    """An old or new value as one line of a table."""
+    if value is None:
+        return ""
+    text = clean(value[: _LONGEST + 1]) if isinstance(value, str) else plain_text(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+
+def haystack(line: Line) -> str:
+    """All of a line that is searched."""
+    parts = (line.time, line.role, line.who, line.what, line.subject, line.old, line.new)
+    return " ".join(str(part) for part in parts if part is not None).casefold()
+
+
+def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[[], None]) -> int:
+    """Write lines of ``log``, as they are given, for a spreadsheet, whole or not at all; returns their number.
+
+    What a spreadsheet would take for a formula gets an apostrophe before it.
+
+    Raises:
+        UnusableInputError: it cannot be written there, or that is the log itself.
+    """
+    if path.exists() and log.exists() and path.samefile(log):
+        raise UnusableInputError(f"{path} is the audit log itself: name another file")
+    if path.is_dir() or not path.parent.is_dir():
+        raise UnusableInputError(f"{path} is a folder, or there is none for it: name a file")
+    try:
+        with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(COLUMNS)
+            for number, line in enumerate(lines):
+                if number % _LOOK == 0:
+                    cancelled()
+                fields = fields_of(line)
+                table.writerow([_cell(fields[name]) for name in COLUMNS])
+    except OSError as error:
+        raise UnusableInputError(f"cannot write {path}: {error.strerror or error}") from error
+    return len(lines)
+
+
+def _cell(value: Any) -> str:
+    text = "" if value is None else clean(value) if isinstance(value, str) else plain_text(value)
+    return f"'{text}" if text.startswith(_FORMULA) else text

@@ -1,0 +1,184 @@
+"""A static calibration: its figures with their deviations, what lies off its lines, and each figure over the dates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.pieces import PiecesModel, table_of
+from tissueid.app.views.technician.tab import mark_level, plain_label, tip, unmarked
+from tissueid.app.words import sentence
+from tissueid.calibration.comparison import Residuals, Trend, residuals, trend
+from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.words import label_of, notes_of, readable, verdict_of
+from tissueid.wording import clean, people_unit
+
+_PREFERRED = "force_constant_n_per_a"
+_MOST_LINES = 4
+_SMALL = {"m": ("µm", 1e6), "A": ("mA", 1e3)}
+
+
+class ResidualsCard(PlotCard):
+    """A plot whose lower axis goes by what is shown."""
+
+    def set_x_label(self, text: str) -> None:
+        """Another label below."""
+        if text != self._x_label:
+            self._x_label = text
+            if self._theme is not None:
+                self.paint_with(self._theme)
+
+
+class StaticsPanel(QWidget):
+    """The newest of the selected static calibrations; the trend is over all of its instrument that passed."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._all: tuple[Calibration, ...] = ()
+        self._shown: Calibration | None = None
+        self._residuals: tuple[Residuals, ...] = ()
+        self.headline = plain_label(role="headline")
+        self.said = plain_label(role="muted")
+        self.model = PiecesModel(
+            ("Figure", "Value", "Unit"),
+            lambda row, column: readable(*row)[column],
+            right=(1,),
+        )
+        self.figures = table_of(self.model, "Figures of the static calibration", (250, 175))
+        self.line = QComboBox()
+        self.line.setAccessibleName("Which line's residuals")
+        self.line.setToolTip("Which line's residuals are shown")
+        self.line.currentIndexChanged.connect(self._show_residuals)
+        self.figure = QComboBox()
+        self.figure.setAccessibleName("Figure whose trend is shown")
+        self.figure.setToolTip("Figure whose trend over the dates is shown")
+        self.figure.currentIndexChanged.connect(self._show_trend)
+        for choice in (self.line, self.figure):
+            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            choice.setMinimumContentsLength(16)
+        self.off = ResidualsCard("Residuals", "Reading (V)", "mA")
+        self._dots = self.off.dots("measured", 6)
+        self._zero = self.off.mark(upright=False)
+        self.over_dates = PlotCard("Trend", "Days from today", "")
+        self._trend = self.over_dates.line("measured", width=1, alpha=140)
+        self._dated = self.over_dates.dots("measured", 7)
+        self._doubt = self.over_dates.band("measured", alpha=45)
+        self.drift = plain_label(role="muted")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(self.headline)
+        layout.addWidget(self.said)
+        layout.addWidget(self.figures, 3)
+        below = QHBoxLayout()
+        below.setSpacing(6)
+        for choice, card in ((self.line, self.off), (self.figure, self.over_dates)):
+            column = QVBoxLayout()
+            column.setSpacing(4)
+            column.addWidget(choice)
+            column.addWidget(card, 1)
+            below.addLayout(column, 1)
+        layout.addLayout(below, 3)
+        layout.addWidget(self.drift)
+
+    def show_statics(self, chosen: Sequence[Calibration], stored: Sequence[Calibration]) -> None:
+        """Show the newest of the chosen; ``stored`` are all there are, for the trend."""
+        newest = max(chosen, key=lambda item: item.made)
+        self._shown = newest
+        self._all = tuple(
+            item
+            for item in stored
+            if item.kind == "static"
+            and item.verdict == "passed"
+            and (item.serial_number, item.model) == (newest.serial_number, newest.model)
+        )
+        self.headline.setText(
+            sentence(f"{newest.date[:10]}, {clean(newest.serial_number)[:40]} – {verdict_of(newest)}")
+        )
+        mark_level(self.headline, "good" if newest.verdict == "passed" else "poor")
+        lines = [sentence(clean(line)) for line in (*newest.problems, *notes_of(newest))]
+        self.said.setText("\n".join(lines[:_MOST_LINES]))
+        self.said.setToolTip(tip("\n".join(lines)))
+        self.said.setVisible(bool(lines))
+        self.model.show_rows(list(newest.quantities.items()))
+        self._residuals = residuals(newest)
+        self._fill(self.line, [(item.label, item.label) for item in self._residuals], self.line.currentData())
+        names = [name for name in newest.quantities if any(name in item.quantities for item in self._all)]
+        kept = self.figure.currentData() or _PREFERRED
+        self._fill(self.figure, [(label_of(name), name) for name in names], kept)
+        self._show_residuals()
+        self._show_trend()
+
+    @staticmethod
+    def _fill(choice: QComboBox, items: Sequence[tuple[str, str]], kept: object) -> None:
+        choice.blockSignals(True)
+        choice.clear()
+        for text, name in items:
+            choice.addItem(clean(text), name)
+        choice.setCurrentIndex(max(0, choice.findData(kept)) if items else -1)
+        choice.blockSignals(False)
+        choice.setEnabled(bool(items))
+
+    def _show_residuals(self) -> None:
+        number = self.line.currentIndex()
+        if not 0 <= number < len(self._residuals):
+            self.off.say_missing("This calibration keeps no line with residuals.")
+            return
+        found = self._residuals[number]
+        self.off.say_missing("")
+        x_unit, x_scale = people_unit(found.x_unit)
+        y_unit, y_scale = _SMALL[found.y_unit]
+        self.off.retitle(found.label, y_unit)
+        self.off.set_x_label(f"{'Position' if found.x_unit == 'm' else 'Reading'} ({x_unit})")
+        x, y = x_scale * found.x, y_scale * found.y
+        self._dots.setData(x, y)
+        self._zero.show()
+        reach = 1.15 * max(float(np.abs(y).max(initial=0.0)), 1e-6)
+        self.off.plot.setYRange(-reach, reach, padding=0.0)
+        if x.size:
+            self.off.plot.setXRange(float(x.min()), float(x.max()), padding=0.06)
+
+    def _show_trend(self) -> None:
+        name = self.figure.currentData()
+        if not name:
+            self.over_dates.say_missing("No calibration of this instrument that passed holds a figure.")
+            self.drift.setText("")
+            return
+        found = trend(self._all, name)
+        self.over_dates.say_missing("")
+        unit, scale = _unit_of(found)
+        self.over_dates.retitle(f"{label_of(name)} by date", unmarked(unit))
+        days = np.array([(made - datetime.now(UTC)).total_seconds() / 86400.0 for made in found.dates])
+        value, std = scale * found.value, np.nan_to_num(scale * found.std)
+        self._trend.setData(days, value)
+        self._dated.setData(days, value)
+        self._doubt[0].setData(days, value - std)
+        self._doubt[1].setData(days, value + std)
+        low, high = float((value - std).min()), float((value + std).max())
+        margin = max(0.15 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-9)
+        self.over_dates.plot.setYRange(low - margin, high + margin, padding=0.0)
+        self.over_dates.plot.setXRange(min(-1.0, float(days.min())), max(0.0, float(days.max())), padding=0.04)
+        self.drift.setText(found.words)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        for card in (self.off, self.over_dates):
+            card.paint_with(theme)
+        self.model.paint_with(theme)
+
+
+def _unit_of(found: Trend) -> tuple[str, float]:
+    """The unit in which a figure is read, and how many of it make one SI unit."""
+    newest = float(found.value[-1])
+    _, _, unit = readable(found.name, Quantity(value=newest, unit=found.unit))
+    scales = {"µm": 1e6, "mA": 1e3, "mV": 1e3, "mm/A": 1e3}
+    if unit in scales and unit != people_unit(found.unit)[0]:
+        return unit, scales[unit]
+    if found.name == "calibration_relative_uncertainty":
+        return unit, 100.0
+    return people_unit("m s-2" if found.unit == "m/s^2" else found.unit)

@@ -1,0 +1,266 @@
+"""Sweeps over each other: force constant, mass, damping, stiffness and VAF along the stroke, and what differs."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+import numpy as np
+import pyqtgraph as pg
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.theme import Theme
+from tissueid.app.views.technician.pieces import PiecesModel, table_of
+from tissueid.app.views.technician.tab import mark_level, plain_label
+from tissueid.calibration.comparison import (
+    DEVIATIONS,
+    Comparison,
+    Difference,
+    along,
+    compare_sweeps,
+    linear_region,
+)
+from tissueid.calibration.file import Calibration, Quantity
+from tissueid.calibration.words import label_of, readable
+from tissueid.records import Estimate
+from tissueid.wording import MISSING, clean, fixed, people_unit, plus_minus
+
+MOST = 4
+"""So many sweeps can be told apart by their colours."""
+ROLES = ("measured", "model", "good", "poor")
+_CARDS = (
+    ("force_constant", "Force constant", "N/A", 1.0),
+    ("mass", "Mass M", "g", 1e3),
+    ("damping", "Damping B", "N·s/m", 1.0),
+    ("stiffness", "Stiffness K", "N/m", 1.0),
+    ("vaf", "Variance accounted for", "%", 1.0),
+)
+_MM = 1e3
+_SAID = {
+    "noise": "within the noise",
+    "uncertainty": "within the uncertainty",
+    "beyond": "beyond the uncertainty",
+    "unknown": "no uncertainty known",
+}
+
+
+class AlongCard(PlotCard):
+    """One figure along the stroke of several sweeps, over their linear regions."""
+
+    def __init__(self, name: str, title: str, unit: str, scale: float, parent: QWidget | None = None) -> None:
+        super().__init__(title, "Position (mm)", unit, parent=parent)
+        self._name, self._scale = name, scale
+        self._dotted = name != "force_constant"
+        self._regions = [self.band(role, alpha=22) for role in ROLES]
+        self._doubts = [self.band(role, alpha=45) for role in ROLES]
+        self._lines = [self.line(role, width=2) for role in ROLES]
+        self._points = [self.dots(role, 5) for role in ROLES]
+
+    def show_sweeps(self, sweeps: Sequence[Calibration]) -> None:
+        """Draw these, at most as many as there are colours."""
+        self._clear()
+        tops: list[np.ndarray] = []
+        places: list[np.ndarray] = []
+        for number, sweep in enumerate(sweeps[:MOST]):
+            profile = along(sweep, self._name)
+            if profile is None:
+                continue
+            x, y = _MM * profile.position_m, self._scale * profile.value
+            self._lines[number].setData(x, y)
+            if self._dotted:
+                self._points[number].setData(x, y)
+            if profile.std is not None:
+                spread = self._scale * profile.std
+                _set_band(self._doubts[number], x, y - spread, y + spread)
+            tops.append(y)
+            places.append(x)
+        self.say_missing("" if tops else "None of these sweeps holds it.")
+        if not tops:
+            return
+        low, high = (float(edge(np.concatenate(tops))) for edge in (np.min, np.max))
+        margin = max(0.12 * (high - low), 0.02 * abs(high), 1e-9)
+        low, high = low - margin, high + margin
+        if self._name == "vaf":  # nothing is above 100 %
+            high = min(high, 100.0 + 0.05 * (100.0 - low))
+        self.plot.setYRange(low, high, padding=0.0)
+        whole = np.concatenate(places)
+        self.plot.setXRange(float(whole.min()), float(whole.max()), padding=0.03)
+        for number, sweep in enumerate(sweeps[:MOST]):
+            if (region := linear_region(sweep)) is not None:
+                x = _MM * np.array(region)
+                _set_band(self._regions[number], x, np.full(2, low - margin), np.full(2, high + margin))
+
+    def _clear(self) -> None:
+        nothing = np.zeros(0)
+        for edges in (*self._regions, *self._doubts):
+            _set_band(edges, nothing, nothing, nothing)
+        for item in (*self._lines, *self._points):
+            item.setData(nothing, nothing)
+
+
+def _set_band(
+    edges: tuple[pg.PlotCurveItem, pg.PlotCurveItem], x: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> None:
+    edges[0].setData(x, low)
+    edges[1].setData(x, high)
+
+
+class SweepsPanel(QWidget):
+    """Shows one sweep, or several over each other; with two or more the newest is held against a chosen one."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._theme: Theme | None = None
+        self._sweeps: tuple[Calibration, ...] = ()
+        self.comparison: Comparison | None = None
+        self.words = plain_label(role="headline")
+        self.remarks = plain_label(role="muted")
+        self.against = QComboBox()
+        self.against.setAccessibleName("Compare the newest sweep with")
+        self.against.setToolTip("Compare the newest of the selected sweeps with")
+        self.against.currentIndexChanged.connect(self._compare)
+        self.cards = [AlongCard(*figures) for figures in _CARDS]
+        self.model = PiecesModel(
+            ("Figure", "Difference", "±2 std", "Which is", "Before", "Now", "Unit"),
+            _cell,
+            level=lambda row: "check" if isinstance(row, Difference) and row.verdict == "beyond" else "",
+            marked=3,
+            right=(1, 2, 4, 5),
+        )
+        self.figures = table_of(self.model, "Figures of the sweeps and their differences", (178, 75, 60, 165, 130, 130))
+        self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
+        self.tabs.tabBar().setDrawBase(False)
+        self.tabs.tabBar().setAccessibleName("Sweeps: along the stroke, or figures")
+        self.tabs.addTab(self._make_plots(), "Along the stroke")
+        self.tabs.addTab(self.figures, "Figures")
+        top = QHBoxLayout()
+        top.addWidget(self.words, 1)
+        top.addWidget(self.against, 0, Qt.AlignmentFlag.AlignTop)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        layout.addLayout(top)
+        layout.addWidget(self.remarks)
+        layout.addWidget(self.tabs, 1)
+
+    def _make_plots(self) -> QWidget:
+        self.key = QLabel()
+        self.key.setTextFormat(Qt.TextFormat.RichText)
+        self.key.setWordWrap(True)
+        self.key.setMinimumWidth(1)
+        self.key.setAlignment(Qt.AlignmentFlag.AlignTop)
+        card = QFrame()
+        card.setProperty("role", "card")
+        inside = QVBoxLayout(card)
+        inside.setContentsMargins(12, 8, 12, 8)
+        inside.addWidget(plain_label("Key", "heading"))
+        inside.addWidget(self.key)
+        inside.addStretch(1)
+        page = QWidget()
+        grid = QGridLayout(page)
+        grid.setContentsMargins(0, 6, 0, 0)
+        grid.setSpacing(6)
+        for number, widget in enumerate((*self.cards, card)):
+            grid.addWidget(widget, number // 2, number % 2)
+        for line in range(3):
+            grid.setRowStretch(line, 1)
+        for column in range(2):
+            grid.setColumnStretch(column, 1)
+        return page
+
+    def show_sweeps(self, sweeps: Sequence[Calibration]) -> None:
+        """Show these; the newest is the one that is compared."""
+        self._sweeps = tuple(sorted(sweeps, key=lambda item: item.made, reverse=True)[:MOST])
+        self.against.blockSignals(True)
+        self.against.clear()
+        for sweep in self._sweeps[1:]:
+            self.against.addItem(f"against {sweep.date[:10]}, {clean(sweep.serial_number)[:30]}")
+        self.against.blockSignals(False)
+        self.against.setVisible(len(self._sweeps) > 2)
+        for card in self.cards:
+            card.show_sweeps(self._sweeps)
+        self._compare()
+        self._show_key()
+
+    def _compare(self) -> None:
+        if not self._sweeps:
+            return
+        newest, *others = self._sweeps
+        if not others:
+            self.comparison = None
+            self.words.setText(f"Sweep of {newest.date[:10]}: select another with Ctrl to compare the two.")
+            mark_level(self.words, "")
+            self.remarks.setText(_region_words(newest))
+            self.model.show_rows(list(newest.quantities.items()))
+            return
+        found = compare_sweeps(others[max(0, self.against.currentIndex())], newest)
+        self.comparison = found
+        self.words.setText(found.words)
+        drift = next((item for item in found.differences if item.name == "force_constant_n_per_a"), None)
+        mark_level(self.words, "check" if drift is not None and drift.verdict == "beyond" else "")
+        self.remarks.setText(" ".join([_profile_words(found), *(clean(line) for line in found.remarks)]).strip())
+        self.model.show_rows(found.differences)
+
+    def _show_key(self) -> None:
+        """Which colour is which sweep; the names are of people and are no markup."""
+        theme = self._theme
+        if theme is None:
+            return
+        lines = [
+            f'<span style="color:{getattr(theme, role)}">■</span> '
+            f"{html.escape(sweep.made.strftime('%Y-%m-%d %H:%M'))}, {html.escape(clean(sweep.serial_number)[:30])}, "
+            f"{html.escape(sweep.verdict)}"
+            for role, sweep in zip(ROLES, self._sweeps, strict=False)
+        ]
+        note = "Shaded upright: the linear region of each. Shaded along a curve: ± one standard deviation."
+        lines.append(f'<span style="color:{theme.muted}">{note}</span>')
+        self.key.setText("<br>".join(lines))
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        for card in self.cards:
+            card.paint_with(theme)
+        self.model.paint_with(theme)
+        self._show_key()
+
+
+def _region_words(sweep: Calibration) -> str:
+    region = linear_region(sweep)
+    if region is None:
+        return "It does not say where the coil is linear."
+    return f"Linear from {fixed(_MM * region[0], 1)} to {fixed(_MM * region[1], 1)} mm."
+
+
+def _profile_words(found: Comparison) -> str:
+    if found.common_m is None:
+        return "Their linear regions do not overlap."
+    low, high = (fixed(_MM * end, 1) for end in found.common_m)
+    if not np.isfinite(found.profile):
+        return f"Both are linear from {low} to {high} mm."
+    mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (found.profile, found.largest))
+    where = fixed(_MM * found.largest_at_m, 1)
+    return f"Over {low} to {high} mm, where both are linear: mean {mean}, largest {largest}, at {where} mm."
+
+
+def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
+    if isinstance(row, tuple):
+        label, value, unit = readable(*row)
+        return (label, "", "", "", "", value, unit)[column]
+    unit, scale = people_unit(row.before.unit)
+    if column in (4, 5):
+        held = row.before if column == 4 else row.now
+        return plus_minus(Estimate(held.value, held.std), scale)
+    return (label_of(row.name), *_sizes(row, scale), _SAID[row.verdict], "", "", unit)[column]
+
+
+def _sizes(row: Difference, scale: float) -> tuple[str, str]:
+    """A difference and what it is not known better than, as shares where the figure has a scale."""
+    known = None if row.uncertainty is None else DEVIATIONS * row.uncertainty
+    if np.isfinite(row.relative):
+        share = None if known is None else 100.0 * known / abs(row.before.value)
+        return f"{fixed(100.0 * row.relative, 1)} %", MISSING if share is None else f"{fixed(share, 1)} %"
+    return fixed(scale * row.absolute, 2), MISSING if known is None else fixed(scale * known, 2)

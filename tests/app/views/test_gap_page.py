@@ -1,0 +1,324 @@
+"""The page of the gap as people use it: a session in; verdict, stage, effect, twin, report and answer out."""
+
+import functools
+import json
+import threading
+
+import pytest
+from app.benches import WAIT_MS
+from gap_records import recorded
+from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
+from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
+
+from tissueid.app.views.gap import diagnosing
+from tissueid.app.views.gap.proposal import Proposal
+from tissueid.audit import AuditLog, last_lines
+from tissueid.instrument.twin_file import read_twin
+from tissueid.sessions import write_session
+from tissueid.twin import catalogue as shelf
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+FEW = ("dry_friction", "directional_damping")
+SAMPLES = 3000
+
+
+@pytest.fixture(autouse=True)
+def _few_effects(monkeypatch):
+    everything = shelf.library()
+    monkeypatch.setattr("tissueid.gap.search.library", lambda: {name: everything[name] for name in FEW})
+
+
+def press(qtbot, widget):
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
+
+
+def page_of(window):
+    return window.ui.views["gap"]
+
+
+def wait(qtbot, window):
+    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+
+
+@pytest.fixture
+def friction(tmp_path):
+    path = tmp_path / "friction.h5"
+    write_session(path, recorded("dry_friction", samples=SAMPLES))
+    return path
+
+
+@pytest.fixture(scope="module")
+def answers():
+    """Diagnoses by session, so that only the first test of each waits for it."""
+    return {}
+
+
+@pytest.fixture
+def diagnosed(qtbot, open_window, friction, answers, monkeypatch):
+    """Opens a window on the page in which a session with dry friction was diagnosed."""
+
+    def make(**changes):
+        window = open_window(first_page="gap", **changes)
+        page = page_of(window)
+        if not answers:
+            press(qtbot, page.asking.run)
+            wait(qtbot, window)
+            answers["friction"] = page.history.result
+        else:
+            found = answers["friction"]
+            asked = diagnosing.Asked(friction)
+            page.history.add(diagnosing.replace(found, asked=asked))
+        return window, page
+
+    return make
+
+
+def answer_dialog(page, path):
+    dialog = page.findChild(QFileDialog)
+    dialog.fileSelected.emit(str(path))
+    dialog.close()
+
+
+def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
+    _, page = diagnosed()
+    result = page.result
+    assert result.isVisible()
+    assert result.headline.text() == "The gap is explained: dry friction in the bearing"
+    assert "Clean and realign the bearing" in result.todo.text()
+    assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")
+    assert "dry friction" in result.evidence.text()
+    item = page.history.list.item(0).text()
+    assert item.splitlines() == ["friction.h5", "Effect named  ·  Moving part", "Dry friction in the bearing"]
+    assert result.which.table.item(0, 0).text() == "Dry friction in the bearing"
+    fitted = result.which.figures.text().splitlines()
+    assert fitted[1].startswith("Friction force at speed: ")
+    assert fitted[1].endswith(" N")
+    assert "Closed: 9" in result.far.closing.text()
+    assert result.far.bars.accessibleName().startswith("Gap: before ")
+    for card in (*result.where.cards, *result.far.cards):
+        assert card.plot.accessibleName().startswith("Plot: ")
+    assert not page.asking.stop.isVisible()
+
+
+def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, diagnosed):
+    _, page = diagnosed()
+    result = page.result
+    press(qtbot, result.chain.stages["tissue"])
+    assert result.stage.text() == "Evidence: Tissue"
+    result.chain.stages["drive"].setFocus()
+    qtbot.keyClick(result.chain.stages["drive"], Qt.Key.Key_Right)
+    assert result.chain.stages["coil"].hasFocus()
+    assert result.stage.text() == "Evidence: Coil"
+    result.far.channel.setCurrentText("Current")
+    assert result.far.signal.plot.accessibleName() == "Plot: Current, A"
+
+
+def test_an_accepted_effect_becomes_a_twin_that_is_logged(qtbot, diagnosed, tmp_path, audit_file):
+    window, page = diagnosed(audit=AuditLog(audit_file))
+    path = tmp_path / "mine.toml"
+    press(qtbot, page.result.accept)
+    answer_dialog(page, path)
+    wait(qtbot, window)
+    assert [item.name for item in read_twin(path).effects] == ["dry_friction"]
+    assert "version 1, is saved" in window.ui.notice.text.text()
+    assert [line.what for line in last_lines(audit_file, 9)][-1] == "twin.accepted"
+    assert page.asking.twin.choice.findData(str(path)) > 0
+    press(qtbot, page.result.accept)
+    answer_dialog(page, tmp_path / "größe.toml")
+    wait(qtbot, window)
+    assert "letters of the English alphabet" in window.ui.notice.text.text()
+
+
+def test_report_and_answer_are_written_beside_the_session(qtbot, diagnosed, friction, tmp_path):
+    shown = []
+    window, page = diagnosed(show_file=lambda path: shown.append(path) or True)
+    press(qtbot, page.result.report)
+    wait(qtbot, window)
+    assert shown == [friction.with_name("friction-gap.html")]
+    assert "Research use only" in shown[0].read_text(encoding="utf-8")
+    press(qtbot, page.result.export)
+    answer_dialog(page, tmp_path / "answer.json")
+    wait(qtbot, window)
+    found = json.loads((tmp_path / "answer.json").read_text())
+    assert (found["verdict"], found["combination"]) == ("effect", ["dry_friction"])
+
+
+def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
+    write_session(tmp_path / "clean.h5", recorded(samples=SAMPLES))
+    window = open_window(first_page="gap")
+    page = page_of(window)
+    qtbot.keyClick(page.asking.run, Qt.Key.Key_Return)
+    assert page.asking.stop.isVisible()
+    assert not page.asking.run.isEnabled()
+    wait(qtbot, window)
+    assert page.result.headline.text().startswith("No gap")
+    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    press(qtbot, page.result.accept)
+    assert "nothing to accept" in window.ui.notice.text.text()
+    assert page.findChild(QFileDialog) is None
+    press(qtbot, page.history.remove)
+    assert page.welcome.isVisible()
+
+
+@pytest.mark.parametrize("held", ["cancel", "close"])
+def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_window, friction, monkeypatch, held):
+    reached = threading.Event()
+
+    def slow(asked, step, crew, cancelled):
+        from tissueid.gap.fitting import Cancelled
+
+        step("Fitting", 3, 8)
+        reached.set()
+        while not cancelled():
+            threading.Event().wait(0.005)
+        raise Cancelled
+
+    monkeypatch.setattr(diagnosing, "_diagnosed", slow)
+    window = open_window(first_page="gap")
+    page = page_of(window)
+    press(qtbot, page.asking.run)
+    qtbot.waitUntil(lambda: page.asking.doing.text() == "Fitting: 3 of 8", timeout=WAIT_MS)
+    assert reached.is_set()
+    if held == "cancel":
+        press(qtbot, page.asking.stop)
+        wait(qtbot, window)
+        assert window.ui.notice.text.text() == "The diagnosis was cancelled."
+        assert page.asking.run.isEnabled()
+    else:
+        assert not window.close()
+        qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+
+
+def test_processes_of_their_own_leave_when_cancelled(friction):
+    cancelled = functools.partial(next, iter([False] * 3 + [True] * 9))
+    asked = diagnosing.Asked(friction)
+    assert diagnosing.run(asked, lambda *_: None, cancelled, apart=True) is None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda page, folder: (folder / "friction.h5").write_bytes(b"rubbish" * 99), "friction.h5"),
+        (lambda page, folder: (folder / "friction.h5").unlink(), "friction.h5"),
+        (lambda page, folder: page.asking.take(folder / "bad.toml"), "not a twin"),
+        (lambda page, folder: page.asking.fit.setText("one"), "numbers of tests"),
+        (lambda page, folder: page.asking.fit.setText("7"), "no test 7"),
+    ],
+)
+def test_what_cannot_be_diagnosed_is_words(qtbot, open_window, friction, tmp_path, spoil, words):
+    (tmp_path / "bad.toml").write_text("no = 1")
+    window = open_window(first_page="gap")
+    page = page_of(window)
+    spoil(page, tmp_path)
+    press(qtbot, page.asking.run)
+    wait(qtbot, window)
+    assert words in window.ui.notice.text.text()
+    assert page.history.result is None
+    assert page.asking.run.isEnabled()
+
+
+def test_an_empty_folder_offers_nothing_until_a_session_is_heard_of(open_window, tmp_path, friction):
+    content = friction.read_bytes()
+    friction.unlink()
+    window = open_window(first_page="gap")
+    page = page_of(window)
+    assert page.asking.session.path is None
+    assert not page.asking.run.isEnabled()
+    friction.write_bytes(content)
+    window.pages.heard_of(friction)
+    assert page.asking.session.path == friction
+    assert page.asking.run.isEnabled()
+
+
+def test_a_dropped_file_is_chosen_and_found_again_at_the_next_start(open_window, friction, tmp_path, qtbot):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    other = elsewhere / "<b>other.h5"
+    other.write_bytes(friction.read_bytes())
+    window = open_window(first_page="gap")
+    page = page_of(window)
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(other))])
+    shared = (Qt.DropAction.CopyAction, data, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier)
+    enter = QDragEnterEvent(QPoint(9, 9), *shared)
+    page.dragEnterEvent(enter)
+    assert enter.isAccepted()
+    page.dropEvent(QDropEvent(QPointF(9, 9), *shared))
+    assert page.asking.session.path == other
+    assert page.asking.session.choice.currentText() == "<b>other.h5"
+    page.asking.check.setText("2")
+    window.close()
+    again = page_of(open_window(first_page="gap"))
+    assert again.asking.session.path == other
+    assert again.asking.check.text() == "2"
+    assert again.asking.check.isVisible()
+
+
+def test_nothing_begins_beside_a_running_test(open_window, friction):
+    page = page_of(open_window(first_page="gap"))
+    page.settle(busy=True, testing=True)
+    for control in (page.asking.run, page.asking.session.choice, page.asking.session.open, page.asking.fold):
+        assert not control.isEnabled()
+    page.begin()
+    assert not page.desk.busy
+    page.settle(busy=False, testing=False)
+    assert page.asking.run.isEnabled()
+
+
+STEPS = (("The same, larger", 0.9), ("Press slowly", 0.2))
+
+
+def with_proposal(result, proposal):
+    return diagnosing.replace(result, story=diagnosing.replace(result.story, proposal=proposal))
+
+
+def test_the_next_test_is_prepared_and_its_command_copied(qtbot, diagnosed):
+    window, page = diagnosed()
+    fields = {"min_force_n": 1.5, "max_force_n": 9.0, "seconds": 3.0, "distribution": "uniform", "seed": 4}
+    step = Proposal(STEPS[0][0], "Because.", STEPS, fields, "", "tissueid test --device URL")
+    page.history.add(with_proposal(page.history.result, step))
+    page.result.tabs.setCurrentIndex(3)
+    press(qtbot, page.result.next.copy)
+    assert QGuiApplication.clipboard().text() == "tissueid test --device URL"
+    press(qtbot, page.result.next.prepare)
+    form = window.ui.form
+    assert window.ui.page == "measure"
+    assert (form.min_force.value(), form.max_force.value(), form.seconds.value(), form.seed.value()) == (1.5, 9, 3, 4)
+    assert not window.testing
+    assert "Prepared" in window.ui.notice.text.text()
+
+
+def test_a_test_that_the_form_cannot_do_is_done_by_hand(diagnosed):
+    _, page = diagnosed()
+    step = Proposal(STEPS[1][0], "Because.", STEPS, None, "By hand: press slowly.", "")
+    page.history.add(with_proposal(page.history.result, step))
+    page.result.tabs.setCurrentIndex(3)
+    shown = page.result.next
+    assert shown.by_hand.isVisible()
+    assert not shown.prepare.isVisible()
+    assert not shown.command.isVisible()
+
+
+def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
+    window, page = diagnosed()
+    kinds = (QAbstractButton, QComboBox, QLineEdit, QTableWidget)
+    every = [widget for kind in kinds for widget in page.findChildren(kind)]
+    own = [item for item in every if not isinstance(item.parentWidget(), QComboBox | QTableWidget)]
+    named = [item for item in own if item.accessibleName() or (isinstance(item, QAbstractButton) and item.text())]
+    hidden = [item for item in own if item.focusPolicy() == Qt.FocusPolicy.NoFocus]
+    assert [item for item in own if item not in named and item not in hidden] == []
+    assert not [item for item in page.findChildren(QLabel) if "&" in item.text() and not item.text().startswith("<")]
+    window.resize(1100, 640)
+    qapp.processEvents()
+    assert page.result.widget().minimumSizeHint().width() <= page.result.viewport().width()
+    visited = []
+    page.asking.session.choice.setFocus()
+    for _ in range(12):
+        visited.append(window.focusWidget())
+        qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Tab)
+    asking, result = page.asking, page.result
+    expected = [asking.session.choice, asking.session.open, asking.twin.choice, asking.twin.open, asking.run]
+    expected += [asking.fold, page.history.list, page.history.remove, result.accept, result.report, result.export]
+    assert visited[:11] == expected

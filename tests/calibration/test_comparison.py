@@ -1,0 +1,175 @@
+"""Sweeps held against each other, and figures over dates: the numbers and the words."""
+
+import math
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration.comparison import (
+    along,
+    compare_sweeps,
+    drift_in_words,
+    linear_region,
+    residuals,
+    trend,
+)
+from tissueid.errors import UnusableInputError
+
+PLACES = tuple(0.002 * k for k in range(1, 16))
+
+
+def sweep(days=0, share=1.0, *, std=0.015, noise=0.004, low=0.004, high=0.027, **changes):
+    """A sweep so many days after the first of March, whose force constant is 3 N/A by a share, rounded off outwards."""
+    shape = [3.0 * share * (1.0 - 40.0 * max(0.0, abs(place - 0.016) - 0.011)) for place in PLACES]
+    q = {
+        "force_constant_n_per_a": Quantity(value=3.0 * share, std=std, unit="N/A"),
+        "linear_region_min_m": Quantity(value=low, std=5e-5, unit="m"),
+        "linear_region_max_m": Quantity(value=high, std=5e-5, unit="m"),
+        "moving_mass_kg": Quantity(value=0.060, unit="kg"),
+    }
+    tables = {
+        "force_constant": {
+            "position_m": PLACES,
+            "value_n_per_a": tuple(shape),
+            "std_n_per_a": tuple(0.01 for _ in PLACES),
+        },
+        "sweep": {
+            "position_m": PLACES[::-1],
+            "vaf_percent": tuple(99.0 for _ in PLACES),
+            "force_constant_std_n_per_a": tuple(noise * math.sqrt(12) for _ in PLACES),
+            "mass_kg": tuple(0.06 + place for place in PLACES[::-1]),
+        },
+    }
+    made = datetime(2026, 3, 1, 9, tzinfo=UTC) + timedelta(days=days)
+    fields = {
+        "kind": "sweep",
+        "model": "indenter",
+        "serial_number": "A-1",
+        "date": made.strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "software": "t",
+        "verdict": "passed",
+        "conditions": {"spring_stiffness_n_per_m": 1000.0},
+        "quantities": q,
+        "tables": tables,
+    }
+    return Calibration(**(fields | changes))
+
+
+def static(days, value, **changes):
+    figures = {"coil_resistance_ohm": Quantity(value=value, std=0.003, unit="ohm")}
+    return sweep(days, kind="static", quantities=figures, tables=changes.pop("tables", {}), **changes)
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict", "words"),
+    [
+        (1.0, "noise", "Force constant the same as on 2026-03-01."),
+        (1.002, "noise", "Force constant 0.2 % higher than on 2026-03-01, within the noise of the two."),
+        (0.988, "uncertainty", "Force constant 1.2 % lower than on 2026-03-01, within the uncertainty of ±1.4 %."),
+        (0.97, "beyond", "Force constant 3.0 % lower than on 2026-03-01, beyond the uncertainty of ±1.4 %."),
+    ],
+)
+def test_a_drift_is_said_with_what_it_is_worth(share, verdict, words):
+    found = compare_sweeps(sweep(20, share), sweep(0))
+    assert found.before.date.startswith("2026-03-01")
+    assert found.words == words
+    assert found.differences[0].verdict == verdict
+    assert found.differences[0].relative == pytest.approx(share - 1.0)
+    assert found.profile == pytest.approx(share - 1.0, abs=1e-9)
+
+
+def test_a_size_that_rounds_to_its_uncertainty_is_told_finer():
+    found = compare_sweeps(sweep(0), sweep(9, 1.0145))
+    assert found.words == "Force constant 1.45 % higher than on 2026-03-01, beyond the uncertainty of ±1.41 %."
+
+
+def test_the_noise_is_that_of_repeats_where_there_are_some():
+    tables = sweep().tables | {"repeats": {"run": (1.0, 2.0), "force_constant_n_per_a": (2.99, 3.01)}}
+    found = compare_sweeps(sweep(0, tables=tables), sweep(3, 1.01, tables=tables))
+    assert found.differences[0].noise == pytest.approx(0.01 * math.sqrt(2))
+
+
+def test_ends_of_the_linear_region_are_compared_in_millimetres():
+    found = compare_sweeps(sweep(0), sweep(1, low=0.0052, high=0.025))
+    ends = {item.name: item for item in found.differences}
+    assert math.isnan(ends["linear_region_min_m"].relative)
+    assert ends["linear_region_min_m"].absolute == pytest.approx(1.2e-3)
+    said = drift_in_words(ends["linear_region_max_m"], "2026-03-01")
+    assert said == "Linear region to 2.00 mm nearer than on 2026-03-01, beyond the uncertainty of ±0.14 mm."
+    assert found.common_m == pytest.approx((0.0052, 0.025))
+
+
+def test_what_has_no_deviation_is_not_judged():
+    heavier = {"moving_mass_kg": Quantity(value=0.066, unit="kg")}
+    found = compare_sweeps(sweep(0), sweep(1, quantities=sweep().quantities | heavier))
+    mass = next(item for item in found.differences if item.name == "moving_mass_kg")
+    assert mass.verdict == "unknown"
+    assert drift_in_words(mass, "2026-03-01").endswith("10.0 % higher than on 2026-03-01, and no uncertainty is known.")
+
+
+def test_sweeps_that_are_not_of_one_kind_are_compared_with_a_remark():
+    other = sweep(1, serial_number="B-2", verdict="failed", conditions={"spring_stiffness_n_per_m": 900.0})
+    remarks = " ".join(compare_sweeps(sweep(0), other).remarks)
+    assert "A-1 and B-2" in remarks
+    assert "Different springs" in remarks
+    assert "failed" in remarks
+
+
+def test_sweeps_with_nothing_in_common_are_not_compared_along_the_stroke():
+    found = compare_sweeps(sweep(0, low=0.004, high=0.01), sweep(1, low=0.02, high=0.027))
+    assert found.common_m is None
+    assert math.isnan(found.profile)
+    bare = compare_sweeps(sweep(0), sweep(1, tables={}, quantities={}))
+    assert bare.differences == ()
+    assert bare.words == "One of the two sweeps holds no force constant."
+
+
+def test_only_sweeps_are_compared():
+    with pytest.raises(UnusableInputError, match="only sweeps are compared"):
+        compare_sweeps(sweep(0), static(1, 12.0))
+
+
+def test_profiles_rise_with_the_position_and_leave_out_what_cannot_be():
+    mass = along(sweep(), "mass")
+    assert np.all(np.diff(mass.position_m) > 0)
+    assert mass.value == pytest.approx(0.06 + mass.position_m)
+    assert mass.std is None
+    assert along(sweep(), "damping") is None
+    absurd = {
+        "force_constant": {"position_m": PLACES, "value_n_per_a": (1e300, *sweep().tables["sweep"]["mass_kg"][1:])}
+    }
+    assert along(sweep(tables=absurd), "force_constant").value.size == len(PLACES) - 1
+    one = {"force_constant": {"position_m": (0.01,), "value_n_per_a": (3.0,)}}
+    assert along(sweep(tables=one), "force_constant") is None
+    assert linear_region(sweep(low=0.02, high=0.01)) is None
+
+
+def test_residuals_are_those_of_tables_that_fit():
+    tables = {
+        "electrical": {"voltage_v": (1.0, 2.0), "residual_a": (1e-3, -1e-3)},
+        "force": {"current_a": (1.0, 2.0)},
+        "position": {"position_m": (0.01, 0.02), "residual_m": (1e-6, 1e300)},
+    }
+    current, position = residuals(static(0, 12.0, tables=tables))
+    assert (current.x_unit, current.y_unit) == ("V", "A")
+    assert current.y == pytest.approx([1e-3, -1e-3])
+    assert position.x.size == 1
+
+
+def test_a_trend_is_the_slope_over_the_dates():
+    found = trend([static(days, 12.0 + 0.3 * days / 365.25) for days in (365, 0, 100, 200)], "coil_resistance_ohm")
+    assert found.dates == tuple(sorted(found.dates))
+    assert found.per_year.value == pytest.approx(0.3, rel=1e-6)
+    assert found.words == "Coil resistance: rises by 2.5 ± 0.0 % a year."
+
+
+def test_a_trend_wants_three_days():
+    found = trend([static(0, 12.0), static(1, 12.1)], "coil_resistance_ohm")
+    assert found.per_year is None
+    assert "3 calibrations of different days" in found.words
+    steady = trend([static(days, 12.0) for days in (0, 10, 20)], "coil_resistance_ohm")
+    assert "no trend" in steady.words
+    with pytest.raises(UnusableInputError, match="no calibration holds"):
+        trend([static(0, 12.0)], "force_constant_n_per_a")
