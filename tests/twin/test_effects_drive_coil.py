@@ -58,7 +58,7 @@ def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
     [
         ("eddy_currents", (5e-4, 4.0, 0.3, 0.1), "current"),
         ("coil_heating", (5.0, 0.7), "current"),
-        ("inductance_position", (0.008, 0.020, 0.0, 0.3, 0.6, 1.0, 2.0, 3.5), "current"),
+        ("inductance_position", (0.008, 0.013, 0.0, 0.2, 0.4, 1.0, 3.0, 6.0), "current"),
         ("force_constant_position", (0.008, 0.020, 1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6), "position"),
         ("flux_saturation", (0.04, 2.0, 1.0), "position"),
         ("reluctance_force", (0.05, 0.0), "position"),

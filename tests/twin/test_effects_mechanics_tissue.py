@@ -292,10 +292,14 @@ def test_cogging_shifts_equilibria_by_its_force():
 
 def test_a_layer_engages_at_its_depth_and_a_cube_is_a_cube():
     depth = np.array([0.001, 0.0018, 0.004, -0.004])
-    force = moved("tissue_stiffening", (0.5, 0.002, 1.0), depth, 1e-3)[:, bus.TISSUE_FORCE]
+    force = moved("tissue_stiffening", (0.5, 0.002, 1.0, 1e-4), depth, 1e-3)[:, bus.TISSUE_FORCE]
     np.testing.assert_allclose(force, [0.0, 0.0, 1.0, -1.0], atol=0.01)
-    force = moved("tissue_stiffening", (0.5, 0.0, 3.0), depth, 1e-3)[:, bus.TISSUE_FORCE]
+    force = moved("tissue_stiffening", (0.5, 0.0, 3.0, 1e-4), depth, 1e-3)[:, bus.TISSUE_FORCE]
     np.testing.assert_allclose(force, 0.5 * (depth / 1e-3) ** 3, rtol=1e-6)
+    position = 0.009 + np.append(0.0, np.linspace(0.002, 0.004, 2001))
+    starts = effect("tissue_stiffening").starts_from([{"position": position, "command": position}, {}], RATE)
+    assert [start[1] for start in starts] == pytest.approx([0.0026, 0.003, 0.0034, 0.0037, 0.0039], abs=2e-6)
+    assert effect("tissue_stiffening").starts_from([{"position": np.full(9, np.nan)}], RATE) == ()
 
 
 def test_relaxation_follows_its_branches_and_takes_energy():

@@ -188,6 +188,16 @@ def test_slips_of_the_record_are_found_to_the_sample(command):
     assert all(abs(ours - at) < near for (ours, _), (at, _) in zip(slips_in(found), true, strict=True))
 
 
+def test_what_is_lost_while_the_command_stands_still_is_put_amid_that():
+    command = np.r_[np.full(1000, 14.0), stochastic()[1000:]]
+    signals, _ = played(command)
+    signals = {name: slipped(values, [(400, 2), (5000, 1)]) for name, values in signals.items()} | {"command": command}
+    (still, lost), later = slips_in(effect("dropped_samples").from_test(signals, RATE))
+    assert 300 < still < 700
+    assert lost == 2
+    assert later == (5000, 1)
+
+
 def test_slips_of_the_position_alone_are_found_by_the_back_emf():
     signals, _ = played(stochastic())
     true = [(1500, 3), (4000, 1), (6768, 8)]

@@ -1,10 +1,10 @@
-"""Where in frequency, depth, direction and time what the baseline leaves stands above the floor.
+"""Where in frequency, depth, speed, current, amplitude, time and the mains' phase the residual stands above the floor.
 
 Frequency: the best linear approximation of what is left and its distortions (Pintelon and Schoukens, System
 Identification, 2012, ch. 3 and 4): what is coherent with the input is linear, what is coherent with the input's square
 or cube is even or odd. Depth and velocity: the restoring-force surface (Masri and Caughey 1979). Every region is judged
 by the means of whole stretches, which are longer than the residual's memory, so that a coloured residual does not make
-significance of itself; Holm's correction keeps the size of all bins together.
+significance of itself; Holm's correction keeps the size of all bins of a picture together, and the pictures share it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from tissueid.device import DeviceDescription
 from tissueid.gap.evidence import Evidence
 from tissueid.gap.fitting import Fit
 from tissueid.gap.observed import Observed, ObservedTest
@@ -27,7 +28,9 @@ FloatArray = NDArray[np.float64]
 Direction = Literal["both", "into", "out"]
 
 SIZE = 0.01
-"""Chance that any bin of one picture is called a region where there is nothing but noise."""
+"""Chance that any bin of any picture is called a region where squares are ``_EXCESS`` floors: it is smaller below."""
+PICTURES = 7
+"""Frequency, depth, speed, current, amplitude, time and the mains' phase: each has its part of ``SIZE``."""
 _STRETCH_S = 0.25
 _EXCESS = 1.44
 """Squares up to so many times the floor's are the floor: the noise is known to some 5 %."""
@@ -35,6 +38,8 @@ _ONE_SIDED = 3.0
 """One direction is named when its error is so many times the other's, squared."""
 _BINS = 12
 _BANDS_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 100.0, 150.0, 200.0, 300.0, 450.0, 650.0, 1000.0)
+_RECENT_S = 0.1
+"""How far back the size of the recent stimulus looks: some times what the tissue takes to answer."""
 _MAP = 14
 _POINTS = 70
 
@@ -103,9 +108,15 @@ class Regions:
     profiles: dict[str, Profile] = field(repr=False)
     spectra: tuple[Spectrum, ...] = field(repr=False)
     surface: Surface | None = field(repr=False)
+    amplitude_n: tuple[tuple[float, float], ...] = ()
+    """Size (root mean square, as a force at rest) of what was played in the last tenth of a second."""
+    mains_hz: float = 0.0
+    """Frequency of the mains where it shows in what is left; 0 where it does not."""
+    mains_phase_rad: tuple[tuple[float, float], ...] = ()
+    """Phases of the mains, 0 to 2 pi, counted from the start of the test."""
 
     def as_answer(self) -> dict[str, Any]:
-        """Plain values under the contract's names, with velocity and current besides."""
+        """Plain values under the contract's names, with the other regions besides."""
         return {
             "bands_hz": [list(item) for item in self.bands_hz],
             "depth_m": [list(item) for item in self.depth_m],
@@ -113,6 +124,9 @@ class Regions:
             "time_s": [list(item) for item in self.time_s],
             "velocity_m_s": [list(item) for item in self.velocity_m_s],
             "current_a": [list(item) for item in self.current_a],
+            "amplitude_n": [list(item) for item in self.amplitude_n],
+            "mains_hz": self.mains_hz or None,
+            "mains_phase_rad": [list(item) for item in self.mains_phase_rad],
             "channel": self.channel,
         }
 
@@ -132,22 +146,46 @@ def regions(observed: Observed, baseline: Fit, found: Evidence) -> Regions:
     }
     if "current" in test.signals:
         measured["current_a"] = bridged(test.signals["current"])
+    if np.ptp(recent := recent_size(test, observed.instrument)) > 0.0:
+        measured["amplitude_n"] = recent
+    mains = lines(residual, test.sample_rate_hz)
+    if mains_hz := mains.exact_hz or lines(residual**2, test.sample_rate_hz).exact_hz:
+        measured["mains_phase_rad"] = 2.0 * np.pi * ((measured["time_s"] * mains_hz) % 1.0)
     profiles = {name: _profile(residual / floor, values, test, name) for name, values in measured.items()}
-    bands, profiles["bands_hz"] = _bands(residual, floor, test)
+    bands, profiles["bands_hz"] = _bands(residual, floor, test, mains.mains_hz)
     spectra = tuple(spectrum(observed, baseline, test, name) for name in observed.channels if name in test.signals)
     surface = _surface(residual / floor, measured["depth_m"], velocity)
+    above = {name: profile.intervals() for name, profile in profiles.items()}
     return Regions(
         channel,
         bands,
-        profiles["depth_m"].intervals(),
-        profiles["velocity_m_s"].intervals(),
-        profiles["current_a"].intervals() if "current_a" in profiles else (),
+        above["depth_m"],
+        above["velocity_m_s"],
+        above.get("current_a", ()),
         _direction(residual / floor, velocity, test),
-        profiles["time_s"].intervals(),
+        above["time_s"],
         profiles,
         spectra,
         surface,
+        above.get("amplitude_n", ()),
+        mains_hz,
+        above.get("mains_phase_rad", ()),
     )
+
+
+def recent_size(test: ObservedTest, device: DeviceDescription) -> FloatArray:
+    """Root mean square of what drove the last tenth of a second about its mean over the test, N at rest, shape (n,)."""
+    newtons_per_volt = device.force_constant_n_per_a / device.coil_resistance_ohm
+    newtons = {
+        "command": newtons_per_volt * device.amplifier_gain,
+        "voltage": newtons_per_volt,
+        "current": device.force_constant_n_per_a,
+        "input": 1.0,
+    }[test.driven_by]
+    total = np.concatenate([[0.0], np.cumsum((newtons * (test.command - test.command.mean())) ** 2)])
+    last = np.arange(1, total.size)
+    first = np.maximum(last - max(round(_RECENT_S * test.sample_rate_hz), 1), 0)
+    return np.asarray(np.sqrt(np.maximum(total[last] - total[first], 0.0) / (last - first)))
 
 
 def _residual(baseline: Fit, test: ObservedTest, channel: str) -> FloatArray:
@@ -174,6 +212,8 @@ def _profile(residual: FloatArray, along: FloatArray, test: ObservedTest, name: 
     known = np.isfinite(residual)
     if name == "time_s":
         edges = np.arange(0.0, along[-1] + _STRETCH_S, _STRETCH_S)
+    elif name == "mains_phase_rad":
+        edges = np.linspace(0.0, 2.0 * np.pi, _BINS + 1)
     else:
         low, high = np.quantile(along[known], [0.002, 0.998])
         edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
@@ -207,7 +247,7 @@ def _holm(chance: FloatArray) -> NDArray[np.bool_]:
     order = np.argsort(chance)
     above = np.zeros(chance.size, np.bool_)
     for rank, k in enumerate(order):
-        if chance[k] > SIZE / (chance.size - rank):
+        if chance[k] > SIZE / PICTURES / (chance.size - rank):
             break
         above[k] = True
     return above
@@ -238,7 +278,9 @@ def _segments(values: FloatArray, rate_hz: float) -> tuple[FloatArray, NDArray[n
     )
 
 
-def _bands(residual: FloatArray, floor: float, test: ObservedTest) -> tuple[tuple[tuple[float, float], ...], Profile]:
+def _bands(
+    residual: FloatArray, floor: float, test: ObservedTest, mains_hz: float
+) -> tuple[tuple[tuple[float, float], ...], Profile]:
     values = np.where(np.isfinite(residual), residual, 0.0)
     hz, spectra, norm = _segments(values, test.sample_rate_hz)
     level = floor**2 / (test.sample_rate_hz / 2.0)
@@ -256,13 +298,8 @@ def _bands(residual: FloatArray, floor: float, test: ObservedTest) -> tuple[tupl
         spread = max(float(np.std(logs, ddof=1)), 1.0 / np.sqrt(inside.sum())) / np.sqrt(0.9 * means.size)
         chance[k] = float(student.sf(float(np.mean(logs)) / spread, max(means.size - 1, 1)))
     profile = Profile(edges, error, _holm(chance))
-    narrow = _narrow(residual, test.sample_rate_hz)
+    narrow = ((mains_hz - 0.5, mains_hz + 0.5),) if mains_hz in MAINS_HZ else ()
     return (*profile.intervals(), *narrow), profile
-
-
-def _narrow(residual: FloatArray, rate_hz: float) -> tuple[tuple[float, float], ...]:
-    found = lines(residual, rate_hz)
-    return ((found.mains_hz - 0.5, found.mains_hz + 0.5),) if found.mains_hz in MAINS_HZ else ()
 
 
 def spectrum(observed: Observed, baseline: Fit, test: ObservedTest, channel: str) -> Spectrum:

@@ -27,11 +27,15 @@ SETTLING_S = 0.5
 
 @dataclass(frozen=True)
 class Lines:
-    """The mains in a signal: ``mains_hz`` (0 where there is none), its waveform, shape (n,), and its deviation."""
+    """The mains in a signal: ``mains_hz`` (0 where there is none), its waveform, shape (n,), and its deviation.
+
+    ``exact_hz`` is where it was found beside the frequency of its name.
+    """
 
     mains_hz: float
     waveform: FloatArray
     deviation: float
+    exact_hz: float = 0.0
 
 
 def lines(residual: FloatArray, rate_hz: float) -> Lines:
@@ -58,9 +62,9 @@ def lines(residual: FloatArray, rate_hz: float) -> Lines:
         return np.asarray(design[:, 1:] @ weights[1:])
 
     # The mains is not quite at its name's frequency.
-    waves = [waveform(hz + off) for off in np.linspace(-_OFF_HZ, _OFF_HZ, 21)]
-    best = max(waves, key=lambda wave: float(np.var(wave)))
-    return Lines(hz, best, float(np.std(best)))
+    waves = [(waveform(hz + off), hz + off) for off in np.linspace(-_OFF_HZ, _OFF_HZ, 21)]
+    best, exact = max(waves, key=lambda wave: float(np.var(wave[0])))
+    return Lines(hz, best, float(np.std(best)), float(exact))
 
 
 def _standing(values: FloatArray, hz: float, rate_hz: float) -> list[tuple[float, int]]:

@@ -84,7 +84,7 @@ def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]
             path = _lag_path(left, lags, JUMP_COST)
         found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
     after, path = min(found, key=lambda one: one[0])
-    return _changes(path) if after < MOST_LEFT * before else []
+    return [*_unseen(path, command), *_changes(path)] if after < MOST_LEFT * before else []
 
 
 def of_position(voltage: FloatArray, current: FloatArray, position: FloatArray) -> list[tuple[int, int]]:
@@ -193,6 +193,13 @@ def _changes(path: IntArray) -> list[tuple[int, int]]:
     """The changes of a path of lags; where it begins is a constant delay, which is no slip."""
     at = np.flatnonzero(np.diff(path)) + 1
     return [(int(n), int(path[n] - path[n - 1])) for n in at]
+
+
+def _unseen(path: IntArray, command: FloatArray) -> list[tuple[int, int]]:
+    """What was lost while the command stood still, as one slip amid that: no record comes early by itself."""
+    moved = np.flatnonzero(command != command[0])
+    still = int(moved[0]) if moved.size else 0
+    return [(max(still // 2, 1), int(path[0]))] if path[0] > 0 else []
 
 
 def as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:

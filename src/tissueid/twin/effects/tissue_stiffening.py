@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REFERENCE_M = 1e-3
 CORNER_M = 1e-4
+"""Over which it sets in, where a search begins."""
+SHARES = (0.3, 0.5, 0.7, 0.85, 0.95)
+"""Of all readings, how many lie above the depths at which further searches begin."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
@@ -16,18 +22,35 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     depth, play = b[bus.DEPTH], p[1]
     # How far the depth is outside the play, with rounded corners: odd in depth, and 0 at 0 whatever the play.
     beyond, short = depth - play, depth + play
-    square = CORNER_M * CORNER_M
+    square = p[3] * p[3]
     into = depth - 0.5 * (math.sqrt(short * short + square) - math.sqrt(beyond * beyond + square))
     size = min(abs(into) / REFERENCE_M, 20.0)
     force = p[0] * size ** p[2] if size > 0.0 else 0.0
     b[bus.TISSUE_FORCE] += force if into > 0.0 else -force
 
 
+def depths_that_were_reached(
+    tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
+) -> tuple[tuple[float, ...], ...]:
+    """Starts at which the law bends amid the depths of the test that went deepest."""
+    depths = []
+    for test in tests:
+        known = test["position"][np.isfinite(test["position"])] if "position" in test else np.zeros(0)
+        if known.size > 1 and np.ptp(test.get("command", known)) > 0.0:
+            depths.append(known - known[0])
+    if not depths:
+        return ()
+    deepest = max(depths, key=lambda depth: float(np.median(depth)))
+    places = [min(max(float(depth), 2e-4), 0.011) for depth in np.quantile(deepest, SHARES)]
+    return tuple((0.2, place, 1.2, CORNER_M) for place in dict.fromkeys(places))
+
+
 EFFECT = Effect(
     name="tissue_stiffening",
     stage="tissue",
     title="Another static law: a layer engages",
-    equation="F = F1 sgn(d) (max(|d| - d1, 0) / 1 mm)^n beside the twin's K exp(g d) d; vanishes with F1 = 0",
+    equation="F = F1 sgn(d) (max(|d| - d1, 0) / 1 mm)^n beside the twin's K exp(g d) d, its corner rounded; "
+    "vanishes with F1 = 0",
     signature="position at large depth against current: stiffness rises (or falls) from one depth on, slow ramp and "
     "stochastic test alike; no loops, nothing on the spring",
     source="Fung, Biomechanics: Mechanical Properties of Living Tissues (1993); Worden & Tomlinson, Nonlinearity "
@@ -36,8 +59,17 @@ EFFECT = Effect(
         Parameter("force_n", "N", 0.0, -10.0, 30.0, meaning="force at 1 mm beyond the play"),
         Parameter("depth_m", "m", None, 0.0, 0.012, meaning="depth from which it acts"),
         Parameter("exponent", "1", None, 1.0, 4.0, meaning="power by which it grows"),
+        Parameter(
+            "corner_m", "m", None, 1e-5, 1e-3, True, prior=CORNER_M, prior_std=1.0, meaning="over which it sets in"
+        ),
     ),
-    starts=((0.2, 0.002, 1.5), (0.3, 0.004, 1.5), (-0.1, 0.002, 1.5), (0.02, 0.0005, 3.0)),
+    starts=(
+        (0.2, 0.002, 1.5, CORNER_M),
+        (0.3, 0.004, 1.5, CORNER_M),
+        (-0.1, 0.002, 1.5, CORNER_M),
+        (0.02, 0.0005, 3.0, CORNER_M),
+    ),
+    starts_from=depths_that_were_reached,
     mistaken_for=("end_stop", "cogging", "sensor_nonlinearity", "force_constant_position", "contact_loss"),
     places=(bus.TISSUE,),
     hook=hook,
