@@ -1,9 +1,9 @@
-"""Diagnosing sealed scenarios, one in each process, and the controls that a good score must beat."""
+"""Diagnosing sealed scenarios, one in each process, with answers that outlive an interruption."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,12 @@ import numpy as np
 
 from tissueid.gap.answer import as_answer
 from tissueid.gap.diagnosis import diagnose
+from tissueid.gap.kept_answers import keep_answer, kept_answer
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.observing import observe
 from tissueid.gap.scenarios import read_scenario
 from tissueid.gap.scoring import ChannelError, gap, quiet_tests
-from tissueid.gap.sealed import Answered, Label
+from tissueid.gap.sealed import Answered, Label, Score
 from tissueid.gap.workers import Alone, Crew
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import library
@@ -23,11 +24,31 @@ from tissueid.twin.catalogue import library
 
 @dataclass(frozen=True)
 class Piece:
-    """One scenario to be diagnosed; ``without`` are effects that are taken out of the library."""
+    """One scenario to be diagnosed; ``without`` are effects that are taken out of the library.
+
+    With ``keep`` the answer is kept beside the scenarios as soon as there is one.
+    """
 
     folder: Path
     name: str
     without: tuple[str, ...] = ()
+    keep: bool = False
+
+    @property
+    def key(self) -> str:
+        """Name under which its answer is kept."""
+        return "-without-".join([self.name, *self.without])
+
+    def answered(self) -> dict[str, Any]:
+        """The answer, kept where that is asked for.
+
+        Raises:
+            UnusableInputError: it cannot be kept.
+        """
+        found = self.diagnosed()
+        if self.keep:
+            keep_answer(self.folder, self.key, found)
+        return found
 
     def diagnosed(self) -> dict[str, Any]:
         """The answer of ``gap diagnose``, with ``oracle`` (the gap that the truth itself leaves) and ``in_sample``.
@@ -47,7 +68,12 @@ class Piece:
 
 def diagnosed(piece: Piece) -> dict[str, Any]:
     """Do one piece; runs in a worker's process."""
-    return piece.diagnosed()
+    return piece.answered()
+
+
+def nothing_out(name: str) -> tuple[str, ...]:
+    """The whole library serves every scenario."""
+    return ()
 
 
 def answers(
@@ -55,36 +81,43 @@ def answers(
     names: Sequence[str],
     crew: Crew,
     done: Callable[[], None] = lambda: None,
-    without: Callable[[str], tuple[str, ...]] = lambda name: (),
+    without: Callable[[str], tuple[str, ...]] = nothing_out,
+    keep: bool = False,
 ) -> dict[str, dict[str, Any]]:
-    """Answers by scenario."""
-    pieces = [Piece(folder, name, without(name)) for name in names]
-    found = crew.do(diagnosed, pieces, lambda: False, lambda piece: done())
-    return dict(zip(names, found, strict=True))
+    """Answers by scenario.
+
+    With ``keep`` each is kept beside the scenarios as it comes, and what is kept there already is not asked again.
+
+    Raises:
+        UnusableInputError: a kept answer cannot be read, or one cannot be kept.
+    """
+    pieces = [Piece(folder, name, without(name), keep) for name in names]
+    found = {piece.name: kept_answer(folder, piece.key) for piece in pieces} if keep else {}
+    known = {name: answer for name, answer in found.items() if answer is not None}
+    for _ in known:
+        done()
+    left = [piece for piece in pieces if piece.name not in known]
+    fresh = crew.do(diagnosed, left, lambda: False, lambda piece: done())
+    known |= {piece.name: answer for piece, answer in zip(left, fresh, strict=True)}
+    return {name: known[name] for name in names}
+
+
+@dataclass(frozen=True)
+class BlindCheck:
+    """A sealed check that is done: the SHA-256 of its labels, its draw, and a score for each kind of session.
+
+    ``scores`` holds title, number of scenarios and score, by ``single`` and ``full``.
+    """
+
+    seal: str
+    n: int
+    seed: int
+    scores: dict[str, tuple[str, int, Score]]
 
 
 def opened(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
     """Answers beside their labels."""
     return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in found.items()]
-
-
-def permuted(cases: Sequence[Answered], seed: int = 0) -> list[Answered]:
-    """The same answers under labels dealt out anew: what chance alone would score."""
-    order = np.random.default_rng(seed).permutation(len(cases))
-    return [replace(case, label=cases[k].label) for case, k in zip(cases, order, strict=True)]
-
-
-def always(cases: Sequence[Answered], effect: str = "dry_friction") -> float:
-    """Share of single effects whose cause would be named by who always says the same."""
-    single = [case for case in cases if len(case.label.effects) == 1 and case.survives]
-    return float(np.mean([case.label.effects[0] == effect for case in single])) if single else float("nan")
-
-
-def in_sample(cases: Sequence[Answered]) -> float:
-    """Share of single effects whose cause is named by who looks at the fitted samples alone."""
-    single = [case for case in cases if len(case.label.effects) == 1 and all(case.label.listed) and case.survives]
-    hits = [case.answer.get("in_sample") == case.label.effects[0] for case in single]
-    return float(np.mean(hits)) if hits else float("nan")
 
 
 def _oracle(observed: Observed, clean: Session) -> float:

@@ -75,6 +75,8 @@ def fit(
         cancelled: asked now and then; True stops with ``Cancelled``.
     """
     parameters = parametrise(observed, effects, starts, () if near is None else near.predictions)
+    if near is not None:
+        parameters = parameters.holding(near.parameters)
     theta = parameters.array("start")
     if near is not None:
         for k, item in enumerate(parameters.coordinates):
@@ -93,7 +95,7 @@ def differences(baseline: Fit, effect: Effect, start: Sequence[float]) -> tuple[
     before = baseline.parameters
     effects = [*before.effects, effect]
     starts = [*(item.starts[0] for item in before.effects), start]
-    parameters = parametrise(before.observed, effects, starts, baseline.predictions)
+    parameters = parametrise(before.observed, effects, starts, baseline.predictions).holding(before)
     theta = parameters.array("start")
     for name, k in before.index.items():
         theta[parameters.index[name]] = baseline.theta[k]

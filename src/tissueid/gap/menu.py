@@ -8,10 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.gap.observed import Fixture, Observed, ObservedTest
+from tissueid.stimuli.kinds import slow_ramp, step_hold
+from tissueid.stimuli.kinds.slow_ramp import ramp
+from tissueid.stimuli.kinds.step_hold import steps
 
 FloatArray = NDArray[np.float64]
 
-QUIET_S, RAMP_S, HOLD_S, AIR_S = 1.5, 4.5, 1.0, 0.6
+QUIET_S, AIR_S = 1.5, 0.6
+STEPS_FROM = 0.2
+"""Of the highest step: where steps begin and end."""
 SPRING_SHARE = 0.5
 """Of the command's swing: a spring is softer than tissue at depth."""
 AMPLITUDES = (0.5, 1.4)
@@ -42,14 +47,14 @@ def menu(observed: Observed) -> tuple[MenuItem, ...]:
         device.amplifier_limit_v / device.amplifier_gain, 1.2 * float(np.max(np.abs(model.command)))
     )
     level = min(mean + 2.0 * spread, most)
-    up = np.linspace(0.0, level, round(0.5 * RAMP_S * rate))
-    hold = np.ones(round(HOLD_S * rate))
-    steps = np.concatenate([0.2 * level * hold, level * hold, 0.6 * level * hold, 0.2 * level * hold])
+    pressed = level * ramp(round(slow_ramp.SECONDS * rate))
+    hold = round(step_hold.SECONDS / len(step_hold.LEVELS) * rate)
+    stepped = level * (STEPS_FROM + (1.0 - STEPS_FROM) * steps(hold, step_hold.RISE_S * rate))
     spring = next((test for test in observed.tests if test.fixture == "spring"), None)
     items = [
         _item("quiet", "hold the probe on the tissue without a command", model, np.zeros(round(QUIET_S * rate))),
-        _item("slow_ramp", "press slowly and let go again", model, np.concatenate([up, up[::-1]])),
-        _item("step_hold", "press in steps and hold each", model, steps),
+        _item("slow_ramp", "press slowly and let go again", model, pressed),
+        _item("step_hold", "press in steps and hold each", model, stepped),
         _item(
             "spring",
             "put the calibration spring in place of the tissue and shake it",

@@ -22,6 +22,9 @@ from tissueid.gap.observed import Observed, ObservedTest
 from tissueid.gap.parameters import SPRING_COORDINATES, Parametrisation
 from tissueid.gap.playing import played
 from tissueid.gap.scoring import Candidate
+from tissueid.stimuli.kinds.quiet import Quiet
+from tissueid.stimuli.kinds.slow_ramp import SlowRamp
+from tissueid.stimuli.kinds.step_hold import StepHold
 
 FloatArray = NDArray[np.float64]
 
@@ -32,6 +35,8 @@ MOST_SAMPLES = 3000
 WORTH_NATS = 0.05
 """Rivals that no test separates by this are not told apart by running one."""
 _WORST = 1e6
+_FIXTURES = {"spring": '"calibration spring"', "free_air": '"free air"'}
+"""What the probe meets where that is no tissue, as the site of the test."""
 
 
 @dataclass(frozen=True)
@@ -100,18 +105,20 @@ def next_experiment(
 
 
 def command_line(observed: Observed, chosen: MenuItem) -> str:
-    """The command that runs a test of the menu; empty for one that ``tissueid test`` has no stimulus for."""
+    """The command that runs a test of the menu."""
     device = observed.instrument
     newtons = chosen.test.command * device.amplifier_gain * device.force_constant_n_per_a / device.coil_resistance_ohm
-    if chosen.kind in ("quiet", "slow_ramp", "step_hold"):
-        return ""
     low, high = float(newtons.min()), float(newtons.max())
-    site = {"spring": '"calibration spring"', "free_air": '"free air"'}.get(chosen.kind, "SITE")
     seconds = chosen.test.command.size / chosen.test.sample_rate_hz
-    return (
-        f"tissueid test --device URL --site {site} --distribution uniform --min-force {low:.1f} --max-force {high:.1f} "
-        f"--seconds {seconds:.1f} --out next.h5"
-    )
+    played = "--distribution uniform"
+    if chosen.kind in (Quiet.name, SlowRamp.name, StepHold.name):
+        played = f"--stimulus {chosen.kind}"
+    elif chosen.kind in _FIXTURES:
+        played = f"--kind {chosen.kind} {played}"
+    if chosen.kind != Quiet.name:
+        played += f" --min-force {low:.1f} --max-force {high:.1f}"
+    site = _FIXTURES.get(chosen.kind, "SITE")
+    return f"tissueid test --device URL --site {site} {played} --seconds {seconds:.1f} --out next.h5"
 
 
 def _own(rival: Candidate, rivals: Sequence[Candidate]) -> list[str]:

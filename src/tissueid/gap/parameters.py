@@ -100,6 +100,12 @@ class Parametrisation:
         """Number of coordinates."""
         return len(self.coordinates)
 
+    def holding(self, other: Parametrisation) -> Parametrisation:
+        """With what effects that both have were read to be in the other: it must not be read off their own rest."""
+        both = {effect.name for effect in self.effects} & {effect.name for effect in other.effects}
+        held = {name: value for name, value in other.constants.items() if name.partition(".")[0] in both}
+        return replace(self, constants=self.constants | held)
+
     def array(self, what: str) -> FloatArray:
         """One property of every coordinate, shape (size,)."""
         return np.array([getattr(item, what) for item in self.coordinates], np.float64)

@@ -6,7 +6,7 @@ Rates come with Wilson intervals (Wilson, J. Am. Stat. Assoc. 22 (1927) 209-212)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ SURVIVES = 1.2
 """A gap counts as one that survives the refit where it is this many times the floor on held-out data."""
 SURE = 0.9
 CALIBRATION_BINS = 10
+DEALS = 20
+"""So many times the labels are dealt out anew for the control of chance."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,9 @@ SINGLE = Asked(0.75, 0.90, 0.95, 0.90, 0.95, 0.80, 0.05, 0.80, 0.03, 0.01, 0.75)
 FULL = Asked(0.90, 0.95, 0.98, 0.97, 0.98, 0.90, 0.03, 0.90, 0.01, 0.01, 0.90)
 
 
+TAKEN_OUT = "true effect taken out: unexplained"
+
+
 @dataclass(frozen=True)
 class Score:
     """How the diagnosis fared on one kind of session."""
@@ -172,11 +177,19 @@ class Score:
     risk_coverage: tuple[tuple[float, float], ...]
     """Share answered and share of wrong names among those, as the least probability falls."""
     failures: tuple[str, ...]
+    controls: tuple[Measured, ...] = ()
+    """What the first rate would be by chance, by habit, and by a search without held-out data."""
 
 
-def score_of(cases: Sequence[Answered], asked: Asked) -> Score:
-    """Compare answers with labels."""
-    single = [case for case in cases if len(case.label.effects) == 1 and case.label.listed[0] and case.survives]
+def score_of(cases: Sequence[Answered], asked: Asked, taken_out: Sequence[Answered] = ()) -> Score:
+    """Compare answers with labels.
+
+    Args:
+        cases: answers beside their labels.
+        asked: what is asked of this kind of session.
+        taken_out: answers to some of them once more, with the true effect taken out of the library.
+    """
+    single = _single(cases)
     none = [case for case in cases if not case.label.effects]
     unknown = [case for case in cases if case.label.effects and not all(case.label.listed) and case.survives]
     pairs = [case for case in cases if len(case.label.effects) > 1 and all(case.label.listed) and case.survives]
@@ -192,13 +205,53 @@ def score_of(cases: Sequence[Answered], asked: Asked) -> Score:
         _rate("false alarms without effect", none, lambda case: case.verdict != "no_gap", asked.false_alarm, False),
         _rate("gap missed", single, lambda case: case.verdict == "no_gap", 0.05, at_least=False),
     ]
+    if taken_out:
+        abstained = [case for case in taken_out if case.verdict == "unexplained"]
+        rates += [
+            _rate(TAKEN_OUT, taken_out, lambda case: case.verdict == "unexplained", asked.unexplained),
+            _rate("of these the right stage", abstained, lambda case: _stage(case) in case.label.stages, asked.stage),
+        ]
     return Score(
         tuple(rates),
         (*_figures(single, asked), _pair_score(pairs, asked)),
         _confusion(single),
         _risk_coverage(single),
         tuple(failure for case in cases if (failure := _failure(case))),
+        _controls(cases),
     )
+
+
+def permuted(cases: Sequence[Answered], seed: int = 0) -> list[Answered]:
+    """The same answers under labels dealt out anew: what chance alone would score."""
+    order = np.random.default_rng(seed).permutation(len(cases))
+    return [replace(case, label=cases[k].label) for case, k in zip(cases, order, strict=True)]
+
+
+def always(cases: Sequence[Answered], effect: str = "dry_friction") -> float:
+    """Share of single effects whose cause would be named by who always says the same."""
+    single = _single(cases)
+    return float(np.mean([case.label.effects[0] == effect for case in single])) if single else float("nan")
+
+
+def in_sample(cases: Sequence[Answered]) -> float:
+    """Share of single effects whose cause is named by who looks at the fitted samples alone."""
+    hits = [case.answer.get("in_sample") == case.label.effects[0] for case in _single(cases)]
+    return float(np.mean(hits)) if hits else float("nan")
+
+
+def _controls(cases: Sequence[Answered]) -> tuple[Measured, ...]:
+    dealt = [[_place(case) == 0 for case in _single(permuted(cases, seed))] for seed in range(DEALS)]
+    shares = [float(np.mean(hits)) for hits in dealt if hits]
+    count = len(_single(cases))
+    return (
+        Measured("labels permuted", float(np.mean(shares)) if shares else float("nan"), count),
+        Measured("always dry_friction", always(cases), count),
+        Measured("best fit of the fitted samples", in_sample(cases), count),
+    )
+
+
+def _single(cases: Sequence[Answered]) -> list[Answered]:
+    return [case for case in cases if len(case.label.effects) == 1 and case.label.listed[0] and case.survives]
 
 
 def _rate(
