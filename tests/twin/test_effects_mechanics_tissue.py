@@ -207,7 +207,7 @@ def test_friction_holds_as_much_as_it_slides_with_and_differs_by_direction():
     there = np.concatenate([np.linspace(0.0, 2e-3, 2000), np.linspace(2e-3, 0.0, 2000)])
     for name, values, pair in (
         ("dry_friction", (0.3, 2e-5, 0.0, 0.5), (-0.3, 0.3)),
-        ("directional_friction", (0.3, 0.5, 2e-5), (-0.45, 0.15)),
+        ("directional_friction", (0.3, 0.5, 2e-5, 0.5), (-0.45, 0.15)),
     ):
         force = moved(name, values, there, 1e-3)[:, bus.FORCE]
         assert force[1990] == pytest.approx(pair[0], rel=1e-3)

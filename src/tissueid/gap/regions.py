@@ -218,7 +218,8 @@ def _profile(residual: FloatArray, along: FloatArray, test: ObservedTest, name: 
         low, high = np.quantile(along[known], [0.002, 0.998])
         edges = np.linspace(low, max(high, low + 1e-9), _BINS + 1)
     place = np.clip(np.digitize(along, edges) - 1, 0, edges.size - 2)
-    stretch = _stretches(along.size, test.sample_rate_hz, 0.02 if name == "time_s" else _STRETCH_S)
+    seconds = {"time_s": 0.02, "amplitude_n": _RECENT_S}.get(name, _STRETCH_S)
+    stretch = _stretches(along.size, test.sample_rate_hz, seconds)
     error, chance = np.full(edges.size - 1, np.nan), np.ones(edges.size - 1)
     for k in range(edges.size - 1):
         inside = known & (place == k)

@@ -5,35 +5,19 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
+from tissueid.twin._slip import held
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 STRIBECK_SPEED_M_S = 0.008
 """Speed where the extra hold at standstill is gone; of little weight where a test sweeps through standstill quickly."""
 
 
-STOPS = 6
-
-
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Springs that slip one after the other, and a bristle; ``s[k]`` is the stretch of each, in m and by its limit."""
-    coulomb, give, extra = p[0], p[1], p[2]
+    """What is held, more of it near standstill."""
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     ratio = velocity / STRIBECK_SPEED_M_S
-    level = coulomb * (1.0 + extra * math.exp(-min(ratio * ratio, 50.0)))
-    held = 0.0
-    for k in range(STOPS):
-        most = give * (2 * k + 1) / STOPS
-        stretch = min(max(s[k] + dt * velocity, -most), most)
-        # The mean over the step: half of the way is not yet covered where the spring is not slipping.
-        held += 0.5 * (s[k] + stretch) / most
-        s[k] = stretch
-    # Exact for a velocity that is constant over the step.
-    path = abs(velocity) * dt / give
-    settled = 1.0 if velocity > 0.0 else -1.0
-    left = s[STOPS] - settled
-    mean = settled + left * (1.0 - 0.5 * path if path < 1e-6 else (1.0 - math.exp(-path)) / path)
-    s[STOPS] = settled + left * math.exp(-path)
-    b[bus.FORCE] -= level * ((1.0 - p[3]) * held / STOPS + p[3] * mean)
+    level = p[0] * (1.0 + p[2] * math.exp(-min(ratio * ratio, 50.0)))
+    b[bus.FORCE] -= level * held(s, velocity, p[1], p[3], dt)
 
 
 EFFECT = Effect(
