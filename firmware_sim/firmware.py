@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from math import isnan
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.answered import Answered
 from firmware_sim.bench import Bench
 from firmware_sim.guard import Guard
 from firmware_sim.identity import Identity
@@ -18,9 +18,10 @@ from firmware_sim.limits import MAX_RUN_S, ArmedLimits
 from firmware_sim.memory import Answer, StimulusMemory
 from firmware_sim.outbox import Outbox
 from firmware_sim.player import Player
+from firmware_sim.sampler import SIGNALS, sampled
 from firmware_sim.setpoints import Setpoints
 from tissueid import wire
-from tissueid.wire import Fault, Flag, Frame, MessageType, Result, State
+from tissueid.wire import Fault, Frame, MessageType, Result, State
 
 FRAME_S = 0.01
 """How much of the stream a DATA frame carries."""
@@ -36,7 +37,6 @@ HOST_SILENCE_S = 2.0
 """A host that is silent for this long is gone: streaming ends, so that the next one finds a quiet line."""
 
 STIMULUS_CAPACITY_S = 120.0
-_SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
 
 
 class Firmware:
@@ -61,7 +61,7 @@ class Firmware:
         self.samples_per_frame = round(FRAME_S * self.sample_rate_hz)
         self.stimulus_capacity = round(STIMULUS_CAPACITY_S * self.sample_rate_hz)
         self._random = np.random.default_rng([seed, 0xB007])
-        self._channels = dict(zip(_SIGNALS, bench.channels, strict=True))
+        self._channels = dict(zip(SIGNALS, bench.channels, strict=True))
         self._power_up()
 
     def _power_up(self) -> None:
@@ -72,7 +72,7 @@ class Firmware:
         self.sample_index = 0
         self._decoder = wire.FrameDecoder()
         self._outbox = Outbox(self.sample_rate_hz)
-        self._answers: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+        self._answered = Answered()
         self._greeted = False
         self._last_frame_s = self._last_heartbeat_s = 0.0
         self._samples = np.zeros(0, wire.SAMPLE)
@@ -136,16 +136,10 @@ class Firmware:
         elif frame.type == MessageType.STATUS_REQUEST:
             self._send_status()
         elif frame.type == MessageType.HELLO:
-            self._answers.clear()  # a new host counts its requests from the start again
+            self._answered.forget()
             self._hello(frame)
         else:
-            # A repeated request is a retry: it gets the same answer and acts no second time.
-            key = (frame.type, frame.sequence)
-            if key not in self._answers:
-                self._answers[key] = self._answer(frame, now_s)
-                if len(self._answers) > 64:
-                    self._answers.popitem(last=False)
-            self._send(MessageType.ACK, self._answers[key])
+            self._send(MessageType.ACK, self._answered.once(frame, lambda: self._answer(frame, now_s)))
 
     def _answer(self, frame: Frame, now_s: float) -> bytes:
         result, detail = Result.BAD_STATE, 0
@@ -343,34 +337,23 @@ class Firmware:
         if self.bench.supply_share < LEAST_SUPPLY_SHARE and Fault.BROWN_OUT not in self.faults:
             self.brown_out()
         command, flags = self._command(count)
-        before = self.bench.snapshot()
-        block = self.bench.block(command, self.energised)
-        first, fault = 0, Fault.NONE
-        if self._armed is not None and self.energised:
-            first, fault = self._guard.judge(block, self._armed, self._player.cursor)
-        if fault and first + 1 < command.size:
-            # The trip acts on the very next sample, so what came after it never happened.
-            self.bench.restore(before)
-            command, flags = command[: first + 1], flags[: first + 1]
-            block = self.bench.block(command, self.energised)
-        self._guard.live_on(block)
-        taken = np.zeros(command.size, wire.SAMPLE)
-        for column, name in enumerate(_SIGNALS):
-            taken[name] = block.codes[:, column]
-        taken["flags"] = (
-            flags
-            | Flag.ENERGISED * self.energised
-            | Flag.BUTTON * block.button
-            | np.where(block.flags, Flag.SATURATED, 0)
+        taken = sampled(
+            self.bench,
+            self._guard,
+            command,
+            flags,
+            energised=self.energised,
+            limits=self._armed,
+            cursor=self._player.cursor,
         )
-        self._samples = np.concatenate((self._samples, taken))
-        self.sample_index += command.size
+        self._samples = np.concatenate((self._samples, taken.samples))
+        self.sample_index += taken.samples.size
         if self.state is State.RUNNING:
-            self._player.account(command, flags)
-            self._go_on(fault)
-        elif self.state is State.ARMED and block.button:
+            self._player.account(taken.command_v, taken.flags)
+            self._go_on(taken.fault)
+        elif self.state is State.ARMED and taken.button:
             self._trip(Fault.BUTTON)
-        return command.size
+        return taken.samples.size
 
     def _go_on(self, fault: Fault) -> None:
         """The run goes on, or ends."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
 
 from firmware_sim.bench import Bench
 from firmware_sim.converters import CHANNELS, ChannelError
@@ -19,6 +18,7 @@ from firmware_sim.identity import Identity
 from firmware_sim.models import MODELS
 from firmware_sim.plant import SAMPLE_RATE_HZ, STANDARD_GRAVITY, PlantParameters
 from firmware_sim.presets import DEFAULT, preset_names
+from firmware_sim.refusal import why
 
 
 def _between(low: float, high: float) -> object:
@@ -175,15 +175,7 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {_reason(first)}") from error
+        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {why(first)}") from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     return scenario
-
-
-def _reason(first: ErrorDetails) -> str:
-    """Why the first thing that does not hold does not."""
-    if first["type"] == "extra_forbidden":
-        return "nothing of that name belongs there"
-    words = str(first["msg"]).removeprefix("Value error, ")
-    return f"it must be {words.removeprefix('Input should be ')}" if words.startswith("Input should be ") else words

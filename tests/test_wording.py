@@ -92,3 +92,8 @@ def test_fixed_and_grouped() -> None:
     assert fixed(None, 1) == MISSING
     assert grouped(-95824.2) == "−95\u202f824"
     assert grouped(float("-inf")) == MISSING
+
+
+def test_a_digest_is_one_piece() -> None:
+    assert named_value("audit_head", 8 * "0123abcd") == ("Audit head", "0123abcd0123abcd…")
+    assert plain_text("0123abcd") == "0123abcd"

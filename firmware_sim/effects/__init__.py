@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from firmware_sim.effects import coil, drive, environment, mechanics, sensing, tissue
 from firmware_sim.effects.base import ROWS, Effect
+from firmware_sim.refusal import why
 
 EFFECTS: Mapping[str, type[Effect]] = {
     kind.name: kind
@@ -44,7 +45,7 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
-            raise ValueError(f"{where} cannot be used: {first['msg']}") from error
+            raise ValueError(f"{where} cannot be used: {why(first)}") from error
     return in_order(found)
 
 

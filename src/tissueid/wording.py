@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 from tissueid.records import Estimate
@@ -15,6 +16,9 @@ _MOST_ITEMS = 12
 _LONGEST_TEXT = 1000
 _LONGEST_LABEL = 40
 _DEEPEST = 4
+_DIGEST = re.compile(r"[0-9a-f]{40,128}")
+_DIGITS = 16
+"""A digest is shown by its first digits, in one piece: who compares it has the file and a program for it."""
 
 _UNITS = {
     "m": ("mm", 1e3),
@@ -211,6 +215,8 @@ def plain_text(value: Any, depth: int = 0) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(plain_text(item, depth + 1) for item in value[:_MOST_ITEMS]) + _and_more(value)
     text = clean(str(value))
+    if _DIGEST.fullmatch(text):
+        return f"{text[:_DIGITS]}…"
     return (text[:_LONGEST_TEXT] + " …" if len(text) > _LONGEST_TEXT else text) or MISSING
 
 

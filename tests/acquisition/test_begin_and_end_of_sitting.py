@@ -35,7 +35,7 @@ from tissueid.sessions import read_session, write_session
     "place",
     [
         "h5py.File",
-        "tissueid.sessions.file._write_test",
+        "tissueid.sessions.writing._write_test",
         "tissueid.whole_file.os.fsync",
         "tissueid.whole_file.Path.replace",
     ],

@@ -9,13 +9,15 @@ from support import LoopbackLink
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
+from firmware_sim.kernel import POSITION
 from firmware_sim.limits import LIFT_S
 from firmware_sim.models import MODELS
+from firmware_sim.tissue import FREE_AIR
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
-from tissueid.acquisition.placing import Orientation, Placement, orientation_of, place
+from tissueid.acquisition.placing import Orientation, Placement, orientation_of, place, place_in_air
 from tissueid.acquisition.quality import quality_of
-from tissueid.errors import FirmwareFaultError, LimitError
-from tissueid.instrument import CLINICAL, SerialInstrument, SimulatedInstrument
+from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
+from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SimulatedInstrument
 
 RATE = 2000.0
 GENTLE = NoiseChoice(min_force_n=1.5, max_force_n=6.0, seconds=1.0).stimulus(RATE)
@@ -141,3 +143,45 @@ def test_once_lifted_the_near_limit_counts_at_once(monkeypatch, side):
     lifted = (samples["index"] >= run.first_index) & (samples["position"] > CLINICAL.min_position_m)
     back = lifted.argmax() + (samples["position"][lifted.argmax() :] < CLINICAL.min_position_m).argmax()
     assert last_energised(samples) - samples["index"][back] <= 60
+
+
+def test_in_free_air_nothing_is_pressed_and_the_probe_is_where_it_lies(tmp_path):
+    instrument = held(90.0, tissue=FREE_AIR)
+    instrument._link.firmware.bench.plant.state[POSITION] = 0.016
+    placement = place_in_air(instrument)
+    assert placement.surface_m == pytest.approx(0.016, abs=1e-4)
+    assert placement.orientation.tilt_deg == pytest.approx(90.0, abs=1.0)
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
+    shaken = NoiseChoice(min_force_n=-1.5, max_force_n=1.5, seconds=0.6).stimulus(RATE)
+    run_guided_test(instrument, GuidedTest(shaken, "free air", "free_air"), recorder, surface_m=placement)
+    test = recorder.finish().test()
+    assert (test.kind, test.status) == ("free_air", "completed")
+    assert test.surface_position_m == placement.surface_m
+
+
+def test_in_free_air_it_must_lie_level():
+    with pytest.raises(UnusableInputError, match="lay the instrument level, it points 45 degrees"):
+        place_in_air(held(45.0, tissue=FREE_AIR))
+
+
+class Reading:
+    """An instrument that says where its probe is, or does not."""
+
+    device = SimulatedInstrument().device
+
+    def __init__(self, position_m):
+        self.position_m = position_m
+
+    def poll(self, timeout_s):
+        samples = np.zeros(400, SAMPLE)
+        samples["position"] = self.position_m
+        samples["acceleration_y"] = 9.81
+        return samples
+
+
+@pytest.mark.parametrize(
+    ("position_m", "says"), [(0.0, "at the end of its stroke"), (0.0319, "push it to the middle"), (np.nan, "the link")]
+)
+def test_a_probe_that_lies_at_an_end_in_free_air_is_refused(position_m, says):
+    with pytest.raises(UnusableInputError, match=says):
+        place_in_air(Reading(position_m))

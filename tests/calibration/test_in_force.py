@@ -21,7 +21,8 @@ from tissueid.calibration import (
     stored_calibrations,
     write_calibration,
 )
-from tissueid.calibration.in_force import corrections, judged, warnings_of
+from tissueid.calibration.in_force import corrections, warnings_of
+from tissueid.calibration.judging import judged
 from tissueid.calibration.store import VARIABLE
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import Correction, Limits, SimulatedInstrument

@@ -13,7 +13,8 @@ from firmware_sim.firmware import Firmware
 from tissueid import wire
 from tissueid.calibration import StaticPlan, calibrate_static, put_in_force, write_calibration
 from tissueid.calibration.file import Quantity, utc_date
-from tissueid.calibration.in_force import NO_REGION, calibrated, corrections, go_by_static, warnings_of
+from tissueid.calibration.in_force import calibrated, corrections, go_by_static, warnings_of
+from tissueid.calibration.layers import NO_REGION
 from tissueid.calibration.plausible import implausible
 from tissueid.errors import InstrumentError
 from tissueid.instrument import Correction, SerialInstrument, SimulatedInstrument

@@ -7,7 +7,7 @@ from faults.desk import Desk
 
 from tissueid import wire
 from tissueid.acquisition import run_guided_test
-from tissueid.errors import FirmwareFaultError
+from tissueid.errors import FirmwareFaultError, InstrumentError
 from tissueid.wire import MessageType, State
 
 STIMULUS_SAMPLES = 2600
@@ -84,3 +84,64 @@ def test_a_device_that_is_heard_again_when_its_run_is_over_is_sent_no_more_set_p
     assert (test.status, test.samples) == ("completed", STIMULUS_SAMPLES)
     assert before_the_end - 40 <= np.count_nonzero(lost) <= before_the_end + 20
     assert lost[-1]
+
+
+def end_unseen(tmp_path, *, trips, words_lost):
+    """A test whose last 40 samples and more are lost, with so many of the device's next words; it may have stopped."""
+    desk = Desk(seed=2)
+    instrument = desk.open()
+    recorder = desk.recorder(tmp_path / "sitting.h5", instrument)
+    decoder, words, lost_to = wire.FrameDecoder(), Deaf(words_lost), [0]
+
+    def loses(data):
+        kept = []
+        for frame in decoder.feed(words(data)):
+            lost = frame.type == MessageType.DATA and frame.sample_index <= lost_to[0]
+            kept += [] if lost else [wire.encode_frame(frame)]
+        return b"".join(kept)
+
+    def befall():
+        lost_to[0] = desk.firmware.sample_index + 70
+        desk.link.to_host = loses
+        if trips:
+            desk.befall(fault("brown_out", seconds=0.02))
+
+    desk.link.moments.append((lambda link: link.running > STIMULUS_SAMPLES - 50, befall))
+    error = None
+    try:
+        run_guided_test(instrument, open_loop(seed=1), recorder, surface_m=SURFACE_M)
+    except InstrumentError as told:
+        error = told
+    desk.link.to_host = lambda data: data
+    rest(instrument, 0.2) if error is None else instrument.clear_faults()
+    instrument.close()
+    (test,) = recorder.finish().tests
+    return test, error
+
+
+@pytest.mark.parametrize("trips", [True, False])
+def test_a_test_whose_end_nobody_saw_and_nobody_tells_of_is_not_complete(tmp_path, trips):
+    test, error = end_unseen(tmp_path, trips=trips, words_lost=np.inf)
+    assert test.status == "aborted"
+    received = np.flatnonzero(np.isfinite(np.asarray(test.signals["position"])))
+    missing = STIMULUS_SAMPLES - 1 - received[-1]
+    assert f"the last {missing} samples of the test never arrived" in str(error)
+    assert "check the cable" in str(error)
+    assert test.notes["reason"] == str(error)
+    assert 30 <= missing <= 70
+
+
+def test_a_stop_that_nobody_saw_is_told_when_it_is_asked_for(tmp_path):
+    test, error = end_unseen(tmp_path, trips=True, words_lost=2)
+    assert isinstance(error, FirmwareFaultError)
+    assert "the supply voltage sagged" in str(error)
+    assert test.status == "aborted"
+
+
+def test_a_test_whose_end_nobody_saw_is_complete_where_the_device_says_so(tmp_path):
+    test, error = end_unseen(tmp_path, trips=False, words_lost=2)
+    assert error is None
+    lost = np.isnan(np.asarray(test.signals["position"]))
+    assert (test.status, test.samples) == ("completed", STIMULUS_SAMPLES)
+    assert lost[-20:].all()
+    assert test.notes["samples_lost"] == np.count_nonzero(lost)

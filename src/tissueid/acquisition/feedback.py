@@ -8,13 +8,13 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Run, force
-from tissueid.sessions.file import MAX_TEXT
+from tissueid.sessions.members import MAX_TEXT
 from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
 
@@ -64,7 +64,7 @@ def rehearse(kind: FeedbackKind) -> None:
     for block in range(-kind.lead, blocks):
         source.take(force_n, depth, block * BLOCK)
         force_n = checked(kind, source.next_block())
-        depth, state = signal.lfilter([(1.0 - decay) / _REHEARSED_STIFFNESS], [1.0, -decay], force_n, zi=state)
+        depth, state = scipy.signal.lfilter([(1.0 - decay) / _REHEARSED_STIFFNESS], [1.0, -decay], force_n, zi=state)
     source.report()
 
 

@@ -32,6 +32,9 @@ GREATEST_GRAVITY_M_S2 = 10.5
 _LEAST_GRAVITY_M_S2 = 0.05
 _IN_PLANE_M_S2 = 0.3
 
+LEVEL_M_S2 = 0.5
+"""Along the stroke in free air: 3 degrees, with which the probe slides some centimetres in a second."""
+
 _SETTLED_S = 0.2
 _STILL_M = 50e-6
 _STROKE_MARGIN_M = 1.0e-3
@@ -106,6 +109,12 @@ def find_orientation(instrument: Instrument, cancelled: Callable[[], bool] = nev
     Raises:
         CancelledError: ``cancelled`` said so.
     """
+    samples = _at_rest(instrument, cancelled)
+    return orientation_of(samples["acceleration_x"], samples["acceleration_y"])
+
+
+def _at_rest(instrument: Instrument, cancelled: Callable[[], bool]) -> NDArray[np.void]:
+    """What is read within 0.2 s, shape (k,), while nothing is played; none from an instrument that is silent."""
     wanted = round(QUIET_S * instrument.device.sample_rate_hz)
     blocks: list[NDArray[np.void]] = []
     silent = 0
@@ -114,8 +123,32 @@ def find_orientation(instrument: Instrument, cancelled: Callable[[], bool] = nev
             break
         blocks.append(instrument.poll(POLL_S))
         silent = 0 if blocks[-1].size else silent + 1
-    samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])
-    return orientation_of(samples["acceleration_x"], samples["acceleration_y"])
+    return np.concatenate([*blocks, np.zeros(0, SAMPLE)])
+
+
+def place_in_air(instrument: Instrument, cancelled: Callable[[], bool] = never) -> Placement:
+    """Where the probe lies free in place of a surface. Nothing is there to be felt, so the coil is not driven.
+
+    Raises:
+        UnusableInputError: the instrument is not level, nothing says where the probe is, or it is at an end.
+        CancelledError: ``cancelled`` said so.
+    """
+    samples = _at_rest(instrument, cancelled)
+    orientation = orientation_of(samples["acceleration_x"], samples["acceleration_y"])
+    if orientation.measured and abs(orientation.along_m_s2) > LEVEL_M_S2:
+        raise UnusableInputError(
+            f"in free air the probe would slide to an end of its stroke: lay the instrument level, it points "
+            f"{orientation.tilt_deg:.0f} degrees from straight down"
+        )
+    position = samples["position"][np.isfinite(samples["position"])]
+    if not position.size:
+        raise UnusableInputError("the instrument does not tell where the probe is; check the link and try again")
+    at = float(np.median(position))
+    if not _STROKE_MARGIN_M < at < instrument.device.stroke_m - _STROKE_MARGIN_M:
+        raise UnusableInputError(
+            f"the probe is at the end of its stroke ({at * 1e3:.1f} mm): push it to the middle and try again"
+        )
+    return Placement(at, orientation)
 
 
 def place(

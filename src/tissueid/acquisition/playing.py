@@ -82,13 +82,15 @@ def play(
         planned = run = instrument.start()
         if started is not None:
             started(run)
-        last, whole = run.first_index, True
+        last, whole, seen_to = run.first_index, True, run.first_index
         while last < run.end_index:
             samples = instrument.poll(POLL_S)
             if samples.size:
                 last = int(samples["index"][-1]) + 1
                 inside = samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
                 whole = whole and bool(np.all(np.isnan(inside["position"]) | (inside["flags"] & Flag.PLAYING > 0)))
+                received = inside["index"][np.isfinite(inside["position"])]
+                seen_to = int(received[-1]) + 1 if received.size else seen_to
                 if set_points is not None:
                     set_points.take(inside)
                     if run is planned and last < run.end_index:  # a device that hung may come back after the end
@@ -97,8 +99,8 @@ def play(
             _heed(cancelled)
             if run is planned and last < run.end_index and enough():
                 run = Run(run.first_index, min(run.samples, instrument.finish()))
-        if set_points is not None or run is not planned or not whole:
-            _see_off(instrument, run)
+        if set_points is not None or run is not planned or not whole or seen_to < run.end_index:
+            _see_off(instrument, run, all_seen=seen_to >= run.end_index)
     except BaseException:
         instrument.release()
         raise
@@ -117,17 +119,22 @@ def _heed(cancelled: Callable[[], bool]) -> None:
         raise CancelledError("cancelled; the coil is released and what was recorded is kept")
 
 
-def _see_off(instrument: Instrument, run: Run) -> None:
+def _see_off(instrument: Instrument, run: Run, *, all_seen: bool) -> None:
     """Read on until the release of a run is over: only then has the instrument said all that there is to say of it.
 
     Raises:
         FirmwareFaultError: it did not end as it was told to; what it says came after the last sample.
+        InstrumentError: not ``all_seen``: its last samples never arrived, and it never said that they were played.
     """
     over = run.end_index + round(_RELEASE_S * instrument.device.sample_rate_hz)
+    at_last = False
     try:
         for _ in range(_RELEASE_POLLS):
             samples = instrument.poll(POLL_S)
-            if samples.size and samples["index"][-1] >= over:
+            if at_last:
                 break
+            at_last = bool(samples.size and samples["index"][-1] >= over)  # what is wrong comes with the next poll
     except LinkLostError:
-        pass  # all of the run was received; whoever uses the instrument next is told
+        if not all_seen:
+            raise
+        # All of the run was received; whoever uses the instrument next is told.

@@ -118,7 +118,8 @@ class Design:
         kind, search = self.specification, self.search
         return {
             "amplitude_distance": self.amplitude_distance,
-            "autocorrelation_lags": self.autocorrelation.size - 1,
+            # What does not vary, as a quiet record, has none.
+            "autocorrelation_lags": self.autocorrelation.size - 1 if np.ptp(self.played) > 0.0 else None,
             "autocorrelation_error": self.autocorrelation_error,
             "interchange": None
             if search is None

@@ -1,11 +1,30 @@
 """Calibrations of the instrument: where its figures come from, and which are in force."""
 
-from tissueid.calibration.electrical import ElectricalCheck, check_coil
-from tissueid.calibration.file import Calibration, Quantity, keep_calibration, read_calibration, write_calibration
-from tissueid.calibration.in_force import InForce, calibrated, in_words, put_in_force, warnings_of
-from tissueid.calibration.procedure import StaticPlan
-from tissueid.calibration.static import StaticCalibration, calibrate_static
-from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tissueid.lazily import on_first_use
+
+if TYPE_CHECKING:
+    from tissueid.calibration.electrical import ElectricalCheck, check_coil
+    from tissueid.calibration.file import Calibration, Quantity, keep_calibration, read_calibration, write_calibration
+    from tissueid.calibration.in_force import InForce, calibrated, in_words, put_in_force, warnings_of
+    from tissueid.calibration.procedure import StaticPlan
+    from tissueid.calibration.static import StaticCalibration, calibrate_static
+    from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+else:
+    __getattr__ = on_first_use(
+        __name__,
+        {
+            "electrical": ("ElectricalCheck", "check_coil"),
+            "file": ("Calibration", "Quantity", "keep_calibration", "read_calibration", "write_calibration"),
+            "in_force": ("InForce", "calibrated", "in_words", "put_in_force", "warnings_of"),
+            "procedure": ("StaticPlan",),
+            "static": ("StaticCalibration", "calibrate_static"),
+            "store": ("Stored", "calibration_folder", "stored_calibrations"),
+        },
+    )
 
 __all__ = [
     "Calibration",

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tissueid.calibration import Calibration, calibration_folder, read_calibration, stored_calibrations
-from tissueid.calibration.in_force import Age, age_of
+from tissueid.calibration.judging import Age, age_of
 from tissueid.calibration.words import notes_of, readable, verdict_of
 from tissueid.cli.output import check_json, check_output, people_read, table, write_json
 

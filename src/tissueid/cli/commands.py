@@ -163,11 +163,15 @@ def run_test(
         Path | None, typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None,
     calibration: Annotated[bool, typer.Option(help="put the newest calibration in force")] = True,
+    kind: Annotated[
+        str | None, typer.Option(metavar="NAME", help="spring or free_air, where the probe meets no tissue")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Run a guided test: place, preload, stimulus, release."""
     from tissueid.cli.stimulus_options import CommonOptions
-    from tissueid.cli.test import TestPlan, millimetres, run_tests
+    from tissueid.cli.test import run_tests
+    from tissueid.cli.test_plan import TestPlan, millimetres
 
     run_tests(
         TestPlan(
@@ -193,6 +197,7 @@ def run_test(
             external_spring_n_per_m=external_spring,
             calibrations=calibrations,
             calibration=calibration,
+            kind=kind,
             json_file=json_file,
         )
     )

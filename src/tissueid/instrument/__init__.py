@@ -1,5 +1,9 @@
 """Talking to an instrument: a real one on a port, a simulated one in this process, a saved session replayed."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from tissueid.instrument.correction import Correction
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
@@ -16,7 +20,17 @@ from tissueid.instrument.limits import (
 )
 from tissueid.instrument.link import Link, SerialLink
 from tissueid.instrument.replay import ReplayInstrument
-from tissueid.instrument.simulated import SimulatedInstrument
+from tissueid.lazily import on_first_use
+
+if TYPE_CHECKING:
+    from tissueid.instrument.simulated import SimulatedInstrument
+else:
+    __getattr__ = on_first_use(
+        __name__,
+        {
+            "simulated": ("SimulatedInstrument",),
+        },
+    )
 
 __all__ = [
     "CLINICAL",

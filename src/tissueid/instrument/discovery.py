@@ -17,8 +17,7 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
-from tissueid.instrument.simulated import SimulatedInstrument, simulated_tissues
-from tissueid.instrument.twin_file import SUFFIX, read_twin
+from tissueid.instrument.tissues import TISSUES
 
 IN_PROCESS = "simulated://"
 
@@ -43,6 +42,10 @@ def open_instrument(url: str) -> Instrument:
         InstrumentError, ProtocolVersionError, UnusableInputError: nothing there that can be used.
     """
     if url.startswith(IN_PROCESS):
+        # The twin is compiled code, which takes longer to import than all the rest of the instruments.
+        from tissueid.instrument.simulated import SimulatedInstrument
+        from tissueid.instrument.twin_file import SUFFIX, read_twin
+
         parts = urlsplit(url)
         query = parse_qs(parts.query)
         if unknown := set(query) - {"seed"}:
@@ -77,7 +80,7 @@ def find_instruments(*, probe: bool = True, opener: Callable[[str], Instrument] 
         instrument.close()
         detail = f"{device.model}, {device.serial_number}, firmware {device.firmware_version}"
         found.append(Found(url, what, True, detail))
-    found += [Found(f"{IN_PROCESS}{name}", "simulation in this process", True) for name in simulated_tissues()]
+    found += [Found(f"{IN_PROCESS}{name}", "simulation in this process", True) for name in TISSUES]
     return found
 
 

@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 
 from tissueid import wire
 from tissueid.device import DeviceDescription
-from tissueid.errors import (
-    InstrumentError,
-    LinkLostError,
-    ProtocolVersionError,
-    TissueIDError,
-)
-from tissueid.instrument.answers import Status, read_status
+from tissueid.errors import InstrumentError, LinkLostError, TissueIDError
+from tissueid.instrument.answers import Status
 from tissueid.instrument.conversation import ANSWER_S, TRIES, Conversation
 from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
 from tissueid.instrument.handshake import Introduction, read_hello
+from tissueid.instrument.incoming import Incoming
 from tissueid.instrument.interface import SIGNALS, Run
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.link import Link
@@ -36,15 +32,12 @@ from tissueid.instrument.outgoing import (
 from tissueid.instrument.run_watch import RunWatch
 from tissueid.instrument.sample_stream import SampleStream
 from tissueid.instrument.setpoints import SetpointSender
-from tissueid.wire import Frame, MessageType, State
+from tissueid.wire import MessageType, State
 
 log = logging.getLogger(__name__)
 
 STOP_TRIES = 3
 """A STOP that is not answered is sent again so often, and twice as often where the request before it was answered."""
-
-SILENCE_S = 1.0
-"""A device that streams says something every 10 ms; this much silence is a lost link."""
 
 
 class SerialInstrument:
@@ -60,23 +53,18 @@ class SerialInstrument:
     def __init__(self, link: Link, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = SampleStream()
         self.gaps = self._stream.gaps
-        self.late_blocks = self.held_samples = 0
-        self.status: Status | None = None
         self._link = link
         self._clock = clock
-        self._decoder = wire.FrameDecoder()
         self._watch = RunWatch(self._stream, lambda: self._talk.send(MessageType.STATUS_REQUEST), self._run_ended)
         self._talk = Conversation(link, clock, self._pump, self._watch.untold)
-        self._answer: bytes | None = None
         self._corrections: Corrections = {}
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
         self._sender = SetpointSender(link.write, clock)
+        self._incoming = Incoming(clock, self._stream, self._watch, self._sender, self._talk.take)
         self._stimulus_id = 0
         self._closed = False
-        self._last_heard = clock()
-        self._streaming = False
         try:
             self._hello = self._shake_hands()
             self.device = self.nominal = self._hello.device
@@ -86,7 +74,7 @@ class SerialInstrument:
             self._talk.silent = False
             self._talk.request(MessageType.STREAM, wire.pack(wire.STREAM, on=1))
             self._stream.begin(self._hello)
-            self._streaming = True
+            self._incoming.stream_begins()
         except BaseException:
             link.close()
             raise
@@ -102,6 +90,7 @@ class SerialInstrument:
         if self._busy():
             raise InstrumentError("a calibration is put in force between two tests, not while one runs")
         self._corrections = check_corrections(corrections, SIGNALS)
+        self._incoming.calibrated = None if device is self.nominal else (self._corrections, device)
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
@@ -178,8 +167,7 @@ class SerialInstrument:
         send_limits(self._talk, self._token, self._stimulus_id, limits, self.device.sample_rate_hz)
         self._watch.limits = limits
         self._sender.reset()
-        self._stream.held_samples = 0
-        self.late_blocks = self.held_samples = 0
+        self._incoming.forget_run()
 
     def start(self) -> Run:
         """Energise the coil and play.
@@ -303,7 +291,22 @@ class SerialInstrument:
     @property
     def statistics(self) -> wire.FrameStatistics:
         """Frames accepted and refused since the link was opened."""
-        return self._decoder.statistics
+        return self._incoming.statistics
+
+    @property
+    def status(self) -> Status | None:
+        """What the firmware said of itself the last time; None before it did."""
+        return self._incoming.status
+
+    @property
+    def late_blocks(self) -> int:
+        """Blocks of set-points of the newest run that came after their time."""
+        return self._incoming.late_blocks
+
+    @property
+    def held_samples(self) -> int:
+        """Samples of the newest run whose command was held, because its set-point was missing."""
+        return self._incoming.held_samples
 
     @property
     def repeated_requests(self) -> int:
@@ -343,13 +346,13 @@ class SerialInstrument:
         for _ in range(TRIES):
             send_hello(self._talk)
             deadline = self._clock() + ANSWER_S
-            while self._answer is None and self._clock() < deadline:
+            while self._incoming.hello is None and self._clock() < deadline:
                 try:
                     self._pump(0.05)
                 except LinkLostError as error:
                     raise LinkLostError(f"{error}. Is the instrument in use by another program?") from error
-            if self._answer is not None:
-                return read_hello(self._answer, self._link.name)
+            if self._incoming.hello is not None:
+                return read_hello(self._incoming.hello, self._link.name)
         raise LinkLostError(
             f"no instrument answers on {self._link.name}; check the cable and the power, and that no other program "
             "uses it"
@@ -364,68 +367,12 @@ class SerialInstrument:
         """
         if self._watch.error is None:
             self._talk.beat()
-        data = self._link.read(timeout_s)
-        for frame in self._decoder.feed(data):
-            if not self._streaming or frame.type == MessageType.DATA:
-                self._last_heard = self._clock()  # answers alone are no measurement
-            try:
-                self._dispatch(frame)
-            except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
-                log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
+        self._incoming.take(self._link.read(timeout_s))
         if self._watch.stop_due and not self._talk.silent:
             self.release()
         if self._watch.run is not None and self._stream.next_index is not None:
             self._sender.repeat(self._stream.next_index - self._watch.run.first_index)
-        if self._streaming and self._clock() - self._last_heard > SILENCE_S:
-            raise LinkLostError(
-                f"{self._link.name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself. "
-                "Check the cable and the power, and connect again"
-            )
-
-    def _dispatch(self, frame: Frame) -> None:
-        if self._streaming and frame.version != wire.PROTOCOL_VERSION:
-            self._watch.fail(
-                ProtocolVersionError(
-                    f"the instrument went over to protocol {frame.version} in mid-conversation; "
-                    f"this software speaks {wire.PROTOCOL_VERSION}. Connect again"
-                )
-            )
-        elif frame.type == MessageType.DATA:
-            self._take_data(frame)
-        elif frame.type == MessageType.ACK:
-            self._take_ack(frame)
-        elif frame.type == MessageType.STATUS:
-            self._take_status(frame)
-        elif frame.type == MessageType.HELLO_ACK:
-            self._answer = frame.payload
-
-    def _take_ack(self, frame: Frame) -> None:
-        ack, _ = wire.unpack(wire.ACK, frame.payload, tail=True)
-        if ack["request_type"] != MessageType.SETPOINTS:
-            self._talk.take(ack)
-            return
-        run = self._watch.run
-        self._sender.acknowledge(ack, frame.sample_index - run.first_index if run else None)
-        self.late_blocks = max(self.late_blocks, self._sender.late_blocks)
-
-    def _take_status(self, frame: Frame) -> None:
-        self.status = status = read_status(frame.payload)
-        if not self._streaming:
-            return
-        self.late_blocks = max(self.late_blocks, status.late_blocks)
-        self.held_samples = max(self.held_samples, status.held_samples)
-        self._watch.take_status(status, frame.sample_index)
-
-    def _take_data(self, frame: Frame) -> None:
-        try:
-            samples = self._stream.take(frame)
-            if samples.size:
-                same = self.device is self.nominal
-                self._watch.take(samples, None if same else (corrected(samples, self._corrections), self.device))
-        except TissueIDError as error:
-            self._watch.fail(error)  # the coil is released as soon as the frames that came with it are read
-        # What the firmware held in samples that were lost is in its STATUS at the end of the run.
-        self.held_samples = max(self.held_samples, self._stream.held_samples)
+        self._incoming.check_heard(self._link.name)
 
     def _last_tries(self) -> int:
         """How often to say what ends a conversation: who has just not answered will hardly do so now."""

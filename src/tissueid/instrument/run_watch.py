@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
-from tissueid.errors import FirmwareFaultError, TissueIDError
+from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError
 from tissueid.instrument.answers import Status, describe_faults
 from tissueid.instrument.handshake import Introduction
 from tissueid.instrument.interface import Run
@@ -22,6 +22,9 @@ log = logging.getLogger(__name__)
 
 FREE_S = 0.1
 """Twice the soft release: so long after a run the coil must be free."""
+
+UNTOLD_S = 0.06
+"""So long after a run whose last samples were lost the device has to say whether it played them."""
 
 STOPPED = "the instrument stopped the test by itself; the coil is free: measure again"
 
@@ -47,6 +50,8 @@ class RunWatch:
         self._stopped = False
         self._starting: int | None = None
         self._seen_first: int | None = None
+        self._received_to = 0
+        self._unseen_end: Run | None = None
         self._free_from = 0
 
     def begin(self, hello: Introduction) -> None:
@@ -54,11 +59,13 @@ class RunWatch:
         self.judge = Judge(hello.device)
         self._boot_id = hello.boot_id
         self._free_samples = round(FREE_S * hello.device.sample_rate_hz)
+        self._untold_samples = round(UNTOLD_S * hello.device.sample_rate_hz)
 
     def expect(self, samples: int) -> None:
         """START is about to be sent for so many samples: its answer may come after the first of them."""
         self._stopped = False
         self._starting, self._seen_first = samples, None
+        self._unseen_end = None
 
     def started(self, run: Run | None) -> None:
         """START was answered: this run began; or, None, it was not."""
@@ -104,6 +111,7 @@ class RunWatch:
         Raises:
             LimitError, InstrumentError: ``stop_due``.
         """
+        self._see_whether_it_is_told(int(read["index"][-1]))
         run = self.run or self._begun(read)
         try:
             self.judge.take(read, self.limits, run, calibrated)
@@ -119,10 +127,12 @@ class RunWatch:
 
     def _see_whether_it_plays(self, read: NDArray[np.void], run: Run) -> None:
         """A run of which a sample was not played has been stopped, even where the rest was sampled to its end."""
+        inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index) & np.isfinite(read["position"])
+        if inside.any():
+            self._received_to = int(read["index"][inside][-1]) + 1
         if not self.finishing:
-            inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index)
             played = (read["flags"] & Flag.PLAYING) > 0
-            self._stopped |= bool(np.any(inside & np.isfinite(read["position"]) & ~played))
+            self._stopped |= bool(np.any(inside & ~played))
         over = read["index"][-1] >= run.end_index
         if self._stopped and over:
             self.fail(FirmwareFaultError(STOPPED))
@@ -130,11 +140,40 @@ class RunWatch:
             self._ask_status()  # the message that says why was lost, and its repetition may be: with every frame
         elif over:
             self.end()
+            if self._received_to < run.end_index:
+                self._unseen_end = run
+                self._ask_status()
+
+    def _see_whether_it_is_told(self, newest: int) -> None:
+        """A run whose last samples were lost was played to its end only where the device says so."""
+        run = self._unseen_end
+        if run is None or newest < run.end_index + self._untold_samples:
+            if run is not None:
+                self._ask_status()
+            return
+        self._unseen_end = None
+        missing = run.end_index - max(run.first_index, self._received_to)
+        self.fail(
+            InstrumentError(
+                f"the last {missing} samples of the test never arrived, and nobody knows whether they were played: "
+                "check the cable, then measure again"
+            )
+        )
+
+    def _end_is_told(self, status: Status, run: Run) -> None:
+        """What the device says of a run whose last samples were lost."""
+        self._unseen_end = None
+        if status.faults:
+            self.fail_by_fault(status.faults)
+        elif status.state is not State.ARMED and status.played_samples < run.samples:
+            self.fail(FirmwareFaultError(STOPPED))
 
     def take_status(self, status: Status, sample_index: int) -> None:
         """See whether what the device says of itself, at that sample, ends the run."""
         if status.boot_id != self._boot_id:
             self.fail(FirmwareFaultError("the instrument restarted by itself; the coil is free. Connect again"))
+        elif self._unseen_end is not None and sample_index >= self._unseen_end.end_index:
+            self._end_is_told(status, self._unseen_end)
         elif self.limits is not None and status.faults:
             self.fail_by_fault(status.faults)
         elif self.run is not None and self._stopped and status.state is not State.RUNNING:

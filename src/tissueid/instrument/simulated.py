@@ -15,8 +15,9 @@ from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
+from tissueid.instrument.tissues import TISSUES
 from tissueid.instrument.twin_file import TwinFile, device_of
-from tissueid.twin.figures import Instrument, Tissue, spring
+from tissueid.twin.figures import Instrument
 from tissueid.twin.player import Player
 from tissueid.twin.simulation import Start
 from tissueid.wire import Fault
@@ -29,19 +30,8 @@ _COIL_C = 25.0
 _OUT_OF_REACH_M = 1.0
 """Where a surface lies that the probe never meets."""
 
-_TISSUES = {
-    # Averages of thesis 3.1.3 for the posterior forearm; the softer anterior site after Table 3.1.
-    "forearm": Tissue(),
-    "anterior-forearm": Tissue(stiffness_n_per_m=350.0, stiffness_growth_per_m=200.0),
-    "spring": spring(0.005, 1000.0),
-}
 _SETTLING = 4000
 """Samples in which the probe comes to rest."""
-
-
-def simulated_tissues() -> tuple[str, ...]:
-    """What ``simulated://`` can put under the probe."""
-    return tuple(_TISSUES)
 
 
 class SimulatedInstrument:
@@ -54,8 +44,8 @@ class SimulatedInstrument:
     """
 
     def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int = 0) -> None:
-        if isinstance(tissue, str) and tissue not in _TISSUES:
-            raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(_TISSUES)}")
+        if isinstance(tissue, str) and tissue not in TISSUES:
+            raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(TISSUES)}")
         if isinstance(tissue, str):
             self.device = replace(
                 DeviceDescription(),
@@ -64,8 +54,8 @@ class SimulatedInstrument:
             )
             player = Player(
                 Instrument(),
-                _TISSUES[tissue],
-                Start(0.0, _TISSUES[tissue].surface_m),
+                TISSUES[tissue],
+                Start(0.0, TISSUES[tissue].surface_m),
                 sample_rate_hz=self.device.sample_rate_hz,
             )
         else:

@@ -6,10 +6,10 @@ from tissueid.sessions.file import (
     read_session,
     read_session_head,
     read_test,
-    write_session,
 )
 from tissueid.sessions.model import KINDS, SIGNAL_UNITS, Session, Subject, Test
 from tissueid.sessions.outline import Outline, TestOutline
+from tissueid.sessions.writing import write_session
 
 __all__ = [
     "KINDS",

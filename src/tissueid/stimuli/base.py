@@ -42,7 +42,8 @@ class Stimulus:
     """A history to be played: ``values`` (n,) in ``unit``, N or V, at ``sample_rate_hz``.
 
     ``description`` is plain data, enough for :func:`rebuild`. ``crest_factor`` is the peak over the
-    root-mean-square of the part about its mean. ``preload_s`` seconds at the start hold the mean load.
+    root-mean-square of the part about its mean. ``preload_s`` seconds at the start hold the mean load, or ``begins_at``
+    where the stimulus begins elsewhere than at its mean.
     """
 
     values: Array
@@ -52,6 +53,7 @@ class Stimulus:
     crest_factor: float
     preload_s: float = 0.0
     unit: Unit = "N"
+    begins_at: float | None = None
 
     def __len__(self) -> int:
         return self.values.size
@@ -68,6 +70,8 @@ class StimulusKind(BaseModel, ABC):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: ClassVar[str]
+    test_kind: ClassVar[str] = "stochastic"
+    """Kind of the test that plays it, as a session tells it."""
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -244,7 +248,7 @@ def rebuild(description: Mapping[str, Any]) -> Stimulus:
 
 
 def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
-    """Put a preload before a stimulus: a raised-cosine rise to its mean load, then a hold.
+    """Put a preload before a stimulus: a raised-cosine rise to its mean load, or to where it begins, then a hold.
 
     The hold lets the tissue come to rest at the operating point, which is where identification takes it to begin
     (Chen 2010, 3.1.3).
@@ -256,7 +260,8 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
     Raises:
         UnusableInputError: the preload is shorter than its rise.
     """
-    preload = preload_values(float(np.mean(played.values)), preload_s, played.sample_rate_hz)
+    load = float(np.mean(played.values)) if played.begins_at is None else played.begins_at
+    preload = preload_values(load, preload_s, played.sample_rate_hz)
     return Stimulus(
         values=np.concatenate([preload, played.values]),
         sample_rate_hz=played.sample_rate_hz,
@@ -265,6 +270,7 @@ def guided(played: Stimulus, preload_s: float = 0.5) -> Stimulus:
         crest_factor=played.crest_factor,
         preload_s=preload_s,
         unit=played.unit,
+        begins_at=played.begins_at,
     )
 
 

@@ -8,8 +8,8 @@ one Fourier transform. For p without end the norm is the peak itself.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, optimize
 
 from tissueid.stimuli.base import Array
 
@@ -38,7 +38,7 @@ def summed(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array
     """One period (period,) of the sum of amplitude * cos(2 pi line k / period + phase); lines below period / 2."""
     spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
     spectrum[lines] = 0.5 * period * amplitudes * np.exp(1j * phases)
-    return np.asarray(fft.irfft(spectrum, period), dtype=np.float64)
+    return np.asarray(scipy.fft.irfft(spectrum, period), dtype=np.float64)
 
 
 def grid_size(lines: Lines, period: int) -> int:
@@ -74,7 +74,7 @@ def lowered(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Arra
     lowest = peak_ratio(lines, amplitudes, best, period)
     found = best
     for norm in _NORMS:
-        found = optimize.minimize(
+        found = scipy.optimize.minimize(
             _log_norm,
             found,
             args=(lines, amplitudes, size, norm),
@@ -96,7 +96,7 @@ def _clipped(lines: Lines, amplitudes: Array, phases: Array, size: int, count: i
         peak = float(np.max(np.abs(values)))
         if peak < lowest:
             best, lowest = phases, peak
-        phases = np.angle(fft.rfft(np.clip(values, -share * peak, share * peak))[lines])
+        phases = np.angle(scipy.fft.rfft(np.clip(values, -share * peak, share * peak))[lines])
     return best
 
 
@@ -108,6 +108,6 @@ def _log_norm(phases: Array, lines: Lines, amplitudes: Array, size: int, norm: i
     high = ratio ** (norm - 1)
     mean = float(np.mean(high * ratio))
     # d log norm / d x is high / (size mean peak); d x / d phase is the real part of i amplitude exp(i (phase + w t)).
-    weights = fft.rfft(high)[lines] / (size * mean * peak)
+    weights = scipy.fft.rfft(high)[lines] / (size * mean * peak)
     gradient = -np.imag(amplitudes * np.exp(1j * phases) * np.conj(weights))
     return float(np.log(peak) + np.log(mean) / norm), np.asarray(gradient, dtype=np.float64)

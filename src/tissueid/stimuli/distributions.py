@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from tissueid.errors import UnusableInputError
 
@@ -72,9 +72,9 @@ class Gaussian(Distribution):
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,), in standard deviations before the cut."""
-        beyond = special.ndtr(-self.cut)
-        below = special.ndtri(beyond + probability * (1.0 - 2.0 * beyond))
-        above = -special.ndtri(beyond + (1.0 - probability) * (1.0 - 2.0 * beyond))
+        beyond = scipy.special.ndtr(-self.cut)
+        below = scipy.special.ndtri(beyond + probability * (1.0 - 2.0 * beyond))
+        above = -scipy.special.ndtri(beyond + (1.0 - probability) * (1.0 - 2.0 * beyond))
         return np.asarray(0.5 * (below + above), dtype=np.float64)  # symmetric to the last bit
 
 

@@ -13,8 +13,8 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli.base import MOST_SAMPLES
@@ -100,7 +100,7 @@ def check_settling(cutoff_hz: float, sample_rate_hz: float, grid_cycles: float =
 
 
 def _frequencies(n: int, sample_rate_hz: float) -> Array:
-    return np.asarray(fft.rfftfreq(n, 1.0 / sample_rate_hz), dtype=np.float64)
+    return np.asarray(scipy.fft.rfftfreq(n, 1.0 / sample_rate_hz), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Butterworth(Spectrum):
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
         """Sum of the filter's power over so many frequencies that its response has died away between repeats."""
-        correlation = fft.irfft(*self._fine(lags, sample_rate_hz))[: lags + 1]
+        correlation = scipy.fft.irfft(*self._fine(lags, sample_rate_hz))[: lags + 1]
         return np.asarray(correlation / correlation[0], dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
@@ -147,11 +147,11 @@ class Butterworth(Spectrum):
         return self._gain(n, sample_rate_hz), n
 
     def _gain(self, n: int, sample_rate_hz: float) -> Array:
-        low_pass = signal.butter(self.order, self.cutoff_hz, fs=sample_rate_hz, output="sos")
+        low_pass = scipy.signal.butter(self.order, self.cutoff_hz, fs=sample_rate_hz, output="sos")
         gain = _frequencies(n, sample_rate_hz)
         for first in range(0, gain.size, _PIECE):
             piece = gain[first : first + _PIECE]
-            piece[:] = np.abs(signal.sosfreqz(low_pass, piece, fs=sample_rate_hz)[1]) ** 2
+            piece[:] = np.abs(scipy.signal.sosfreqz(low_pass, piece, fs=sample_rate_hz)[1]) ** 2
         return gain
 
 
@@ -361,7 +361,7 @@ class AutocorrelationTable(Spectrum):
         folded = np.zeros(n)
         np.add.at(folded, np.arange(one_sided.size) % n, one_sided)
         np.add.at(folded, -np.arange(1, one_sided.size) % n, one_sided[1:])
-        return np.asarray(fft.rfft(folded).real, dtype=np.float64)
+        return np.asarray(scipy.fft.rfft(folded).real, dtype=np.float64)
 
 
 def _geometric_power(exponent: complex, n: int) -> Array:

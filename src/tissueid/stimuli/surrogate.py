@@ -8,8 +8,8 @@ they were; what the second step spoils of the first is brought down by repeating
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 Array = NDArray[np.float64]
 
@@ -51,9 +51,11 @@ def spectral_surrogate(values: Array, levels: Array, amplitude: Array) -> Array:
     n = values.size
     arranged = ranked(values, levels)
     for _ in range(_ALTERNATIONS):
-        spectrum = fft.rfft(arranged)
+        spectrum = scipy.fft.rfft(arranged)
         size = np.abs(spectrum)
-        coloured = fft.irfft(np.divide(spectrum, size, out=np.zeros_like(spectrum), where=size > 0.0) * amplitude, n)
+        coloured = scipy.fft.irfft(
+            np.divide(spectrum, size, out=np.zeros_like(spectrum), where=size > 0.0) * amplitude, n
+        )
         arranged = ranked(coloured, levels)
     return arranged
 
@@ -82,22 +84,22 @@ def lag_surrogate(values: Array, target: Array) -> Array:
     order = np.argsort(values[1:], kind="stable")
     levels, levels_about = values[1:][order], about[1:][order]
     n, lags = values.size, target.size - 1
-    padded = int(fft.next_fast_len(n + lags, real=True))
-    wanted = np.maximum(fft.rfft(_two_sided(target, padded)).real, 0.0)
+    padded = int(scipy.fft.next_fast_len(n + lags, real=True))
+    wanted = np.maximum(scipy.fft.rfft(_two_sided(target, padded)).real, 0.0)
     divisor = 2.0 * np.maximum(wanted, max(_FLOOR[0], _FLOOR[1] * float(np.max(wanted))))
     power = float(about @ about)
 
     def errors_of(signal: Array) -> tuple[NDArray[np.complex128], Array]:
-        spectrum = fft.rfft(signal, padded)
-        correlation = fft.irfft(spectrum.real**2 + spectrum.imag**2, padded)[: lags + 1]
+        spectrum = scipy.fft.rfft(signal, padded)
+        correlation = scipy.fft.irfft(spectrum.real**2 + spectrum.imag**2, padded)[: lags + 1]
         return spectrum, np.concatenate([[0.0], correlation[1:] / power - target[1:]])
 
     best = about
     spectrum, errors = errors_of(best)
     least, step = float(errors @ errors), 1.0
     for _ in range(_CORRECTIONS):
-        correction = fft.rfft(_two_sided(errors, padded)).real / divisor
-        moved = best - step * fft.irfft(correction * spectrum, padded)[:n]
+        correction = scipy.fft.rfft(_two_sided(errors, padded)).real / divisor
+        moved = best - step * scipy.fft.irfft(correction * spectrum, padded)[:n]
         tried = np.concatenate([about[:1], ranked(moved[1:], levels_about)])
         tried_spectrum, tried_errors = errors_of(tried)
         error = float(tried_errors @ tried_errors)

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, Va
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.options import reason
 from tissueid.sessions.model import STATUSES, Session, Subject, Test
 
 FORMAT = "tissueid-export"
@@ -184,10 +185,9 @@ def attributes_beside(path: Path) -> Attributes | None:
     try:
         return Attributes.model_validate(value)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"])
+        where = ".".join(str(step) for step in error.errors()[0]["loc"])
         raise UnusableInputError(
-            f"the attributes beside it, {beside.name}, are broken at {where}: {first['msg']}"
+            f"the attributes beside it, {beside.name}, are broken at {where}: {reason(error)}"
         ) from error
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+import scipy
 from pydantic import Field
-from scipy import fft, signal
 
 from tissueid.stimuli.base import Array, Stimulus, stimulus
 from tissueid.stimuli.shaped import Shaped
@@ -42,7 +42,7 @@ class Noise(Shaped):
         if self.distribution == "gaussian":
             return self.as_stimulus(_gaussian(shape, self.clipped))
         levels = self.wanted_distribution().levels(shape.size)
-        values = spectral_surrogate(shape, levels, np.abs(fft.rfft(shape)))
+        values = spectral_surrogate(shape, levels, np.abs(scipy.fft.rfft(shape)))
         return self.as_stimulus(np.roll(values, -mean_crossing(values - _middle(levels))))
 
     def _filtered(self) -> Array:
@@ -50,8 +50,8 @@ class Noise(Shaped):
         n = self.samples
         settle = settling(self.cutoff_hz, self.sample_rate)
         white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(n + 2 * settle)
-        low_pass = signal.butter(self.order, self.cutoff_hz, fs=self.sample_rate, output="sos")
-        filtered = signal.sosfilt(low_pass, white)[settle:]  # (n + settle,)
+        low_pass = scipy.signal.butter(self.order, self.cutoff_hz, fs=self.sample_rate, output="sos")
+        filtered = scipy.signal.sosfilt(low_pass, white)[settle:]  # (n + settle,)
         start = mean_crossing(filtered[: settle + 1])
         return np.asarray(filtered[start : start + n], dtype=np.float64)
 
@@ -60,7 +60,7 @@ class Noise(Shaped):
         n = self.samples
         white = np.random.Generator(np.random.PCG64(self.seed)).standard_normal(2 * n)
         amplitude = np.sqrt(self.wanted_spectrum().power(2 * n, self.sample_rate))
-        coloured = fft.irfft(fft.rfft(white) * amplitude, 2 * n)
+        coloured = scipy.fft.irfft(scipy.fft.rfft(white) * amplitude, 2 * n)
         start = mean_crossing(coloured[: n + 1])
         return np.asarray(coloured[start : start + n], dtype=np.float64)
 

@@ -1,0 +1,64 @@
+"""One step of the device clock: a command goes out, and what the sensors say comes in and is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.bench import Bench
+from firmware_sim.guard import Guard
+from firmware_sim.limits import ArmedLimits
+from tissueid import wire
+from tissueid.wire import Fault, Flag
+
+SIGNALS = tuple(name for name in wire.SAMPLE.names or () if name != "flags")
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What was played and sampled, n samples of it: ``command_v`` and ``flags`` (n,), ``samples`` (n,) of wire.SAMPLE.
+
+    ``fault`` is the limit that its last sample broke; ``button`` says that the button is pressed.
+    """
+
+    command_v: NDArray[np.float64]
+    flags: NDArray[np.uint16]
+    samples: NDArray[np.void]
+    fault: Fault
+    button: bool
+
+
+def sampled(
+    bench: Bench,
+    guard: Guard,
+    command_v: NDArray[np.float64],
+    flags: NDArray[np.uint16],
+    *,
+    energised: bool,
+    limits: ArmedLimits | None,
+    cursor: int,
+) -> Sampled:
+    """Play a command, shape (n,), V, that is at ``cursor`` of its run; less of it where a limit is broken.
+
+    Nothing is judged while the coil is off, or without limits.
+    """
+    before = bench.snapshot()
+    block = bench.block(command_v, energised)
+    first, fault = 0, Fault.NONE
+    if limits is not None and energised:
+        first, fault = guard.judge(block, limits, cursor)
+    if fault and first + 1 < command_v.size:
+        # The trip acts on the very next sample, so what came after it never happened.
+        bench.restore(before)
+        command_v, flags = command_v[: first + 1], flags[: first + 1]
+        block = bench.block(command_v, energised)
+    guard.live_on(block)
+    samples = np.zeros(command_v.size, wire.SAMPLE)
+    for column, name in enumerate(SIGNALS):
+        samples[name] = block.codes[:, column]
+    samples["flags"] = (
+        flags | Flag.ENERGISED * energised | Flag.BUTTON * block.button | np.where(block.flags, Flag.SATURATED, 0)
+    )
+    return Sampled(command_v, flags, samples, fault, block.button)

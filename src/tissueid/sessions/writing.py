@@ -1,0 +1,126 @@
+"""Writing the HDF5 session file: whole under another name, read back and compared, then renamed into place."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from tissueid.errors import SessionFormatError
+from tissueid.sessions.file import FORMAT, FORMAT_VERSION, read_all_but_tests, read_numbered
+from tissueid.sessions.members import opened, subgroup
+from tissueid.sessions.model import SIGNAL_NAMES, Session, Test
+from tissueid.whole_file import whole_file
+
+_Digests = dict[int, dict[str, bytes]]
+"""What was written, by test and signal."""
+
+
+def write_session(
+    path: Path, session: Session, *, tests: Iterable[Test] | None = None, overwrite: bool = False
+) -> None:
+    """Write a session so that ``path`` is either not there or whole.
+
+    The file is written beside ``path`` under a temporary name, read back and compared, synced, then renamed. ``tests``
+    stand in for those of ``session``, and are asked for one by one: a long sitting need not be in memory.
+
+    Raises:
+        SessionFormatError: ``path`` is there already, or what was read back differs from what was written.
+        OSError: the disk is full or not writable; nothing is left behind.
+    """
+    if path.exists() and not overwrite:
+        raise SessionFormatError(f"{path} is there already; sessions are never overwritten")
+    if not path.parent.is_dir():
+        raise SessionFormatError(f"there is no folder {path.parent}")
+    with whole_file(path, synced=True) as partial:
+        try:
+            with h5py.File(partial, "w", libver="v110") as file:
+                digests = _write(file, session, session.tests if tests is None else tests)
+        except (OSError, RuntimeError) as error:  # h5py wraps a full disk in a text of its own
+            number = re.search(r"errno = (\d+)", str(error))
+            reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
+            raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
+        _verify(partial, session.session_id, digests)
+
+
+def _digest(values: np.ndarray) -> bytes:
+    return hashlib.blake2b(np.ascontiguousarray(values, dtype=np.float64).data).digest()
+
+
+def _write(file: h5py.File, session: Session, tests: Iterable[Test]) -> _Digests:
+    file.attrs.update(
+        format=FORMAT,
+        format_version=FORMAT_VERSION,
+        session_id=session.session_id,
+        created=session.created,
+        software=session.software,
+    )
+    if session.audit_head:
+        file.attrs["audit_head"] = session.audit_head
+    instrument = file.create_group("instrument")
+    figures = asdict(session.instrument)
+    calibration = figures.pop("calibration")
+    instrument.attrs.update(figures)
+    if calibration:
+        instrument.attrs["calibration"] = json.dumps(calibration)
+    subject = file.create_group("subject")
+    subject.attrs.update(session.subject.demographics)
+    subject.attrs["pseudonym"] = session.subject.pseudonym
+    group = file.create_group("tests")
+    digests: _Digests = {}
+    for test in tests:
+        _write_test(group.create_group(f"{test.number:04d}"), test)
+        digests[test.number] = {name: _digest(values) for name, values in test.signals.items() if name != "time"}
+    return digests
+
+
+def _write_test(group: h5py.Group, test: Test) -> None:
+    group.attrs.update(test.notes)
+    group.attrs.update(
+        kind=test.kind,
+        configuration=test.configuration,
+        site=test.site,
+        sample_rate_hz=test.sample_rate_hz,
+        preload_s=test.preload_s,
+        surface_position_m=test.surface_position_m,
+        stimulus=json.dumps(test.stimulus),
+        seed=test.seed,
+        repeat_of="" if test.repeat_of is None else f"{test.repeat_of:04d}",
+        status=test.status,
+    )
+    signals = group.create_group("signals")
+    time = signals.create_dataset("time", data=np.arange(test.samples) / test.sample_rate_hz)
+    time.make_scale("time")
+    for name, values in test.signals.items():
+        if name == "time":
+            continue
+        dataset = signals.create_dataset(name, data=values, compression="gzip", compression_opts=4, shuffle=True)
+        dataset.dims[0].attach_scale(time)
+    for name, dataset in signals.items():
+        dataset.attrs["units"] = test.unit(name) or "1"
+        dataset.attrs["long_name"] = SIGNAL_NAMES.get(name, name)
+
+
+def _verify(path: Path, session_id: str, digests: _Digests) -> None:
+    """Read back what was written, one test at a time.
+
+    Raises:
+        SessionFormatError: it differs, or could not be read by anybody else.
+    """
+    with opened(path) as file:
+        stored = read_all_but_tests(file)
+        tests = subgroup(file, "tests")
+        if stored.session_id != session_id or len(tests) != len(digests):
+            raise SessionFormatError("the session reads back differently")
+        for number, written in digests.items():
+            test = read_numbered(name := f"{number:04d}", subgroup(tests, name))
+            for signal, digest in written.items():
+                if signal not in test.signals or _digest(test.signals[signal]) != digest:
+                    raise SessionFormatError(f"test {number}, {signal} reads back differently")

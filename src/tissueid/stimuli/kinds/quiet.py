@@ -1,0 +1,37 @@
+"""Nothing at all: what moves the probe while nobody asks it to."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from tissueid.stimuli.base import OpenLoopKind, Stimulus, stimulus
+
+
+@stimulus
+class Quiet(OpenLoopKind):
+    """No force at all: a record of what the surroundings and the sensors do by themselves.
+
+    The probe leans on the tissue with its own weight, or lies free where the device does not point down. Pulse, breath,
+    a shaking hand, hum and the sensors' noise are left.
+    """
+
+    name: ClassVar[str] = "quiet"
+    test_kind: ClassVar[str] = "quiet"
+
+    seconds: float = Field(1.5, gt=0.0, le=600.0, description="Length, s")
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+
+    def build(self) -> Stimulus:
+        """Build the history, shape (seconds * sample_rate,), N: zeros. It has no crest factor: that is NaN."""
+        samples = max(1, round(self.seconds * self.sample_rate))
+        return Stimulus(
+            values=np.zeros(samples),
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=0,
+            crest_factor=float("nan"),
+            begins_at=0.0,
+        )

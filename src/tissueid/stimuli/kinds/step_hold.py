@@ -1,0 +1,71 @@
+"""Steps that are held: what the tissue does after the force has come to rest."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from tissueid.errors import UnusableInputError
+from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
+
+SECONDS, RISE_S = 4.0, 0.01
+LEVELS = (0.0, 1.0, 0.5, 0.0)
+"""Of the range, one after the other, each for as long."""
+
+
+@stimulus
+class StepHold(Ranged):
+    """Steps that are held: from the least to the greatest force, halfway back, and back.
+
+    Creep, relaxation and drift show while the force rests. The steps are raised cosines of ``rise_s``, because sharp
+    edges hurt (Chen 2010, 3.1.1). It begins and ends at its least force, and so does its preload.
+    """
+
+    name: ClassVar[str] = "step_hold"
+    test_kind: ClassVar[str] = "step_hold"
+
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description="Length of the four holds together, s")
+    rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description="Time that each step takes, s")
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+
+    @model_validator(mode="after")
+    def _steps_have_room(self) -> StepHold:
+        hold_s = self.seconds / len(LEVELS)
+        if self.rise_s > hold_s:
+            raise UnusableInputError(
+                f"steps of {self.rise_s:g} s do not fit into holds of {hold_s:g} s: give more seconds or a shorter "
+                "rise_s"
+            )
+        if hold_s * self.sample_rate < 1.0:
+            raise UnusableInputError("each hold needs a sample or more: give more seconds")
+        return self
+
+    def planned_samples(self) -> int:
+        """Samples of the four holds."""
+        return len(LEVELS) * round(self.seconds / len(LEVELS) * self.sample_rate)
+
+    def build(self) -> Stimulus:
+        """Build the history, four holds of as many samples, N or V."""
+        low, high, unit = self.span
+        hold = self.planned_samples() // len(LEVELS)
+        values = low + (high - low) * steps(hold, self.rise_s * self.sample_rate)
+        return Stimulus(
+            values=values,
+            sample_rate_hz=self.sample_rate,
+            description=self.describe(),
+            seed=0,
+            crest_factor=crest_factor(values),
+            unit=unit,
+            begins_at=low,
+        )
+
+
+def steps(hold: int, rise: float) -> Array:
+    """``LEVELS``, each for ``hold`` samples, shape (4 hold,), with raised cosines of ``rise`` samples between them."""
+    levels = np.repeat(LEVELS, hold)
+    before = np.repeat((LEVELS[0], *LEVELS[:-1]), hold)
+    since = np.tile(np.arange(1, hold + 1), len(LEVELS))
+    share = 0.5 * (1.0 - np.cos(np.pi * np.minimum(since / max(rise, 1.0), 1.0)))
+    return np.asarray(before + (levels - before) * share, dtype=np.float64)
