@@ -1,4 +1,7 @@
-"""Take the pictures of docs/images from the real window: run with the environment's Python, no display needed."""
+"""Take the pictures of docs/images from the real window: run with the environment's Python, no display needed.
+
+Instruments and subjects are simulated and every date is set, so that two runs show the same.
+"""
 
 from __future__ import annotations
 
@@ -6,137 +9,246 @@ import functools
 import os
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from PIL import Image
-from PySide6.QtCore import QEventLoop, QTimer
+from PySide6.QtCore import QItemSelectionModel, QSettings
 from PySide6.QtGui import QColor, QPalette
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QDialog, QLabel
+from screenshot_scene import LONGEST_S, SetClock, let_pass, live_in, set_clock, take, until, use_set_clock
+from screenshot_sessions import FOREARM, SPRING, Pace, keep_calibrations, opener, record_laboratory, record_past
 
+from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
 from tissueid.app.surroundings import Surroundings
+from tissueid.app.views.gap.view import GapView
+from tissueid.app.views.researcher.view import ResearchView
+from tissueid.app.views.technician.view import InstrumentView
 from tissueid.audit import AuditLog
-from tissueid.calibration import Calibration, calibrated, write_calibration
-from tissueid.calibration.file import utc_date
-from tissueid.instrument import Found, SimulatedInstrument
+from tissueid.calibration import calibrated
+from tissueid.instrument import Found
 
-IMAGES = Path(__file__).parents[1] / "docs" / "images"
-SIZE = (1280, 800)
-COLOURS = 96
-LONGEST_S = 120.0
-"""How long the window may take for anything."""
+SIZE, WIDE = (1280, 800), (1440, 900)
+"""Of the window; help finds its place beside a page only where there is room for both."""
 HELD_AT_POLL = 430
 """Where the running test is held for its picture: a good half through its stimulus."""
 
 
-class Pace:
-    """Lets the simulation run at once to one moment, and on when it is told to."""
-
-    def __init__(self) -> None:
-        self.polls = 0
-        self.held, self.go_on = threading.Event(), threading.Event()
-
-    def wait(self, _seconds: float) -> None:
-        """Hold the test at the moment of its picture."""
-        self.polls += 1
-        if self.polls == HELD_AT_POLL:
-            self.held.set()
-            self.go_on.wait()
-
-
 def main() -> None:
-    """Run one test and take a picture before, during and after, the last in dark colours too."""
+    """Take all pictures, one page after the other; names of pictures as arguments choose among the pages."""
     application = QApplication([])
     application.setStyle("Fusion")
-    pace = Pace()
     with tempfile.TemporaryDirectory() as folder:
-        around = Surroundings(
-            finder=lambda probe: [Found("simulated://forearm", "simulation in this process", True)],
-            calibrate=functools.partial(calibrated, folder=_calibrations(Path(folder))),
-            audit=AuditLog(Path(folder) / "audit.jsonl"),
-            folder=Path(folder) / "Documents" / "TissueID",
-            wait=pace.wait,
-            apart=False,
-            now=lambda: datetime(2026, 1, 15, 10, 30),
-        )
-        window = MainWindow(around)
-        window.resize(*SIZE)
-        window.show()
-        _take(window, "window-before")
-        window.ui.form.site.setCurrentText("left forearm, posterior")
-        window.ui.start.click()
-        _until(pace.held.is_set, "the test to come to where it is held")
-        _take(window, "window-during")
-        pace.go_on.set()
-        _until(lambda: window.findings is not None, "what was found in the test")
-        _take(window, "window")
-        dark = QPalette(QColor("#232a2f"), QColor("#1b2024"))
-        dark.setColor(QPalette.ColorRole.WindowText, QColor("#e6eaec"))
-        application.setPalette(dark)
-        _take(window, "window-dark")
-        window.close()
-        _until(lambda: not window.isVisible(), "the window to close")
+        before = Path.cwd()
+        live_in(Path(folder))
+        use_set_clock()
+        try:
+            _take_all(application)
+        finally:
+            os.chdir(before)
 
 
-def _calibrations(folder: Path) -> Path:
-    """A static calibration and a sweep of the simulated instrument, twelve days old."""
-    device = SimulatedInstrument().device
-    figures = {
-        "static": {"coil_resistance_ohm": 12.0, "force_constant_n_per_a": 3.0},
-        "sweep": {"linear_region_min_m": 0.004, "linear_region_max_m": 0.0275},
-    }
-    for kind, quantities in figures.items():
-        made = Calibration.model_validate(
-            {
-                "kind": kind,
-                "model": device.model,
-                "serial_number": device.serial_number,
-                "date": utc_date(datetime.now(UTC) - timedelta(days=12)),
-                "software": "tissueid",
-                "verdict": "passed",
-                "quantities": {name: {"value": value} for name, value in quantities.items()},
-            }
-        )
-        write_calibration(folder / f"{kind}.toml", made)
-    return folder
+def _take_all(application: QApplication) -> None:
+    sessions, audit = Path("Documents/TissueID"), AuditLog(Path("data/audit.jsonl"))
+    calibrations = keep_calibrations(Path("calibrations"))
+    calibrate = functools.partial(calibrated, folder=calibrations)
+    record_past(sessions, audit, calibrate)
+    record_laboratory(sessions / "2026-01-12_bearing.h5")
+    set_clock()
+    pace = Pace(HELD_AT_POLL)
+    around = Surroundings(
+        opener=opener,
+        finder=_found,
+        calibrate=calibrate,
+        calibrations=calibrations,
+        audit=audit,
+        folder=sessions,
+        wait=pace.wait,
+        apart=False,
+        now=SetClock.now,
+        show_file=lambda _: True,
+        stop=lambda: EmergencyStop(patience_s=LONGEST_S),  # a machine that is busy is no reason to stop a picture
+        settings=lambda: QSettings("config/window.ini", QSettings.Format.IniFormat),
+    )
+    window = MainWindow(around)
+    window.resize(*SIZE)
+    window.show()
+    idle = functools.partial(until, lambda: not window.jobs, "work to end")
+    let_pass(300)
+    idle()
+    take_start(window, idle)
+    take_measure(window, pace, idle)
+    take_repeats(window, idle)
+    take_dark(window, application)
+    take_research(window, idle)
+    take_gap(window, sessions, idle)
+    take_instrument(window, idle)
+    window.close()
+    until(lambda: not window.isVisible(), "the window to close")
 
 
-def _until(done: Callable[[], bool], what: str) -> None:
-    """Let the window go on until something is so.
-
-    Raises:
-        SystemExit: it never was; says what was waited for.
-    """
-    deadline = time.monotonic() + LONGEST_S
-    while not done():
-        if time.monotonic() > deadline:
-            sys.stderr.write(f"make_screenshots: waited {LONGEST_S:g} s for {what}, in vain\n")
-            sys.stderr.flush()
-            os._exit(1)  # the test that is held for its picture would keep the program from ending
-        _pass(20)
+def take_start(window: MainWindow, idle: Callable[[], None]) -> None:
+    """The first page, once every instrument was asked."""
+    window.pages.show("start")
+    idle()
+    window.searching.find_instruments()
+    idle()
+    let_pass(100)
+    idle()
+    window.ui.notice.hide()
+    _without_folder(window)
+    take(window, "window-start")
 
 
-def _pass(milliseconds: int) -> None:
-    loop = QEventLoop()
-    QTimer.singleShot(milliseconds, loop.quit)
-    loop.exec()
+def take_measure(window: MainWindow, pace: Pace, idle: Callable[[], None]) -> None:
+    """A test: before, on the body map, during, after."""
+    ui = window.ui
+    window.pages.show("measure")
+    ui.form.subject.setText("P-001")
+    take(window, "window-before")
+    ui.form.site.setCurrentText("left forearm, posterior")
+    window.clinician.open_map()
+    let_pass(100)
+    take(_dialog(window), "window-body-map")
+    _dialog(window).close()
+    window.activateWindow()
+    ui.start.click()
+    until(pace.held.is_set, "the test to come to where it is held")
+    take(window, "window-during")
+    pace.go_on.set()
+    until(lambda: window.findings is not None and not window.jobs, "what was found in the test")
+    idle()
+    take(window, "window")
 
 
-def _take(window: MainWindow, name: str) -> None:
-    _pass(200)  # let a frame and a change of palette come through
-    path = IMAGES / f"{name}.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    window.grab().save(str(path))
-    with Image.open(path) as image:
-        small = image.convert("RGB").quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    small.save(path, optimize=True)
-    print(f"{path.name}: {path.stat().st_size // 1024} kB")
+def take_repeats(window: MainWindow, idle: Callable[[], None]) -> None:
+    """Two repeats more, their mean, and the comparison with the subject's other sittings."""
+    for minutes in (2, 4):
+        set_clock(0, minutes)
+        window.ui.gate.repeats.repeat.click()
+        until(lambda: bool(window.jobs), "the repeat to begin")
+        idle()
+    take(window, "window-repeats")
+    window.resize(*WIDE)
+    window.panels.help_button.click()
+    window.panels.log_button.click()
+    let_pass(100)
+    take(window, "window-help")
+    window.panels.help_button.click()
+    window.panels.log_button.click()
+    window.resize(*SIZE)
+
+
+def take_dark(window: MainWindow, application: QApplication) -> None:
+    """The same in dark colours."""
+    light = application.palette()
+    dark = QPalette(QColor("#232a2f"), QColor("#1b2024"))
+    dark.setColor(QPalette.ColorRole.WindowText, QColor("#e6eaec"))
+    application.setPalette(dark)
+    take(window, "window-dark")
+    application.setPalette(light)
+    let_pass(200)
+
+
+def take_research(window: MainWindow, idle: Callable[[], None]) -> None:
+    """Signals of two tests, an engine's fit, and the engines side by side."""
+    window.pages.show("research")
+    page = window.ui.views["research"]
+    assert isinstance(page, ResearchView)
+    let_pass(300)
+    idle()
+    let_pass(300)
+    rows = page.browser.shown
+    picked = page.browser.tree.selectionModel()
+    flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
+    for row in (0, 6):
+        picked.select(rows.index(row, 0), flags)
+    let_pass(500)
+    idle()
+    let_pass(300)
+    idle()
+    take(window, "research-signals")
+    page.tabs.setCurrentWidget(page.analysis)
+    analysis = page.analysis
+    for engine in ("wiener", "lms"):
+        analysis.form.choose(engine)
+        analysis.run.click()
+        idle()
+    take(window, "research-analysis")
+    analysis.verdicts.take_compared(("lms", "wiener", "dpn"))
+    analysis.compare.click()
+    idle()
+    take(window, "research-recommendation")
+
+
+def take_gap(window: MainWindow, sessions: Path, idle: Callable[[], None]) -> None:
+    """One diagnosis, tab by tab."""
+    window.pages.show("gap")
+    page = window.ui.views["gap"]
+    assert isinstance(page, GapView)
+    page.asking.take(sessions / "2026-01-12_bearing.h5")
+    page.asking.run.click()
+    until(lambda: bool(window.jobs), "the diagnosis to begin")
+    idle()
+    for number, name in enumerate(("where", "which")):
+        page.result.tabs.setCurrentIndex(number)
+        take(window, f"gap-{name}")
+
+
+def take_instrument(window: MainWindow, idle: Callable[[], None]) -> None:
+    """The four tabs, and the one on which a coil is calibrated."""
+    ui = window.ui
+    ui.role.choice.setCurrentIndex(ui.role.choice.findData("technician"))
+    idle()
+    window.pages.show("instrument")
+    page = ui.views["instrument"]
+    assert isinstance(page, InstrumentView)
+    let_pass(200)
+    idle()
+    page.health.ask.click()
+    idle()
+    ui.notice.hide()
+    take(window, "instrument-health")
+    for number, name in enumerate(("calibrations", "faults", "audit"), 1):
+        page.tabs.setCurrentIndex(number)
+        let_pass(100)
+        idle()
+        if name == "calibrations":
+            kinds = [row.item.calibration.kind for row in page.calibrations.model.rows]
+            chosen = page.calibrations.list.selectionModel()
+            flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
+            for row in [place for place, kind in enumerate(kinds) if kind == "sweep"][:3]:
+                chosen.select(page.calibrations.model.index(row, 0), flags)
+        if name == "faults":
+            page.faults.kind.setCurrentIndex(1)
+            kinds = [event.kind for event in page.faults.model.rows]
+            page.faults.list.selectRow(kinds.index("Stopped"))
+        if name == "audit":
+            page.audit.verify.click()
+            idle()
+        take(window, f"instrument-{name}")
+    window.pages.show("measure")
+    ui.pages.setCurrentWidget(ui.calibration)
+    take(window, "window-calibration")
+
+
+def _found(**_: object) -> list[Found]:
+    return [Found(url, "simulation in this process", True) for url in (FOREARM, SPRING)]
+
+
+def _without_folder(window: MainWindow) -> None:
+    """Some places are absolute wherever they are set: show them from the folder of the pictures on."""
+    here = f"{Path.cwd()}/"
+    for label in window.ui.views["start"].findChildren(QLabel):
+        label.setText(label.text().replace(here, ""))
+
+
+def _dialog(window: MainWindow) -> QDialog:
+    return next(found for found in window.findChildren(QDialog) if found.isVisible())
 
 
 if __name__ == "__main__":

@@ -1,0 +1,191 @@
+"""What lies in the folders when the pictures are taken: sessions of simulated subjects, calibrations, an audit log."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from screenshot_scene import SetClock, set_clock
+
+from firmware_sim.drawing import NOMINAL, draw_scenario
+from firmware_sim.effects import LISTED
+from tissueid.acquisition import SessionRecorder
+from tissueid.app.emergency import BY_KEY, EmergencyStop
+from tissueid.app.live import LiveSignals
+from tissueid.app.measuring import measure
+from tissueid.app.plan import Plan, dated_path
+from tissueid.audit import AuditLog, Trail
+from tissueid.calibration import Calibration, Quantity, write_calibration
+from tissueid.calibration.file import utc_date
+from tissueid.device import DeviceDescription
+from tissueid.instrument import SimulatedInstrument
+from tissueid.sessions import Session, Subject, Test, write_session
+
+FOREARM, ANTERIOR, SPRING = "simulated://forearm", "simulated://anterior-forearm", "simulated://spring"
+PAST = (
+    (-64, "P-002", "left forearm, anterior", ANTERIOR, 10.5),
+    (-41, "P-001", "left forearm, posterior", FOREARM, 8.0),
+    (-40, "P-003", "right forearm, anterior", ANTERIOR, 10.5),
+    (-15, "P-001", "left forearm, anterior", ANTERIOR, 8.0),
+    (-6, "P-002", "left forearm, posterior", FOREARM, 10.5),
+)
+"""Day, subject, site, what plays it, and greatest force, N, of the tests that were run before."""
+SERIAL = "TWIN-7"
+_seeds = itertools.count(1)
+PLACES_M = tuple(0.002 * k for k in range(1, 16))
+
+
+def opener(url: str) -> SimulatedInstrument:
+    """The simulation that an address names, each time with other noise: the first, the second and so on."""
+    played = SimulatedInstrument(url.removeprefix("simulated://"), seed=next(_seeds))
+    played.nominal = played.device = replace(played.device, serial_number=SERIAL)
+    return played
+
+
+class Pace:
+    """Lets the simulation run at once to one poll, and on when it is told to."""
+
+    def __init__(self, held_at: int) -> None:
+        self.left = held_at
+        self.held, self.go_on = threading.Event(), threading.Event()
+
+    def wait(self, _seconds: float) -> None:
+        """Hold the test at the moment of its picture."""
+        self.left -= 1
+        if self.left == 0:
+            self.held.set()
+            self.go_on.wait()
+
+
+def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:
+    """Run the tests of the days before, one of them stopped by key, and leave one unfinished."""
+    folder.mkdir(parents=True)
+    trail = Trail(audit, "clinician")
+    for number, (day, subject, site, url, force_n) in enumerate(PAST):
+        set_clock(day, 17 * number)
+        plan = Plan(
+            url=url,
+            site=site,
+            path=dated_path(folder, SetClock.now()),
+            pseudonym=subject,
+            max_force_n=force_n,
+            seed=number + 1,
+        )
+        _run(plan, EmergencyStop(), trail, calibrate)
+        _date(plan.path)
+    set_clock(-2, 20)
+    plan = Plan(url=FOREARM, site="left calf", path=dated_path(folder, SetClock.now()), pseudonym="P-004")
+    stop = EmergencyStop()
+    _run(plan, stop, trail, calibrate, stop_after=300)
+    _date(plan.path)
+    set_clock(-1, 45)
+    unfinished = SessionRecorder(dated_path(folder, SetClock.now()), opener(FOREARM).device, Subject("P-004"))
+    unfinished.abandon()
+
+
+def _run(plan: Plan, stop: EmergencyStop, trail: Trail, calibrate: object, stop_after: int = 0) -> None:
+    polls = 0
+
+    def wait(_seconds: float) -> None:
+        nonlocal polls
+        polls += 1
+        if polls == stop_after:
+            stop.press(BY_KEY)
+
+    measure(plan, LiveSignals(), stop, opener, wait, apart=False, trail=trail, calibrate=calibrate)  # type: ignore[arg-type]
+
+
+def _date(path: Path) -> None:
+    """The list of sessions goes by when a file was changed."""
+    os.utime(path, (SetClock.moment.timestamp(),) * 2)
+
+
+def record_laboratory(path: Path) -> None:
+    """A session with full tests of a plant whose bearing has dry friction, which the nominal twin knows nothing of."""
+    set_clock(-3)
+    others = tuple(name for name in LISTED if name != "dry_friction")
+    drawn = draw_scenario(3, effects=1, without=others, full=False)
+    tests = tuple(
+        Test(
+            number,
+            plan.kind,
+            {name: getattr(made, name)[:4000] for name in ("time", "command", "voltage", "current", "position")},
+            2000.0,
+            preload_s=0.5,
+            surface_position_m=made.surface_m,
+            repeat_of=plan.repeats,
+            site="left forearm, posterior",
+        )
+        for number, (plan, made) in enumerate(zip(drawn.tests, drawn.record(), strict=True), 1)
+    )
+    write_session(path, Session(replace(DeviceDescription(**NOMINAL), serial_number="DI-0042"), tests=tests))
+    _date(path)
+
+
+def keep_calibrations(folder: Path) -> Path:
+    """Static calibrations and sweeps of the simulated instrument over half a year, the force constant drifting."""
+    folder.mkdir(parents=True)
+    device = opener(FOREARM).device
+    for kind, days, share in (
+        ("static", -171, 1.006),
+        ("sweep", -170, 1.004),
+        ("static", -88, 1.002),
+        ("sweep", -87, 1.001),
+        ("static", -12, 0.997),
+        ("sweep", -12, 0.998),
+    ):
+        set_clock(days, -60)
+        made = Calibration(
+            kind=kind,  # type: ignore[arg-type]
+            model=device.model,
+            serial_number=device.serial_number,
+            date=utc_date(SetClock.now(SetClock.moment.tzinfo)),
+            software="tissueid",
+            verdict="passed",
+            quantities=_static(share) if kind == "static" else _sweep(share),
+            tables=_residuals() if kind == "static" else _along(share),
+        )
+        write_calibration(folder / f"{made.serial_number}-{made.date[:10]}-{kind}.toml", made)
+    return folder
+
+
+def _static(share: float) -> dict[str, Quantity]:
+    return {
+        "coil_resistance_ohm": Quantity(value=12.0 + 3.0 * (1.0 - share), std=0.003, unit="ohm"),
+        "force_constant_n_per_a": Quantity(value=3.0 * share, std=0.004, unit="N/A"),
+        "current_offset_a": Quantity(value=0.001, std=1e-4, unit="A"),
+    }
+
+
+def _sweep(share: float) -> dict[str, Quantity]:
+    return {
+        "force_constant_n_per_a": Quantity(value=3.0 * share, std=0.006, unit="N/A"),
+        "linear_region_min_m": Quantity(value=0.004, std=5e-5, unit="m"),
+        "linear_region_max_m": Quantity(value=0.0275, std=5e-5, unit="m"),
+    }
+
+
+def _residuals() -> dict[str, dict[str, tuple[float, ...]]]:
+    volts = tuple(float(v) for v in np.linspace(-6.0, 6.0, 13))
+    return {"electrical": {"voltage_v": volts, "residual_a": tuple(2e-4 * float(np.sin(2.1 * v)) for v in volts)}}
+
+
+def _along(share: float) -> dict[str, dict[str, tuple[float, ...]]]:
+    """A coil whose force falls off towards both ends of its stroke."""
+    off = (np.array(PLACES_M) - 0.0158) / 0.0155
+    constant = 3.0 * share * (1.0 - 0.06 * off**4 + 0.002 * np.cos(9.0 * off))
+    mass, damping = 0.0602 + 0.0002 * np.cos(5.0 * off), 3.5 + 0.15 * off**2
+    columns = {
+        "vaf_percent": 99.7 - 0.4 * off**2,
+        "mass_kg": mass,
+        "damping_n_s_per_m": damping,
+        "stiffness_n_per_m": 1000.0 + 4.0 * np.sin(4.0 * off),
+    }
+    return {
+        "force_constant": {"position_m": PLACES_M, "value_n_per_a": tuple(map(float, constant))},
+        "sweep": {"position_m": PLACES_M} | {name: tuple(map(float, values)) for name, values in columns.items()},
+    }
