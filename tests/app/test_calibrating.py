@@ -9,7 +9,8 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.calibrating import CalibrationOutcome, Conversation, free_name
+from tissueid.app.calibrating import free_name
+from tissueid.app.conversation import CalibrationOutcome, Conversation
 from tissueid.app.emergency import EmergencyStop
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import Calibration, Quantity, StaticPlan, read_calibration

@@ -37,6 +37,7 @@ def test_every_control_has_a_name(window):
 
 @pytest.mark.parametrize("page", ["start", "measure", "research", "gap", "instrument"])
 def test_no_two_mnemonics_on_a_page_are_the_same(window, page):
+    window.pages.show(page)
     window.ui.notice.say("something", offer="Re&cover")
     others = [view for name, view in window.ui.views.items() if name != page]
     parts = [item for kind in (QLabel, QAbstractButton) for item in window.findChildren(kind)]

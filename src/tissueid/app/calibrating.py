@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
-
-import platformdirs
 
 from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.waiting import meanwhile
-from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.calibration_state import calibration_state
+from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
 from tissueid.app.emergency import EmergencyStop
 from tissueid.audit import Trail
 from tissueid.calibration import StaticPlan, calibrate_static, write_calibration
@@ -22,119 +18,16 @@ from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.in_force import go_by_static, put_in_force
 from tissueid.calibration.moved_by_hand import Standing, wait_until_there
-from tissueid.calibration.store import LOCAL, calibration_folder, stored_calibrations
+from tissueid.calibration.store import stored_calibrations
 from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.words import notes_of
-from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
 
-Kind = Literal["static", "sweep"]
-_WAIT_S = 0.1
 BRING_WORDS = "Move the spring so that the probe stands at {0:.1f} mm, and let go. It goes on by itself."
 STANDS_WORDS = "The probe stands at {0:.1f} mm."
-
-
-@dataclass(frozen=True)
-class CalibrationPlan:
-    """Which calibration of which instrument; ``ambient_c`` is the room's temperature where somebody read it.
-
-    With ``push_only`` the probe is not fixed to the spring and no more than leans on it.
-    """
-
-    url: str
-    kind: Kind
-    folder: Path
-    ambient_c: float | None = None
-    push_only: bool = False
-
-    def check(self) -> None:
-        """Refuse what can be seen to be wrong before an instrument is touched.
-
-        Raises:
-            UnusableInputError: no instrument is chosen.
-        """
-        if not self.url:
-            raise UnusableInputError("choose an instrument, or type its address")
-
-
-@dataclass(frozen=True)
-class CalibrationOutcome:
-    """What came of it. ``remarks`` is what else is worth saying, ``state`` how the instrument is calibrated now.
-
-    ``report`` is None where it could not be written; the calibration holds without it.
-    """
-
-    calibration: Calibration
-    path: Path
-    report: Path | None
-    remarks: tuple[str, ...]
-    state: CalibrationState = field(default_factory=CalibrationState)
-
-
-@dataclass(frozen=True)
-class Talk:
-    """A calibration at one moment: its step, how much of it is done, what a person is wanted for.
-
-    ``answer`` is whether the person has to say that it is done; otherwise it is seen.
-    """
-
-    step: str = ""
-    fraction: float = 0.0
-    wanted: str = ""
-    answer: bool = False
-
-
-class Conversation:
-    """Between the thread that calibrates and the window: progress one way, questions and answers both ways."""
-
-    def __init__(self, stop: EmergencyStop) -> None:
-        self._stop = stop
-        self._talk = Talk()
-        self._done = threading.Event()
-
-    def show(self, step: str, fraction: float) -> None:
-        """How far a step is."""
-        self._talk = Talk(step, fraction)
-
-    def ask(self, words: str) -> None:
-        """Have the person do something; returns when it is done, or when everything is stopped."""
-        self._done.clear()
-        self._talk = replace(self._talk, wanted=words, answer=True)
-        while not self._done.wait(_WAIT_S) and not self._stop.is_set():
-            pass
-        self.want("")
-
-    def want(self, words: str, step: str | None = None) -> None:
-        """Have the person do something that is seen when it is done; no words: nothing is wanted any more."""
-        shown = self._talk.step if step is None else step
-        self._talk = replace(self._talk, step=shown, wanted=words, answer=False)
-
-    def answer(self) -> None:
-        """The person says that it is done."""
-        self._done.set()
-
-    @property
-    def stopped(self) -> bool:
-        """Whether it is being stopped."""
-        return self._stop.is_set()
-
-    def look(self) -> Talk:
-        """What there is to see."""
-        return self._talk
-
-
-def calibrations_folder() -> Path:
-    """Where calibrations made in the window go: where those in force are looked for, made if there is none.
-
-    Raises:
-        UnusableInputError: the environment names a folder that is not there.
-        OSError: it cannot be made.
-    """
-    folder = calibration_folder() or platformdirs.user_data_path("tissueid") / LOCAL
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
 
 
 def calibrate(

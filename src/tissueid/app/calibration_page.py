@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.buttons import BigButton
-from tissueid.app.calibrating import CalibrationOutcome, Kind, Talk
+from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
 from tissueid.app.words import sentence
 from tissueid.calibration.words import readable, verdict_of
 

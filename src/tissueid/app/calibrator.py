@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject
 
-from tissueid.app.calibrating import (
-    CalibrationOutcome,
-    CalibrationPlan,
-    Conversation,
-    Kind,
-    calibrate,
-    calibrations_folder,
-)
+from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind, calibrations_folder
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
@@ -40,6 +33,8 @@ class Calibrator(QObject):
 
     def begin(self, kind: Kind) -> None:
         """Calibrate the chosen instrument."""
+        from tissueid.app.calibrating import calibrate
+
         window, around = self._window, self._window.around
         if window.busy:
             return

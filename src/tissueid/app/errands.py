@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from tissueid.acquisition import JournalError, recover
-from tissueid.acquisition.journal import lock
+from tissueid.acquisition.journal import JournalError, lock
 from tissueid.app.findings import Findings
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
@@ -37,6 +36,8 @@ def unfinished(folder: Path) -> list[Path]:
 
 def recover_all(journals: list[Path], trail: Trail | None = None) -> Recovery:
     """Make sessions of journals, and log it; one that cannot be recovered does not keep the others back."""
+    from tissueid.acquisition.recovery import recover
+
     recovery = Recovery([], [])
     for journal in journals:
         try:

@@ -6,8 +6,8 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.acquisition.quality import Quality, Verdict
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
+from tissueid.sessions.quality import Quality, Verdict
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 MOST_SHOWN = 3

@@ -7,8 +7,8 @@ import math
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from tissueid.acquisition import Phase
-from tissueid.acquisition.guided import PLACE_S
+from tissueid.acquisition.placing import PLACE_S
+from tissueid.acquisition.playing import Phase
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp

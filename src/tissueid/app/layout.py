@@ -133,11 +133,10 @@ class Layout:
             QWidget.setTabOrder(before, after)
         self.form.site.setFocus()
 
-    def add_page(self, name: str, title: str, page: QWidget) -> None:
-        """A page of its own, with its button on the rail."""
+    def add_page(self, name: str, page: QWidget) -> None:
+        """The page that a button of the rail shows; it may come later than its button."""
         self.views[name] = page
         self.stack.addWidget(page)
-        self.rail.add(name, title)
 
     def show_page(self, name: str) -> None:
         """Show a page; wherever somebody looks, STOP is there while a coil may be energised."""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition import Phase, Progress
-from tissueid.acquisition.guided import PLACE_S
-from tissueid.acquisition.live import LiveIdentification
+from tissueid.acquisition.placing import PLACE_S
+from tissueid.acquisition.playing import Phase, Progress
 from tissueid.app.safety import Safety, SafetyWatch
 from tissueid.device import DeviceDescription
 from tissueid.instrument import force
+
+if TYPE_CHECKING:
+    from tissueid.acquisition.live import LiveIdentification
 
 CAPACITY = 1 << 16
 """Samples held; the longest test that a profile allows at 2 kHz is 62,400."""

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from tissueid.acquisition.live import LiveIdentification
 from tissueid.app.live import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
-from tissueid.identification.online.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
-from tissueid.identification.online.precision import PARAMETERS, Parameter
 from tissueid.wording import MISSING, estimate, named_unit, people_unit
+
+if TYPE_CHECKING:
+    from tissueid.acquisition.live import LiveIdentification
+    from tissueid.identification.online.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
+    from tissueid.identification.online.precision import Parameter
 
 MM = 1e3
 MS = 1e3
@@ -74,9 +78,9 @@ class LiveAnalysis(QWidget):
         self._diagonal = self.curve.line("muted")
         self._levels = self.curve.dots("measured", 6)
         self._fitted = self.curve.line("model", width=2)
-        self._course_bands = {name: self.course.band(_ROLES[name]) for name in PARAMETERS}
-        self._courses = {name: self.course.line(_ROLES[name], width=2) for name in PARAMETERS}
-        self.numbers = {name: _Figure(named_unit(_QUANTITIES[name])[0], _ROLES[name]) for name in PARAMETERS}
+        self._course_bands = {name: self.course.band(_ROLES[name]) for name in _QUANTITIES}
+        self._courses = {name: self.course.line(_ROLES[name], width=2) for name in _QUANTITIES}
+        self.numbers = {name: _Figure(named_unit(_QUANTITIES[name])[0], _ROLES[name]) for name in _QUANTITIES}
         self.vaf = _Figure("VAF, linear")
         self.vaf.setToolTip("Variance accounted for: how much of the motion so far the impulse response explains")
         self.said = QLabel()
@@ -212,7 +216,7 @@ class LiveAnalysis(QWidget):
         if not course.seconds.size:
             return
         widest = 0.0
-        for column, name in enumerate(PARAMETERS):
+        for column, name in enumerate(_QUANTITIES):
             newest = abs(course.values[-1, column])
             change = PERCENT * (course.values[:, column] - course.values[-1, column]) / newest
             spread = np.minimum(PERCENT * course.std[:, column] / newest, 2.0 * _WIDEST_PERCENT)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QCoreApplication, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
-from tissueid.acquisition.quality import quality_of
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
@@ -19,7 +19,6 @@ from tissueid.app.findings import Findings, find
 from tissueid.app.jobs import Jobs
 from tissueid.app.layout import MEASURE, Layout
 from tissueid.app.live import LiveSignals
-from tissueid.app.measuring import Outcome, measure
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
 from tissueid.app.plan import Plan
@@ -33,7 +32,11 @@ from tissueid.app.words import in_words
 from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session, Test
+from tissueid.sessions.quality import quality_of
 from tissueid.wording import clean
+
+if TYPE_CHECKING:
+    from tissueid.app.measuring import Outcome
 
 FRAME_MS = 33
 LONGEST_SITE = 80
@@ -81,6 +84,8 @@ class MainWindow(QMainWindow):
 
     def start_test(self) -> None:
         """Begin the test that the form describes."""
+        from tissueid.app.measuring import measure
+
         if self.clinician.watcher.start_after() or self.busy:
             return
         try:
@@ -358,7 +363,7 @@ class MainWindow(QMainWindow):
             self.ui.paint_with(theme)
             self.clinician.paint_with(theme)
             self.panels.paint_with(theme)
-            self.pages.paint(lambda view: view.paint_with(theme))
+            self.pages.paint_with(theme)
 
     def _connect(self) -> None:
         ui = self.ui

@@ -124,14 +124,14 @@ def measure(
             raise
         problem = error
     session, trouble = _keep(recorder, problem)
-    said = [in_words(problem)] if problem is not None else []
+    said = _said(problem, session, trouble)
     by_button = isinstance(problem, FirmwareFaultError) and describe_faults(Fault.BUTTON) in str(problem)
     by_person = isinstance(problem, CancelledError) and stop.reason != NO_ANSWER
     lacking = "" if trail is None else trail.settle()
     return Outcome(
         plan.path,
         session,
-        " ".join([*said, trouble]).strip(),
+        " ".join(filter(None, [said, trouble])),
         stopped=by_button or by_person,
         by_button=by_button,
         trouble=trouble,
@@ -145,6 +145,21 @@ def _remember(recorder: SessionRecorder, earlier: Sequence[Test]) -> None:
         recorder.gate.judge(test)
 
 
+def _said(problem: Exception | None, session: Session | None, trouble: str) -> str:
+    """How it broke off, in words. Of a disk that failed, what is left on it is said once."""
+    if problem is None:
+        return ""
+    if not isinstance(problem, JournalError) or session is not None:
+        return in_words(problem)
+    return "" if trouble else f"{_cause(problem)} Nothing was recorded."
+
+
+def _cause(error: Exception) -> str:
+    """Why it failed; what a failing journal says of recovery is for the command line."""
+    cause = error.__cause__ if isinstance(error, JournalError) else None
+    return in_words(cause if isinstance(cause, Exception) else error)
+
+
 def _keep(recorder: SessionRecorder | None, problem: Exception | None) -> tuple[Session | None, str]:
     """Turn what was recorded into a session; where that fails its journal stays, and the words say so."""
     if recorder is None:
@@ -154,5 +169,4 @@ def _keep(recorder: SessionRecorder | None, problem: Exception | None) -> tuple[
     except Exception as error:  # noqa: BLE001 - whatever it was, the journal must be let go of and mentioned
         recorder.abandon()
         kept = f"The recording stays in {journal_path(recorder.path)}; it is offered for recovery at the next start."
-        cause = error.__cause__ if isinstance(error, JournalError) else None  # what is kept is said here for the window
-        return None, f"{in_words(cause if isinstance(cause, Exception) else error)} {kept}"
+        return None, f"{_cause(error)} {kept}"

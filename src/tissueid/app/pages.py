@@ -1,4 +1,8 @@
-"""The pages of the window: made, shown, told what happens, remembered from one start to the next."""
+"""The pages of the window: made, shown, told what happens, remembered from one start to the next.
+
+All but the first are made when they are first shown, and only then are their modules imported: the window is there
+sooner, and who never leaves the guided test pays for nothing else.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +14,8 @@ from PySide6.QtCore import QObject
 
 from tissueid.app.layout import MEASURE
 from tissueid.app.remembered import put_back, remember, remembered_page
-from tissueid.app.views.gap.view import GapView
-from tissueid.app.views.researcher.view import ResearchView
+from tissueid.app.theme import Theme, palette_of
 from tissueid.app.views.start.view import StartView
-from tissueid.app.views.technician.view import InstrumentView
 from tissueid.app.views.view import Desk, View
 from tissueid.audit import Role
 from tissueid.wording import clean
@@ -21,12 +23,32 @@ from tissueid.wording import clean
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow
 
-VIEWS: tuple[type[View], ...] = (StartView, ResearchView, GapView, InstrumentView)
-ROLE_PAGES: dict[Role, str] = {
-    "clinician": MEASURE,
-    "researcher": ResearchView.name,
-    "technician": InstrumentView.name,
+
+def _research(desk: Desk) -> View:
+    from tissueid.app.views.researcher.view import ResearchView
+
+    return ResearchView(desk)
+
+
+def _gap(desk: Desk) -> View:
+    from tissueid.app.views.gap.view import GapView
+
+    return GapView(desk)
+
+
+def _instrument(desk: Desk) -> View:
+    from tissueid.app.views.technician.view import InstrumentView
+
+    return InstrumentView(desk)
+
+
+LATER: dict[str, tuple[str, Callable[[Desk], View]]] = {
+    "research": ("Research", _research),
+    "gap": ("Gap", _gap),
+    "instrument": ("Instrument", _instrument),
 }
+"""What the rail calls the pages that are made when they are first shown, and what makes them."""
+ROLE_PAGES: dict[Role, str] = {"clinician": MEASURE, "researcher": "research", "technician": "instrument"}
 """Where each role works."""
 
 
@@ -37,7 +59,8 @@ class Pages(QObject):
         super().__init__(window)
         self._window = window
         self._settings = window.settings
-        desk = Desk(
+        self._theme: Theme | None = None
+        self._desk = Desk(
             window.around,
             window.jobs,
             self._settings,
@@ -49,27 +72,27 @@ class Pages(QObject):
             window.show_report,
             lambda: window.ui.form.instrument.url,
         )
-        self.views = [kind(desk) for kind in VIEWS]
-        first, *others = self.views
-        assert isinstance(first, StartView)
-        self.start = first
-        window.ui.add_page(first.name, first.title, first)
-        window.ui.add_page(MEASURE, "Measure", window.ui.test_page())
-        for view in others:
-            window.ui.add_page(view.name, view.title, view)
+        self.start = StartView(self._desk)
+        self.views: list[View] = [self.start]
+        window.ui.rail.add(self.start.name, "Start")
+        window.ui.add_page(self.start.name, self.start)
+        window.ui.rail.add(MEASURE, "Measure")
+        window.ui.add_page(MEASURE, window.ui.test_page())
+        for name, (title, _) in LATER.items():
+            window.ui.rail.add(name, title)
         window.ui.order_tabs()
         window.ui.rail.chosen.connect(self.show)
-        first.role_chosen.connect(self._work_as)
-        first.instrument_chosen.connect(self._use_instrument)
-        first.find_asked.connect(window.searching.find_instruments)
-        first.recovery_asked.connect(window.searching.recover)
+        self.start.role_chosen.connect(self._work_as)
+        self.start.instrument_chosen.connect(self._use_instrument)
+        self.start.find_asked.connect(window.searching.find_instruments)
+        self.start.recovery_asked.connect(window.searching.recover)
         window.ui.form.instrument.described.connect(self._show_instruments)
 
     def restore(self) -> None:
         """Put the window where it was last time."""
         put_back(self._window, self._settings)
         wanted = self._window.around.first_page or remembered_page(self._settings)
-        self.show(wanted if wanted in self._window.ui.views else self.start.name)
+        self.show(wanted if wanted in self._window.ui.rail.buttons else self.start.name)
         if self._window.ui.page == self.start.name:
             self.start.focus_first()
 
@@ -82,6 +105,8 @@ class Pages(QObject):
 
     def show(self, name: str) -> None:
         """Show a page by its name."""
+        if name in LATER and name not in self._window.ui.views:
+            self._make(name)
         for view in self.views:
             if view.name == name:
                 view.enter()
@@ -108,10 +133,21 @@ class Pages(QObject):
         for view in self.views:
             view.cancel()
 
-    def paint(self, paint: Callable[[View], None]) -> None:
-        """Colours for every page."""
+    def paint_with(self, theme: Theme) -> None:
+        """Colours for every page, and for those that come later."""
+        self._theme = theme
         for view in self.views:
-            paint(view)
+            _paint(view, theme)
+
+    def _make(self, name: str) -> None:
+        """Make a page as it would stand if it had been there from the beginning."""
+        view = LATER[name][1](self._desk)
+        self.views.append(view)
+        self._window.ui.add_page(name, view)
+        view.take_role(self._window.ui.role.role)
+        view.settle(busy=self._window.busy, testing=self._window.testing)
+        if self._theme is not None:
+            _paint(view, self._theme)
 
     def _open_session(self, path: Path) -> None:
         self._window.open_session(path)
@@ -133,3 +169,9 @@ class Pages(QObject):
         self.show(MEASURE)
         self._window.ui.form.fill(values)
         self._window.ui.notice.say(words)
+
+
+def _paint(view: View, theme: Theme) -> None:
+    """Colours for a page; one that is made late does not get the window's palette by itself."""
+    view.setPalette(palette_of(theme))
+    view.paint_with(theme)

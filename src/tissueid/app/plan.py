@@ -9,7 +9,7 @@ from typing import get_args
 
 from platformdirs import user_documents_path
 
-from tissueid.acquisition import PRELOAD_S, NoiseChoice
+from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES

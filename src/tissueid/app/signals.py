@@ -6,8 +6,8 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from tissueid.acquisition import PRELOAD_S
-from tissueid.acquisition.guided import PLACE_S
+from tissueid.acquisition.choice import PRELOAD_S
+from tissueid.acquisition.placing import PLACE_S
 from tissueid.app.live import Array, Glance, decimated
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard

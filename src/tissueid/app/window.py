@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import signal
 import sys
+import threading
 from types import FrameType, TracebackType
 
 from PySide6.QtCore import QObject, QTimer
@@ -13,6 +15,20 @@ from PySide6.QtWidgets import QApplication
 from tissueid.app.main_window import MainWindow
 
 _HOUSEKEEPING_MS = 500
+_WARMING_AFTER_MS = 300
+_WANTED_SOON = (
+    "scipy.fft",
+    "scipy.signal",
+    "scipy.optimize",
+    "scipy.stats",
+    "numba",
+    "tissueid.instrument.simulated",
+    "tissueid.app.measuring",
+    "tissueid.analysis",
+    "tissueid.reports.verdict",
+    "tissueid.app.identifying",
+)
+"""What a test and its analysis need, in pieces that are short to wait for. None of it makes a widget."""
 
 
 class Housekeeping(QObject):
@@ -43,6 +59,35 @@ class Housekeeping(QObject):
                 return
 
 
+class WarmUp(QObject):
+    """Imports what will be wanted soon, in a thread of its own, once the window is there to be looked at."""
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__(window)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._import, name="warm-up")
+        QTimer.singleShot(_WARMING_AFTER_MS, self, self._begin)
+
+    def _begin(self) -> None:
+        if not self._over.is_set():
+            self._thread.start()
+
+    def _import(self) -> None:
+        for name in _WANTED_SOON:
+            if self._over.is_set():
+                return
+            try:
+                importlib.import_module(name)
+            except ImportError:
+                return  # whoever wants it says so
+
+    def end(self) -> None:
+        """Import nothing more; returns when the piece at hand is done."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+
 def run() -> int:
     """Open the window and stay until it is closed; returns the exit status."""
     application = QApplication.instance() or QApplication(sys.argv[:1])
@@ -51,6 +96,7 @@ def run() -> int:
     application.setStyle("Fusion")
     window = MainWindow()
     housekeeping = Housekeeping(window)
+    warm_up = WarmUp(window)
 
     def close(_number: int, _frame: FrameType | None) -> None:
         window.close()
@@ -65,6 +111,7 @@ def run() -> int:
         window.show()
         return application.exec()
     finally:
+        warm_up.end()
         sys.excepthook = sys.__excepthook__
         for number, handler in previous.items():
             signal.signal(number, handler)

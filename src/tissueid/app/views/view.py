@@ -61,8 +61,6 @@ class View(QWidget):
 
     name = ""
     """By which settings, help (``app/help/NAME.md``) and other pages know it."""
-    title = ""
-    """As the rail shows it, with its accelerator."""
     changed = Signal()
     """Sent when what the page could do next has changed."""
 

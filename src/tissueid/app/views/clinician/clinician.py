@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject
 
-from tissueid.acquisition.quality import quality_of
 from tissueid.app.findings import Findings
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
@@ -23,6 +22,7 @@ from tissueid.app.views.clinician.watcher import Watcher
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Test
+from tissueid.sessions.quality import quality_of
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow
@@ -41,6 +41,7 @@ class Clinician(QObject):
         self._cancelled = threading.Event()
         self._comparison = Comparison()
         self._found: Findings | None = None
+        self._accepted = False  # just now: what comes next is the report, once it is logged
         ui = window.ui
         ui.form.map.clicked.connect(self.open_map)
         ui.gate.repeats.again.connect(window.start_test)
@@ -91,6 +92,9 @@ class Clinician(QObject):
         ui.start.setEnabled(not busy or (self.watcher.watching and not testing))
         ui.gate.repeats.settle(busy=busy and not self.watcher.watching)
         ui.result.pdf.setEnabled(not busy)
+        if self._accepted and not busy:
+            self._accepted = False
+            ui.result.pdf.setFocus()
 
     def cancel(self) -> None:
         """End what goes on here, soon."""
@@ -121,6 +125,7 @@ class Clinician(QObject):
         if sitting is None or window.busy or not sitting.counted:
             return
         sitting.accepted = True
+        self._accepted = True
         window.ui.gate.repeats.show_sitting(sitting)
         window.ui.result.summary.show_sitting(sitting)
         count = f"{sitting.counted} repeats" if sitting.counted > 1 else "One test"
@@ -129,7 +134,6 @@ class Clinician(QObject):
         new = {"repeats": sitting.counted, "tests": len(sitting.repeats)}
         work = functools.partial(trail.record, "sitting.accepted", subject=sitting.key, new=new)
         window.jobs.do(work, self._logged, self._failed)
-        window.ui.result.pdf.setFocus()
 
     def write_pdf(self) -> None:
         """Write the shown result as PDF beside its session, and open it."""

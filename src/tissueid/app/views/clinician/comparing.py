@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.acquisition.quality import quality_of
-from tissueid.analysis import analyse_all
 from tissueid.app.plan import ANONYMOUS
 from tissueid.app.views.clinician.sitting import QUANTITIES, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head
+from tissueid.sessions.quality import quality_of
 from tissueid.wording import clean
 
 MOST_READ = 20
@@ -127,6 +126,8 @@ def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Eve
 
 def _sightings(session: Session) -> Iterable[Sighting]:
     """One a test that can be identified and that the gate did not want repeated."""
+    from tissueid.analysis import analyse_all
+
     for test in session.tests:
         quality = quality_of(test)
         if test.kind != "stochastic" or test.status != "completed" or (quality and quality.verdict == "repeat"):

@@ -44,7 +44,7 @@ class ComparisonCard(QFrame):
         for place, quantity in enumerate(QUANTITIES):
             name, si_unit = named_unit(quantity)
             key = {"this sitting": "model", "others": "measured"} if place == 0 else {}
-            card = PlotCard(name, "± one standard deviation", people_unit(si_unit)[0], key=key)
+            card = PlotCard(name, "± one SD", people_unit(si_unit)[0], key=key)
             axis = card.plot.getAxis("left")
             axis.setWidth(_LABELS if place == 0 else 8)
             bars = [card.line(role, width=2) for role in ("measured", "model")]

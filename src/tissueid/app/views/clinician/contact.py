@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition import Phase
+from tissueid.acquisition.playing import Phase
 from tissueid.app.live import Glance
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 

@@ -7,22 +7,26 @@ import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.acquisition.quality import Verdict
-from tissueid.analysis import Analysis
 from tissueid.app.plan import Plan
 from tissueid.records import Estimate
-from tissueid.reports.verdict import linear_engine
 from tissueid.sessions import Test
+from tissueid.sessions.quality import Verdict
 from tissueid.wording import fixed, named_unit, number, people_unit, plus_minus
+
+if TYPE_CHECKING:
+    from tissueid.analysis import Analysis
 
 NORM = 5
 """Repeats that are usual."""
 QUANTITIES = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 _TWO_TESTS = 1.96 * math.sqrt(2.0)
 """Deviations of one test within which 95 % of the differences between two of them lie (Bland and Altman 1999)."""
+_ROUNDING = 1e-9
+"""Share of a mean below which a deviation is that of the arithmetic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +67,10 @@ def together(values: Sequence[float]) -> Together | None:
     known = np.asarray([value for value in values if math.isfinite(value)], np.float64)
     if known.size < 2:
         return None
-    std = float(known.std(ddof=1))
-    return Together(float(known.mean()), std, _TWO_TESTS * std, int(known.size))
+    mean, std = float(known.mean()), float(known.std(ddof=1))
+    if std < _ROUNDING * abs(mean):
+        std = 0.0  # a simulation that plays the same again: its last digits are no deviation
+    return Together(mean, std, _TWO_TESTS * std, int(known.size))
 
 
 @dataclass
@@ -110,6 +116,8 @@ class Sitting:
 
 def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
     """Mass, damping and stiffness of the linear engine that leads, SI, where there are any."""
+    from tissueid.reports.verdict import linear_engine
+
     name = linear_engine(analyses)
     parameters = analyses[name].model.report.parameters if name is not None else {}
     return {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}

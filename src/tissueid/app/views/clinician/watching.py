@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tissueid.app.instruments import greatest_force_n
 from tissueid.app.views.clinician.contact import RECENT_S, Contact, contact_of_free
 from tissueid.device import DeviceDescription
-from tissueid.instrument import SAMPLE, Instrument, SimulatedInstrument
+from tissueid.instrument import SAMPLE, Instrument
 from tissueid.wire import Flag
 
 LONGEST_S = 180.0
@@ -68,6 +68,8 @@ def watch(
     Raises:
         TissueIDError, OSError: the instrument cannot be opened, or is lost.
     """
+    from tissueid.instrument.simulated import SimulatedInstrument
+
     instrument = opener(url)
     try:
         calibrate(instrument)

@@ -211,12 +211,12 @@ def _closing(found: Diagnosis) -> str:
     if not np.isfinite(gap.closed):
         return "No candidate was fitted to it."
     low, high = gap.closed_ci
-    words = f"Closed: {_percent(gap.closed)} % of what stands above the floor"
+    words = f"Closed: {_percent(gap.closed)}\u00a0% of what stands above the floor"
     if np.isfinite(low) and np.isfinite(high):
-        words += f" (95 %: {_percent(low)} to {_percent(high)} %)"
-    words += f", announced {_percent(gap.announced)} %."
+        words += f" (95 %: {_percent(low)} to {_percent(high)}\u00a0%)"
+    words += f", announced {_percent(gap.announced)}\u00a0%."
     if np.isfinite(found.ceiling):
-        words += f" Something flexible would close {_percent(found.ceiling)} %."
+        words += f" Something flexible would close {_percent(found.ceiling)}\u00a0%."
     return words
 
 

@@ -42,7 +42,6 @@ class GapView(View):
     """The page ``gap``. A diagnosis runs in processes of its own and can be cancelled at any moment."""
 
     name = "gap"
-    title = "Gap"
     stepped = Signal(str, int, int)
     """Where the diagnosis stands; sent from its thread."""
 

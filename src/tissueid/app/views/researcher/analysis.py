@@ -59,7 +59,7 @@ class AnalysisPanel(QWidget):
         self.form = EngineForm()
         self.run = QPushButton("R&un")
         self.run.setToolTip("Fit the engine to every chosen test")
-        self.compare = QPushButton("Co&mpare engines")
+        self.compare = QPushButton("Com&pare engines")
         self.compare.setToolTip("Fit every engine to every chosen test, and say which one it bears out")
         self.folder = QPushButton("Run on folder…")
         self.folder.setToolTip("Fit the engine to every stochastic test of every session below a folder")

@@ -20,7 +20,7 @@ from tissueid.app.views.researcher.results_table import SERIES
 
 _NOTHING = np.zeros(0)
 _KERNELS = "Kernel image"
-_LONGEST = 48
+_LONGEST = 64
 _PLAIN, _LABELLED = 76, 104
 """Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
 
@@ -199,7 +199,8 @@ class Pictures(QWidget):
             return
         entries = []
         for role, outcome in zip(SERIES, self._drawn, strict=False):
-            name = html.escape(outcome.label[:_LONGEST]).replace(" ", "&nbsp;")
+            label = outcome.label if len(outcome.label) <= _LONGEST else f"{outcome.label[: _LONGEST - 1]}…"
+            name = html.escape(label).replace(" ", "&nbsp;")
             entries.append(f'<span style="color:{getattr(theme, role)}">■</span>&nbsp;{name}')
         words = []
         if self._pages.currentIndex() == list(PICTURES).index("Against depth") and any(

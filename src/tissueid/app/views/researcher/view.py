@@ -24,7 +24,6 @@ class ResearchView(View):
     """Browser and panels. Work that waits for other work is begun here, one piece at a time."""
 
     name = "research"
-    title = "Research"
 
     def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
         super().__init__(desk, parent)

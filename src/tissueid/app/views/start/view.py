@@ -42,7 +42,6 @@ class StartView(View):
     """
 
     name = "start"
-    title = "Start"
     role_chosen = Signal(str)
     instrument_chosen = Signal(str)
     find_asked = Signal()

@@ -35,6 +35,7 @@ _LOGGED = {
     "calibration.broken_off": BROKEN,
     "calibration.stopped": STOPPED,
 }
+_ENDS_OF_TESTS = ("test.fault", "test.aborted", "test.stopped")
 _BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
 _BY_KIND = {
     STOPPED: "Nothing to mend: a person stopped it. What was recorded is kept.",
@@ -96,9 +97,12 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], None]) 
         CancelledError: by ``cancelled``.
     """
     by_subject: dict[str, Event] = {}
+    told = {str(line.subject).partition(" test ")[0] for line in log.lines if line.what in _ENDS_OF_TESTS}
     for number, line in enumerate(log.lines):
         if number % 1000 == 0:
             cancelled()
+        if line.what == "session.broken_off" and line.subject in told:
+            continue  # its test says so, and whether it was a person
         if (event := _of_line(line)) is not None:
             by_subject.setdefault(
                 f"{line.what} {line.number}" if "test " not in event.subject else event.subject, event

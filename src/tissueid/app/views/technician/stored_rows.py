@@ -8,7 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.words import sentence
-from tissueid.calibration.in_force import age_of, judged, put_in_force
+from tissueid.calibration.in_force import put_in_force
+from tissueid.calibration.judging import age_of, judged
 from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
 from tissueid.wording import MISSING, clean

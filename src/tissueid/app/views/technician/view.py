@@ -25,7 +25,6 @@ class InstrumentView(View):
     """The page ``instrument``. Each tab reads its files when it is first seen, and nothing else goes on."""
 
     name = "instrument"
-    title = "Instrument"
 
     def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
         super().__init__(desk, parent)

@@ -1,0 +1,166 @@
+"""Identifies a saved test: models, verdict, numbers and curves, worked out in a thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
+from tissueid.app.findings import Curves, Findings, Number
+from tissueid.app.words import sentence
+from tissueid.errors import UnusableInputError
+from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.identification.engines.wiener import WienerModel
+from tissueid.reports.configured import surface_of
+from tissueid.reports.verdict import judge, visited
+from tissueid.sessions import Session, Test
+from tissueid.sessions.quality import quality_of
+from tissueid.wording import engine_label, estimate, fixed, named_unit, people_unit
+
+MM = 1e3
+MS = 1e3
+_OF_WHAT = {
+    "mass_kg": "coil and tissue",
+    "damping_n_s_per_m": "coil and tissue",
+    "stiffness_n_per_m": "tissue, depths visited",
+}
+_CONFIDENCE = 1.96
+_EXCITED = 0.03
+"""Share of the input's greatest power density below which a frequency counts as not excited."""
+_FINE = 300
+_MOST_DOTS = 2000
+_STRETCH_S = 0.4
+"""How much of the unseen motion is shown: enough periods to judge by eye, few enough to tell them apart."""
+
+
+def identify(path: Path, session: Session, number: int | None) -> Findings:
+    """What :func:`tissueid.app.findings.find` answers.
+
+    Raises:
+        UnusableInputError: the session holds no such test.
+    """
+    test = session.test(number)
+    analyses: dict[str, Analysis] = {}
+    refusals: dict[str, list[str]] = {}
+    for name in REPORT_ENGINES:
+        try:
+            analyses |= analyse_all(session, (name,), test=test)
+        except UnusableInputError as error:
+            refusals.setdefault(str(error), []).append(engine_label(name))
+    for name, analysis in analyses.items():
+        for warning in analysis.model.report.warnings:
+            refusals.setdefault(warning, []).append(engine_label(name))
+    return Findings(
+        path=path,
+        session=session,
+        test=test,
+        analyses=analyses,
+        quality=quality_of(test),
+        verdict=judge(test, analyses),
+        numbers=tuple(_numbers(analyses)),
+        ended=how_it_ended(test),
+        visited=visited(analyses, surface_of(test)),
+        cautions=tuple(sentence(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in refusals.items()),
+        impulse=_drawn(_impulse, analyses),
+        bode=_drawn(_bode, analyses),
+        nonlinearity=_drawn(_nonlinearity, analyses),
+        prediction=_drawn(_prediction, analyses),
+    )
+
+
+def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
+    """Mass, damping and stiffness of the linear fit; variance accounted for by the linear and the Wiener model."""
+    linear = next((name for name in ("lms", "spectral") if name in analyses), "")
+    parameters = analyses[linear].model.report.parameters if linear else {}
+    for quantity, note in _OF_WHAT.items():
+        if quantity in parameters:
+            label, si_unit = named_unit(quantity)
+            unit, scale = people_unit(si_unit)
+            value, deviation, power = estimate(parameters[quantity], scale)
+            yield Number(label, value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])), note)
+    for engine, label in ((linear, "VAF, linear model"), ("wiener", "VAF, Wiener model")):
+        if engine in analyses:
+            report = analyses[engine].model.report
+            note = f"unseen; fitted {fixed(report.vaf_percent, 1)} %"
+            yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
+
+
+def how_it_ended(test: Test) -> str:
+    """Status and completeness of a test, as a sentence."""
+    seconds = test.samples / test.sample_rate_hz
+    lost = int(np.isnan(test.signals["position"]).sum()) if "position" in test.signals else 0
+    missing = f"{lost} of {test.samples} samples lost" if lost else "no sample lost"
+    if test.status == "completed":
+        return f"Completed: {seconds:.1f} s, {missing}."
+    if test.status == "recovered":
+        return f"Recovered after an interruption: {seconds:.1f} s, {missing}."
+    reason = sentence(str(test.notes.get("reason", "")))
+    return f"Ended early after {seconds:.1f} s, {missing}. {reason}".strip()
+
+
+def _drawn(draw: Callable[[Mapping[str, Analysis]], Curves], analyses: Mapping[str, Analysis]) -> Curves:
+    try:
+        return draw(analyses)
+    except UnusableInputError as error:
+        nothing = np.zeros(0)
+        return Curves(nothing, nothing, nothing, nothing, missing=sentence(str(error)))
+
+
+def _impulse(analyses: Mapping[str, Analysis]) -> Curves:
+    """Lag in ms, response in mm/(N s), with one standard deviation to either side."""
+    model = analyses["lms"].model if "lms" in analyses else None
+    if not isinstance(model, LmsModel):
+        raise UnusableInputError("no impulse response could be estimated")
+    response, std = MM * model.impulse_response, MM * model.impulse_response_std
+    fine_s = np.linspace(0.0, float(model.lag_s[-1]), _FINE)
+    fitted = MM * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
+    return Curves(MS * model.lag_s, response, MS * fine_s, fitted, response - std, response + std)
+
+
+def _bode(analyses: Mapping[str, Analysis]) -> Curves:
+    """Decimal logarithms of frequency in Hz and compliance in mm/N, with a 95 % band, where there is input."""
+    model = analyses["spectral"].model if "spectral" in analyses else None
+    if not isinstance(model, SpectralModel):
+        raise UnusableInputError("no transfer function could be estimated")
+    spectra = model.spectra
+    shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
+    shown &= (spectra.magnitude > 0.0) & np.isfinite(spectra.magnitude_std)
+    if shown.sum() < 3:
+        raise UnusableInputError("the input has power at fewer than three frequencies")
+    frequency = np.log10(spectra.frequency_hz[shown])
+    magnitude = np.log10(MM * spectra.magnitude[shown])
+    spread = np.log10(1.0 + _CONFIDENCE * spectra.magnitude_std[shown] / spectra.magnitude[shown])
+    fine = np.linspace(frequency[0], frequency[-1], _FINE)
+    fitted = np.log10(MM * np.abs(model.second_order.system.frequency_response(10.0**fine)))
+    return Curves(frequency, magnitude, fine, fitted, magnitude - spread, magnitude + spread)
+
+
+def _nonlinearity(analyses: Mapping[str, Analysis]) -> Curves:
+    """Output of the linear stage in N against position in mm."""
+    analysis = analyses.get("wiener")
+    if analysis is None or not isinstance(analysis.model, WienerModel):
+        raise UnusableInputError("no static nonlinearity could be estimated")
+    model, record = analysis.model, analysis.record[analysis.fit_part]
+    z = model.linear_output(record.input)
+    known = np.isfinite(z) & np.isfinite(record.output)
+    if known.sum() < 2:
+        raise UnusableInputError("no sample lies where the Wiener model can be run")
+    z, measured = z[known], record.output[known]
+    some = slice(None, None, max(1, -(-z.size // _MOST_DOTS)))
+    fine = np.linspace(z.min(), z.max(), _FINE)
+    return Curves(z[some], MM * measured[some], fine, MM * model.nonlinearity(fine))
+
+
+def _prediction(analyses: Mapping[str, Analysis]) -> Curves:
+    """Time in s against position in mm: a stretch of unseen motion, and what the Wiener model says of it."""
+    analysis = analyses.get("wiener") or analyses.get("lms")
+    if analysis is None:
+        raise UnusableInputError("no model could be run on motion that it had not seen")
+    record = analysis.held_out_record
+    shown = slice(analysis.held_out.start, analysis.held_out.start + round(_STRETCH_S * record.sample_rate_hz))
+    measured, predicted = record.output[shown], analysis.model.simulate(record.input)[shown]
+    time_s = np.arange(measured.size) / record.sample_rate_hz
+    return Curves(time_s, MM * measured, time_s, MM * predicted)
