@@ -16,6 +16,7 @@ from gap_records import DEVICE, changed, recorded
 
 from firmware_sim.drawing import main as record
 from tissueid.cli import main
+from tissueid.gap.blind_check import Piece
 from tissueid.sessions import Session, write_session
 from tissueid.twin import catalogue as shelf
 
@@ -238,3 +239,38 @@ def test_the_blind_check_scores_sealed_scenarios(tmp_path: Path, capsys: pytest.
     assert {"figures", "confusion", "risk_coverage", "failures"} <= set(found["kinds"]["single"])
     assert set(found["answers"]) == {"scenario-0001"}
     assert "not empty" in refused(capsys, "gap", "blind-check", "--n", 1, "--workers", 1, "--keep", kept)
+
+
+@pytest.mark.usefixtures("_recorded_here")
+def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch):
+    kept, page, out = tmp_path / "kept", tmp_path / "check.html", tmp_path / "score.json"
+    blind = ["gap", "blind-check", "--workers", "1", "--keep", str(kept)]
+    answered: list[str] = []
+
+    def diagnosed(piece: Piece) -> dict:
+        if answered == ["scenario-0001"]:
+            answered.append("interrupted")
+            raise KeyboardInterrupt
+        answered.append(piece.name)
+        gap = {"before": 0.1, "after": 0.1, "floor": 0.1, "closed": None, "announced": None}
+        where = {"stage": "drive"}
+        return {"verdict": "no_gap", "gap": gap, "where": where, "ranking": [], "combination": [], "oracle": 0.1}
+
+    monkeypatch.setattr(Piece, "diagnosed", diagnosed)
+    assert main([*blind, "--n", "2", "--seed", "9", "--full-share", "0"]) == 130
+    assert "the same command with --resume goes on" in capsys.readouterr().err.replace("\n", " ")
+    assert "was begun with --n 2, not 3" in refused(capsys, *blind, "--resume", "--n", 3)
+    assert main([*blind, "--resume", "--seed", "9", "--out", str(page), "--json", str(out)]) == 0
+    assert answered == ["scenario-0001", "interrupted", "scenario-0002"]
+    found = json.loads(out.read_text())
+    assert set(found["answers"]) == {"scenario-0001", "scenario-0002"}
+    assert {"permuted_labels_top1", "always_friction_top1", "in_sample_top1"} <= set(found["kinds"]["single"])
+    assert found["seal"] in page.read_text(encoding="utf-8")
+    capsys.readouterr()
+    (kept / "labels.json").write_text("{}")
+    assert "altered while they were sealed" in refused(capsys, *blind, "--resume")
+
+
+def test_a_check_cannot_go_on_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert "folder of --keep" in refused(capsys, "gap", "blind-check", "--resume")
+    assert "leave --resume out" in refused(capsys, "gap", "blind-check", "--resume", "--keep", tmp_path)

@@ -76,6 +76,48 @@ def test_another_kind_has_its_own_defaults(capsys, tmp_path):
     assert force(session.test()).max() <= 7.0 + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("options", "kind", "samples"),
+    [
+        (["--stimulus", "quiet", "--seconds", 1], "quiet", 3000),
+        (["--stimulus", "slow_ramp", "--min-force", 0, "--max-force", 4, "--seconds", 2], "slow_ramp", 5000),
+        (["--stimulus", "step_hold", "--min-force", 1, "--max-force", 5, "--seconds", 2], "step_hold", 5000),
+        (["--kind", "spring", "--min-force", -1, "--max-force", 1, "--seconds", 1], "spring", 3000),
+    ],
+)
+def test_what_a_diagnosis_asks_for_next_can_be_played(options, kind, samples, capsys, tmp_path):
+    (answer,), session, _ = run(capsys, tmp_path, *options)
+    assert (session.test().kind, answer["samples"], answer["status"]) == (kind, samples, "completed")
+    limits = [options[k + 1] for k, name in enumerate(options) if name in ("--min-force", "--max-force")] or [0, 0]
+    assert limits[0] - 1e-9 <= force(session.test()).min() <= force(session.test()).max() <= limits[1] + 1e-9
+
+
+def test_a_saved_ramp_makes_a_test_of_its_kind(capsys, tmp_path):
+    save_stimulus(tmp_path / "r.json", get_stimulus("slow_ramp")(seconds=1.0, force_max_n=3.0).build())
+    _, session, _ = run(capsys, tmp_path, "--stimulus-file", tmp_path / "r.json")
+    assert session.test().kind == "slow_ramp"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--kind", "tissue"], "--kind is spring or free_air"),
+        (["--kind", "spring", "--multistep", "2", "--depth-range", "1:4"], "does not go with --kind"),
+        (["--kind", "free_air"], "lay the instrument level"),
+        (["--stimulus", "slow_ramp", "--max-force", "13"], "the limit is 12 N"),
+        (["--stimulus", "step_hold", "--max-force", "13"], "the limit is 12 N"),
+        (["--stimulus", "slow_ramp", "--max-force", "4", "--seconds", "40"], "the limit is 30 s"),
+        (["--stimulus", "quiet", "--seconds", "40"], "the limit is 30 s"),
+        (["--stimulus", "quiet", "--max-force", "4"], "takes no --max-force"),
+    ],
+)
+def test_what_those_tests_refuse(options, says, capsys, tmp_path):
+    command = [item.replace("FOLDER", str(tmp_path)) for item in A_TEST]
+    assert main([*command, *options]) == 2
+    assert says in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "a.h5").exists()
+
+
 def test_real_time_input_generation_from_the_shell(capsys, tmp_path):
     options = ["--stimulus", "rtig", "--depth-range", "1.5:4.5", "--max-force", 11, "--seconds", 5]
     (answer,), session, told = run(capsys, tmp_path, *options)

@@ -28,6 +28,9 @@ SHORT: dict[str, tuple[str, ...]] = {
         "20",
     ),
     "designed": ("--seconds", "0.5"),
+    "quiet": ("--seconds", "0.5"),
+    "slow_ramp": ("--seconds", "0.5", "--max-force", "5"),
+    "step_hold": ("--seconds", "0.5", "--max-force", "5"),
     "rtig": ("--seconds", "1", "--min-force", "-2", "--option", "depth_max_m=0.003"),
 }
 

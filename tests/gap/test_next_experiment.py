@@ -1,15 +1,19 @@
 """The test to run next: it is the one that tells the leading rivals apart."""
 
+import shlex
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from tissueid.device import DeviceDescription
 from tissueid.gap.fitting import fit
 from tissueid.gap.menu import menu
-from tissueid.gap.next_experiment import next_experiment
+from tissueid.gap.next_experiment import command_line, next_experiment
 from tissueid.gap.observing import observe
 from tissueid.gap.scoring import judged
 from tissueid.sessions import Session, Test
+from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument, Tissue
 from tissueid.twin.simulation import Acting, Start, simulate
@@ -66,3 +70,26 @@ def test_the_menu_keeps_within_the_amplifier(observed):
     items = menu(observed)
     assert {item.kind for item in items} >= {"quiet", "slow_ramp", "step_hold", "spring", "free_air", "deeper"}
     assert all(np.max(np.abs(item.test.command)) <= 48.0 for item in items)
+
+
+def test_everything_on_the_menu_has_a_command_that_plays_the_same(observed):
+    device = observed.instrument
+    for item in menu(observed):
+        words = shlex.split(command_line(observed, item))
+        assert words[:2] == ["tissueid", "test"]
+        given = dict(pairwise(words))
+        newtons = item.test.command / device.voltage_for_force(1.0)
+        assert float(given["--seconds"]) == pytest.approx(newtons.size / RATE, abs=0.051)
+        assert given.get("--kind") == (item.kind if item.kind in ("spring", "free_air") else None)
+        if item.kind == "quiet":
+            assert "--max-force" not in given
+            assert not newtons.any()
+            continue
+        low, high = float(given["--min-force"]), float(given["--max-force"])
+        assert (low, high) == pytest.approx((newtons.min(), newtons.max()), abs=0.051)
+        if "--stimulus" in given:
+            options = {"force_min_n": newtons.min(), "force_max_n": newtons.max(), "seconds": newtons.size / RATE}
+            played = get_stimulus(given["--stimulus"]).from_options(options).build()
+            np.testing.assert_allclose(played.values, newtons, atol=1e-9)
+        else:
+            assert given["--distribution"] == "uniform"

@@ -7,8 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tissueid.gap.blind_check import always, in_sample, permuted
-from tissueid.gap.sealed import FULL, SINGLE, Answered, Label, Measured, Rate, Score, score_of
+from tissueid.gap.sealed import (
+    FULL,
+    SINGLE,
+    TAKEN_OUT,
+    Answered,
+    Label,
+    Measured,
+    Rate,
+    Score,
+    always,
+    in_sample,
+    permuted,
+    score_of,
+)
 
 STAGES = {"dry_friction": "mechanics", "sensor_lag": "sensing", "eddy_currents": "coil", "slew_rate": "drive"}
 UNLISTED = "slew_rate"
@@ -213,3 +225,20 @@ def test_permuted_deals_the_same_labels_out_anew():
     assert permuted(cases, 3) == dealt != permuted(cases, 4)
     assert rate(score_of(cases, SINGLE), "top-1").share == 1.0
     assert rate(score_of(dealt, SINGLE), "top-1").share < 0.7
+
+
+def test_the_score_holds_its_controls():
+    cases = [case(true, true, in_sample="dry_friction") for true in ("dry_friction", "sensor_lag") * 10]
+    chance, habit, searched = score_of(cases, SINGLE).controls
+    assert 0.35 < chance.value < 0.65
+    assert (habit.value, searched.value) == (0.5, 0.5)
+    assert {chance.cases, habit.cases, searched.cases} == {20}
+    assert all(np.isnan(item.value) and item.kept is None for item in score_of([], SINGLE).controls)
+
+
+def test_what_is_said_with_the_true_effect_taken_out_is_scored():
+    again = [case(verdict="unexplained"), case(verdict="unexplained", stage="drive"), case(ranking="sensor_lag")]
+    told = score_of([case()], SINGLE, again)
+    assert (rate(told, TAKEN_OUT).hits, rate(told, TAKEN_OUT).cases) == (2, 3)
+    assert (rate(told, "of these the right stage").hits, rate(told, "of these the right stage").cases) == (1, 2)
+    assert TAKEN_OUT not in {item.what for item in score_of([case()], SINGLE).rates}

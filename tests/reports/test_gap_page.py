@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from reports.page_check import checked
 
@@ -58,8 +59,28 @@ def test_the_page_tells_where_which_how_far_and_what_next():
 
 def test_every_picture_is_drawn():
     drawn = {panel.key: panel.picture() for panel in gap_panels(as_effect())}
-    assert set(drawn) == {"chain", "frequency", "depth", "speed", "surface", "time", "ranking", "overlay"}
+    always = {"chain", "frequency", "depth", "speed", "surface", "time", "ranking", "overlay"}
+    assert set(drawn) == always | {"current", "amplitude"}
     assert all(picture.figure is not None for picture in drawn.values())
+
+
+def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
+    found = as_effect()
+    phases = replace(found.where.regions.profiles["depth_m"], edges=np.linspace(0.0, 2.0 * np.pi, 13))
+    regions = replace(
+        found.where.regions,
+        profiles=found.where.regions.profiles | {"mains_phase_rad": phases},
+        current_a=((0.2, 0.6),),
+        amplitude_n=((1.5, 2.5),),
+        mains_hz=49.97,
+        mains_phase_rad=((0.0, np.pi / 2.0),),
+    )
+    found = replace(found, where=replace(found.where, regions=regions))
+    text = checked(gap_html(found)).text
+    assert "at currents of 0.2 to 0.6 A" in text
+    assert "had a size of 1.5 to 2.5 N" in text
+    assert "of the mains (50 Hz) of 0 to 90 degrees" in text
+    assert "mains" in {panel.key for panel in gap_panels(found)}
 
 
 def test_no_gap_and_unexplained_are_said_so():

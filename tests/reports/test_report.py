@@ -22,7 +22,7 @@ from tissueid.reports import Comparison, ComparisonRow, blocks, html, report_htm
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
-from tissueid.reports.tables import settings_tables
+from tissueid.reports.tables import parameter_table, settings_tables
 from tissueid.reports.validation_figures import prediction_figure, readable_stretch
 from tissueid.reports.verdict import judge
 from tissueid.sessions import Session, Subject
@@ -211,6 +211,32 @@ def test_force_and_position_alone_are_enough() -> None:
     assert "The session does not describe the stimulus" in found.text
     assert len(found.named("svg")) == len(FIGURES) - 2
     assert found.text.count("the Wiener engine was not run") == 2
+
+
+def test_a_test_along_the_tissue_has_no_surface_below_which_it_goes(session: Session, analyses: Analyses) -> None:
+    test = replace(session.test(1), configuration="surface")
+    along = re.sub(r"\s+", " ", report_html(replace(session, tests=(test,)), {1: analyses[1]}))
+    into = re.sub(r"\s+", " ", report_html(session, {1: analyses[1]}))
+    assert "Where it began" in along
+    assert "where it began" in along
+    for words in ("surface of the tissue", "Surface of the tissue", "below the surface"):
+        assert words not in along
+        assert words in into
+
+
+def test_what_cannot_be_told_from_zero_is_called_uncertain(analyses: Analyses) -> None:
+    lms = analyses[1]["lms"]
+    report = replace(
+        lms.model.report,
+        parameters=lms.model.report.parameters
+        | {"mass_slope_kg_per_m": Estimate(0.7, 1.1), "stiffness_slope_n_per_m2": Estimate(-7.0, 1.1)},
+    )
+    table = parameter_table({"lms": replace(lms, model=replace(lms.model, report=report))})
+    assert table is not None
+    cells = {row[0]: row[2] for row in table.rows}
+    assert cells["Mass slope"].endswith(", uncertain")
+    assert "uncertain" not in cells["Stiffness slope"]
+    assert "cannot be told from zero" in table.note
 
 
 def test_lost_samples_are_counted_and_left_out() -> None:

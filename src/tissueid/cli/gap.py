@@ -70,19 +70,28 @@ def accept_command(
 
 @gap.command("blind-check")
 def blind_check_command(
-    n: Annotated[int, typer.Option("--n", min=1, max=5000, metavar="N", help="scenarios")] = 40,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="of the draw; keep it from whoever diagnoses")] = 1,
+    n: Annotated[int | None, typer.Option("--n", min=1, max=5000, metavar="N", help="scenarios; 40 without it")] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="of the draw, 1 without it; keep it from whoever diagnoses")
+    ] = None,
     full_share: Annotated[
-        float, typer.Option("--full-share", min=0.0, max=1.0, help="share of full sessions; the others are one test")
-    ] = 0.3,
+        float | None,
+        typer.Option(
+            "--full-share", min=0.0, max=1.0, help="share of full sessions, 0.3 without it; the others are one test"
+        ),
+    ] = None,
     take_out: Annotated[
         bool, typer.Option("--take-out", help="once more with the true effect taken out of the library")
     ] = False,
-    keep: Annotated[Path | None, typer.Option(metavar="DIR", help="keep recordings and labels here")] = None,
+    keep: Annotated[Path | None, typer.Option(metavar="DIR", help="keep recordings, labels and answers here")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="go on with the check that was interrupted in the folder of --keep")
+    ] = False,
+    out: Annotated[Path | None, typer.Option("--out", metavar="PAGE", help="write the report, one HTML page")] = None,
     workers: Workers = None,
     json_file: JsonFile = None,
 ) -> None:
     """Score the diagnosis on scenarios of the simulated laboratory whose labels are sealed until it has answered."""
-    from tissueid.cli.gap_blind import run_blind_check
+    from tissueid.cli.gap_blind import BlindPlan, run_blind_check
 
-    run_blind_check(n, seed, full_share, workers, take_out, keep, json_file)
+    run_blind_check(BlindPlan(n, seed, full_share, workers, take_out, keep, resume, out, json_file))

@@ -5,88 +5,168 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 
-from tissueid.cli.gap_diagnosis import interruptible
-from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
-from tissueid.errors import UnusableInputError
+from tissueid.cli.output import (
+    check_different,
+    check_json,
+    check_output,
+    people_read,
+    progress_bars,
+    table,
+    write_json,
+)
+from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import crew
-from tissueid.gap.blind_check import always, answers, in_sample, opened, permuted
+from tissueid.gap.blind_check import BlindCheck, answers, nothing_out, opened
+from tissueid.gap.kept_answers import FOLDER, Begun, begin, begun_in
 from tissueid.gap.scenarios import scenario_names, seal, unseal
 from tissueid.gap.sealed import FULL, SINGLE, Answered, Score, score_of
 from tissueid.wording import MISSING
 
 LABORATORY = "firmware_sim.laboratory"
 MOST_SECONDS = 3600.0
+_N, _SEED, _FULL_SHARE = 40, 1, 0.3
+_CONTROLS = ("permuted_labels_top1", "always_friction_top1", "in_sample_top1")
+"""Names of the controls in the JSON, in the order of the score's."""
 
 
-def run_blind_check(
-    n: int,
-    seed: int,
-    full_share: float,
-    workers: int | None,
-    take_out: bool,
-    keep: Path | None,
-    json_file: Path | None,
-) -> None:
-    """Draw, record, seal, diagnose, unseal and score.
+@dataclass(frozen=True)
+class BlindPlan:
+    """What the command line asks for; None where it says nothing."""
+
+    n: int | None
+    seed: int | None
+    full_share: float | None
+    workers: int | None
+    take_out: bool
+    keep: Path | None
+    resume: bool
+    out: Path | None
+    json_file: Path | None
+
+
+def run_blind_check(plan: BlindPlan) -> None:
+    """Draw, record, seal, diagnose, unseal and score; or go on with a check that was interrupted.
 
     Raises:
-        UnusableInputError: the simulated laboratory cannot be run, or its files were altered while sealed.
+        UnusableInputError: the simulated laboratory cannot be run, there is no check to go on with, or its labels were
+            altered while sealed.
+        CancelledError: it was interrupted.
     """
-    check_json(json_file)
-    with interruptible():
-        _check(n, seed, full_share, workers, take_out, keep, json_file)
+    check_json(plan.json_file)
+    check_output(plan.out, ("<!",))
+    check_different(plan.json_file, plan.out)
+    if plan.resume and plan.keep is None:
+        raise UnusableInputError("--resume goes on in the folder of --keep: name it")
+    try:
+        if plan.keep is not None:
+            _check(plan, plan.keep)
+        else:
+            with tempfile.TemporaryDirectory() as scratch:
+                _check(plan, Path(scratch))
+    except KeyboardInterrupt:
+        raise CancelledError(_interrupted(plan.keep)) from None
 
 
-def _check(
-    n: int, seed: int, full_share: float, workers: int | None, take_out: bool, keep: Path | None, json_file: Path | None
-) -> None:
-    console = people_read(json_file)
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = keep if keep is not None else Path(scratch)
-        _record(folder, n, seed, full_share)
-        sealed = seal(folder)
-        console.print(f"{n} scenarios recorded; SHA-256 of their labels: {sealed}", markup=False)
-        names = scenario_names(folder)
-        with progress_bars() as show, crew(workers) as people:
-            found = answers(folder, names, people, _counter(show, "diagnosing", len(names)))
-            if seal(folder) != sealed:
-                raise UnusableInputError("the labels were altered while they were sealed: nothing is scored")
-            cases = opened(found, unseal(folder))
-            again: list[Answered] = []
-            if take_out:
-                known = {
-                    case.name: case.label.effects
-                    for case in cases
-                    if len(case.label.effects) == 1 and case.label.listed[0] and case.survives
-                }
-                one_out = answers(
-                    folder, list(known), people, _counter(show, "true effect taken out", len(known)), known.__getitem__
-                )
-                again = opened(one_out, unseal(folder))
-    report = {"seal": sealed, "n": n, "seed": seed, "kinds": {}, "answers": found}
-    for title, kind, asked in (("One stochastic test", False, SINGLE), ("Full session", True, FULL)):
-        chosen = [case for case in cases if case.label.full == kind]
-        if not chosen:
-            continue
-        score = score_of(chosen, asked)
-        console.print(score_table(f"{title}: {len(chosen)} scenarios", score))
-        for line in [*_controls(chosen), *_taken_out([case for case in again if case.label.full == kind])]:
-            console.print(line, markup=False)
-        for failure in score.failures:
-            console.print(f"  not as it was: {failure}", markup=False)
-        report["kinds"]["full" if kind else "single"] = score_answer(score) | {  # type: ignore[index]
-            "permuted_labels_top1": _top1(score_of(permuted(chosen), asked)),
-            "always_friction_top1": always(chosen),
-            "in_sample_top1": in_sample(chosen),
-        }
-    if json_file is not None:
-        write_json(json_file, report)
+def _interrupted(keep: Path | None) -> str:
+    if keep is None or not (keep / FOLDER).is_dir():
+        return "cancelled; nothing was written"
+    return f"cancelled; the answers so far are kept in {keep}: the same command with --resume goes on"
+
+
+def _begin(plan: BlindPlan, folder: Path) -> Begun:
+    """The check that is to be done: recorded and sealed, or as it was left.
+
+    Raises:
+        UnusableInputError: it cannot be recorded, or what was left is not what the options ask for.
+    """
+    if not plan.resume:
+        n = _N if plan.n is None else plan.n
+        seed = _SEED if plan.seed is None else plan.seed
+        share = _FULL_SHARE if plan.full_share is None else plan.full_share
+        _record(folder, n, seed, share)
+        begun = Begun(n, seed, share, seal(folder))
+        begin(folder, begun)
+        return begun
+    begun = begun_in(folder)
+    for name, asked, held in (
+        ("--n", plan.n, begun.n),
+        ("--seed", plan.seed, begun.seed),
+        ("--full-share", plan.full_share, begun.full_share),
+    ):
+        if asked is not None and asked != held:
+            raise UnusableInputError(f"the check in {folder} was begun with {name} {held:g}, not {asked:g}")
+    _check_seal(folder, begun)
+    return begun
+
+
+def _check_seal(folder: Path, begun: Begun) -> None:
+    if seal(folder) != begun.seal:
+        raise UnusableInputError("the labels were altered while they were sealed: nothing is scored")
+
+
+def _check(plan: BlindPlan, folder: Path) -> None:
+    console = people_read(plan.json_file)
+    begun = _begin(plan, folder)
+    what = "taken up again" if plan.resume else "recorded"
+    console.print(f"{begun.n} scenarios {what}; SHA-256 of their labels: {begun.seal}", markup=False)
+    names = scenario_names(folder)
+    keep = plan.keep is not None
+    with progress_bars() as show, crew(plan.workers) as people:
+        found = answers(folder, names, people, _counter(show, "diagnosing", len(names)), nothing_out, keep)
+        _check_seal(folder, begun)
+        cases = opened(found, unseal(folder))
+        again: list[Answered] = []
+        if plan.take_out:
+            known = {
+                case.name: case.label.effects
+                for case in cases
+                if len(case.label.effects) == 1 and case.label.listed[0] and case.survives
+            }
+            count = _counter(show, "true effect taken out", len(known))
+            one_out = answers(folder, list(known), people, count, known.__getitem__, keep)
+            again = opened(one_out, unseal(folder))
+    check = BlindCheck(begun.seal, begun.n, begun.seed, dict(_scores(cases, again)))
+    for title, count_of, score in check.scores.values():
+        _tell(console, title, count_of, score)
+    if plan.out is not None:
+        from tissueid.reports.gap_blind import write_blind_report
+
+        write_blind_report(check, plan.out)
+        console.print(f"report: {plan.out}", markup=False)
+    if plan.json_file is not None:
+        kinds = {kind: score_answer(score) for kind, (_, _, score) in check.scores.items()}
+        report = {"seal": begun.seal, "n": begun.n, "seed": begun.seed, "kinds": kinds, "answers": found}
+        write_json(plan.json_file, report)
+
+
+def _scores(cases: Sequence[Answered], again: Sequence[Answered]) -> Iterator[tuple[str, tuple[str, int, Score]]]:
+    for key, title, full, asked in (
+        ("single", "One stochastic test", False, SINGLE),
+        ("full", "Full session", True, FULL),
+    ):
+        chosen = [case for case in cases if case.label.full == full]
+        if chosen:
+            score = score_of(chosen, asked, [case for case in again if case.label.full == full])
+            yield key, (title, len(chosen), score)
+
+
+def _tell(console: Console, title: str, count: int, score: Score) -> None:
+    console.print(score_table(f"{title}: {count} scenarios", score))
+    controls = ", ".join(
+        f"{item.what} {item.value:.0%}" if item.value == item.value else f"{item.what} {MISSING}"
+        for item in score.controls
+    )
+    console.print(f"  controls, top-1: {controls}", markup=False)
+    for failure in score.failures:
+        console.print(f"  not as it was: {failure}", markup=False)
 
 
 def _record(folder: Path, n: int, seed: int, full_share: float) -> None:
@@ -137,35 +217,6 @@ def _kept(kept: bool | None) -> str:
     return MISSING if kept is None else "reached" if kept else "not reached"
 
 
-def _top1(score: Score) -> float:
-    return score.rates[0].share
-
-
-def _controls(cases: Sequence[Answered]) -> list[str]:
-    shuffled = np_mean([_top1(score_of(permuted(cases, seed), SINGLE)) for seed in range(20)])
-    return [
-        f"  controls, top-1: labels permuted {shuffled:.0%}, always dry_friction {always(cases):.0%}, best fit of the "
-        f"fitted samples {in_sample(cases):.0%}"
-    ]
-
-
-def np_mean(values: Sequence[float]) -> float:
-    """Mean of the values that are numbers; NaN where there are none."""
-    known = [value for value in values if value == value]
-    return sum(known) / len(known) if known else float("nan")
-
-
-def _taken_out(cases: Sequence[Answered]) -> list[str]:
-    if not cases:
-        return []
-    abstained = [case for case in cases if case.verdict == "unexplained"]
-    staged = [case for case in abstained if case.answer["where"]["stage"] in case.label.stages]
-    return [
-        f"  true effect taken out of the library: unexplained in {len(abstained)} of {len(cases)}, of these with the "
-        f"right stage {len(staged)}"
-    ]
-
-
 def score_answer(score: Score) -> dict[str, Any]:
     """A score as JSON holds it."""
     return {
@@ -194,4 +245,5 @@ def score_answer(score: Score) -> dict[str, Any]:
         "confusion": score.confusion,
         "risk_coverage": [list(point) for point in score.risk_coverage],
         "failures": list(score.failures),
+        **{key: item.value for key, item in zip(_CONTROLS, score.controls, strict=True)},
     }

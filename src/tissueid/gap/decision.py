@@ -1,7 +1,7 @@
 """From scores to words: is there a gap, does a candidate explain it, and how sure is that.
 
-The thresholds were set with eighty scenarios of the simulated laboratory in view, of other draws than those on which the
-sealed check scores them; docs/gap.md has the figures.
+The thresholds were set with eighty scenarios of the simulated laboratory in view, of other draws than those on which
+the sealed check scores them; docs/gap.md has the figures.
 """
 
 from __future__ import annotations

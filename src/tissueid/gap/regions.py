@@ -4,7 +4,7 @@ Frequency: the best linear approximation of what is left and its distortions (Pi
 Identification, 2012, ch. 3 and 4): what is coherent with the input is linear, what is coherent with the input's square
 or cube is even or odd. Depth and velocity: the restoring-force surface (Masri and Caughey 1979). Every region is judged
 by the means of whole stretches, which are longer than the residual's memory, so that a coloured residual does not make
-significance of itself; Holm's correction keeps the size of all bins of a picture together, and the pictures share it.
+significance of itself; Holm's correction keeps the size of all bins of a picture together.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ FloatArray = NDArray[np.float64]
 Direction = Literal["both", "into", "out"]
 
 SIZE = 0.01
-"""Chance that any bin of any picture is called a region where squares are ``_EXCESS`` floors: it is smaller below."""
-PICTURES = 7
-"""Frequency, depth, speed, current, amplitude, time and the mains' phase: each has its part of ``SIZE``."""
+"""Chance that any bin of one picture is called a region where squares are ``_EXCESS`` floors: it is smaller below."""
 _STRETCH_S = 0.25
 _EXCESS = 1.44
 """Squares up to so many times the floor's are the floor: the noise is known to some 5 %."""
@@ -248,7 +246,7 @@ def _holm(chance: FloatArray) -> NDArray[np.bool_]:
     order = np.argsort(chance)
     above = np.zeros(chance.size, np.bool_)
     for rank, k in enumerate(order):
-        if chance[k] > SIZE / PICTURES / (chance.size - rank):
+        if chance[k] > SIZE / (chance.size - rank):
             break
         above[k] = True
     return above

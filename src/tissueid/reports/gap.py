@@ -35,7 +35,7 @@ _LISTED = 8
 def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
     """The page as HTML text: where, which, how far, and what to do next."""
     figures = {panel.key: panel.picture().block for panel in gap_panels(found)}
-    places = ("frequency", "depth", "speed", "surface", "time", "where")
+    places = ("frequency", "depth", "speed", "surface", "time", "current", "amplitude", "mains", "where")
     groups = (
         FigureGroup("g-where", "Where it lies", tuple(figures[key] for key in places if key in figures)),
         FigureGroup("g-which", "Which cause", tuple(figures[key] for key in ("ranking",) if key in figures)),
@@ -105,8 +105,17 @@ def sentences_of(found: Diagnosis) -> Iterator[str]:
         told.append("from " + _spans(regions.bands_hz, 1.0, "Hz"))
     if regions.depth_m:
         told.append("at depths of " + _spans(regions.depth_m, 1e3, "mm"))
+    if regions.current_a:
+        told.append("at currents of " + _spans(regions.current_a, 1.0, "A"))
+    if regions.amplitude_n:
+        told.append("where the last 0.1 s of the stimulus had a size of " + _spans(regions.amplitude_n, 1.0, "N"))
+    if regions.mains_phase_rad:
+        told.append(
+            f"at phases of the mains ({number(regions.mains_hz, 3)} Hz) of "
+            + _spans(regions.mains_phase_rad, 180.0 / np.pi, "degrees")
+        )
     if told:
-        words = " and ".join(told)
+        words = _listed(told)
         yield f"It shows most in the {regions.channel}, {words}, {_DIRECTIONS[regions.direction]}."
     alike = _alike(found)
     if alike:
@@ -115,6 +124,10 @@ def sentences_of(found: Diagnosis) -> Iterator[str]:
     if found.verdict == "unexplained" and found.ranking:
         best = found.ranking[0]
         yield f"The best attempt, {effect_words(best.effect)}, closes {_percent(best.closed)} and does not explain it."
+
+
+def _listed(parts: list[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
 def _alike(found: Diagnosis) -> tuple[str, ...]:

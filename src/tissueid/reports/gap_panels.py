@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.observed import ObservedTest
-from tissueid.gap.regions import Profile, Spectrum
+from tissueid.gap.regions import Profile, Regions, Spectrum
 from tissueid.gap.scoring import Candidate
 from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, without
@@ -89,6 +90,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         wide=False,
         height=3.2,
     )
+    yield from _more_profiles(regions, of)
     if found.ranking:
         yield Panel(
             "ranking",
@@ -108,6 +110,40 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         lambda figure: draw_overlay(figure, found),
         height=5.0,
     )
+
+
+def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
+    """Along what not every test has: a current, a stimulus whose size changes, the mains."""
+    where = (
+        ("current_a", "current", "By current", 1.0, "Current (A)", "The same against the current of the coil."),
+        (
+            "amplitude_n",
+            "amplitude",
+            "By the size of the stimulus",
+            1.0,
+            "Size of the last 0.1 s (N)",
+            "The same against the root mean square of what was played in the last tenth of a second, as a force.",
+        ),
+        (
+            "mains_phase_rad",
+            "mains",
+            "By the phase of the mains",
+            180.0 / np.pi,
+            f"Phase (°) at {regions.mains_hz:.2f} Hz",
+            "The same against the phase of the mains from the start of the test: the mains shows in what is left.",
+        ),
+    )
+    for name, key, heading, scale, label, caption in where:
+        if name in regions.profiles:
+            yield Panel(
+                key,
+                heading,
+                f"Error of {of} against {heading.removeprefix('By ').removeprefix('the ')}, with the floor.",
+                caption,
+                partial(draw_profile, found=regions.profiles[name], scale=scale, label=label),
+                wide=False,
+                height=2.9,
+            )
 
 
 def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> None:

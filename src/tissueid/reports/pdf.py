@@ -19,6 +19,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.reports.configured import surface_of
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.html import RESEARCH_LINE
 from tissueid.reports.style import BLUE, GREEN, INK, LOST, MUTED, ORANGE, drawing, frequency_axis, log_axis
@@ -185,7 +186,7 @@ def _numbers(paper: _Paper, test: Test, analyses: Analyses) -> None:
     if not rows:
         return
     paper.table("This test", ("", "Value ± standard deviation", ""), rows)
-    if where := visited(analyses, test.surface_position_m):
+    if where := visited(analyses, surface_of(test)):
         for line in textwrap.wrap(clean(where), _ACROSS):
             paper.line(line, size=8.0, colour=MUTED)
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Array, power_spectrum, runs, thin
@@ -72,7 +73,8 @@ def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) ->
     for axes, names in zip(every, panels, strict=True):
         _signal_panel(axes, test, names, time_s)
     if np.isfinite(test.surface_position_m) and panels[-1] == ["position"]:
-        _mark_surface(every[-1], 1e3 * test.surface_position_m)
+        words = "surface of the tissue" if has_depth(test.configuration) else "where it began"
+        _mark_surface(every[-1], 1e3 * test.surface_position_m, words)
     _mark_times(list(every), test, held_out_s)
     every[-1].set_xlim(0.0, test.samples / test.sample_rate_hz)
     every[-1].set_xlabel("Time (s)")
@@ -93,10 +95,10 @@ def _signal_panel(axes: Axes, test: Test, names: list[str], time_s: Array) -> No
         axes.legend(loc="lower right", ncols=2, frameon=True, facecolor=PAPER, edgecolor="none", framealpha=0.85)
 
 
-def _mark_surface(axes: Axes, surface_mm: float) -> None:
+def _mark_surface(axes: Axes, surface_mm: float, words: str) -> None:
     axes.axhline(surface_mm, color=INK, linewidth=1.0, linestyle=DASHES[1])
     axes.annotate(
-        "surface of the tissue",
+        words,
         (1.0, surface_mm),
         (-4, 3),
         xycoords=("axes fraction", "data"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from tissueid import __version__
 from tissueid.analysis import Analysis
+from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
@@ -33,6 +34,9 @@ from tissueid.wording import (
 )
 
 Row = tuple[str, ...]
+
+_NO_SURFACE = ("surface_position_m", None)
+"""An option that says nothing where it is not set: there may be no surface to count from."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,9 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
 
 
+UNCERTAIN_DEVIATIONS = 2.0
+"""A parameter within so many standard deviations of zero is called uncertain."""
+
 _TOLD_ELSEWHERE = ("events", "quality", "samples_lost", "stimulus_report")
 """Notes of a test that have a row of their own, or are data for programs."""
 
@@ -81,7 +88,7 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         label, si_unit = named_unit(name)
         unit, scale = people_unit(si_unit)
         cells = [
-            plus_minus(a.model.report.parameters[name], scale) if name in a.model.report.parameters else MISSING
+            _told(a.model.report.parameters[name], scale) if name in a.model.report.parameters else MISSING
             for a in analyses.values()
         ]
         rows.append((label, unit, *cells))
@@ -89,10 +96,18 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         "Parameters",
         ("Quantity", "Unit", *map(engine_label, analyses)),
         tuple(rows),
-        "± is one standard deviation; a value without it has no estimate of its uncertainty. LMS and Spectral share "
+        "± is one standard deviation; a value without it has no estimate of its uncertainty, and one that is no larger "
+        "than two of them is called uncertain: it cannot be told from zero. LMS and Spectral share "
         "one second-order fit to the record: their mass, damping and stiffness are one answer, not two. "
         + spring_line(analyses.values()),
     )
+
+
+def _told(found: Estimate, scale: float) -> str:
+    """A parameter with its deviation; where that leaves open whether it is there at all, it says so."""
+    text = plus_minus(found, scale)
+    uncertain = found.std is not None and abs(found.value) <= UNCERTAIN_DEVIATIONS * found.std
+    return f"{text}, uncertain" if uncertain else text
 
 
 def score_table(analyses: Mapping[str, Analysis]) -> Table:
@@ -185,7 +200,8 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
     for name, analysis in analyses.items():
         report = analysis.model.report
         rows: list[Row] = [("Held out", analysis.validated_on)]
-        rows += [named_value(option, value) for option, value in report.options.items()]
+        options = {option: value for option, value in report.options.items() if (option, value) != _NO_SURFACE}
+        rows += [named_value(option, value) for option, value in options.items()]
         rows += [named_value(detail, value) for detail, value in report.details.items()]
         tables.append(Table(f"Engine: {engine_label(name)}", (), tuple(rows)))
     return tuple(tables)
@@ -225,6 +241,7 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
     force = test.signals.get("force", np.zeros(0))
     force = force[np.isfinite(force)]
     surface = test.surface_position_m
+    first = "Surface of the tissue" if has_depth(test.configuration) else "Where it began"
     rows: list[Row] = [
         ("Number", str(test.number)),
         ("Kind", plain_text(test.kind).replace("_", " ")),
@@ -234,7 +251,7 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
         ("Sample rate", with_unit(number(test.sample_rate_hz), "Hz")),
         ("Length", f"{number(test.samples / test.sample_rate_hz)} s, {test.samples} samples"),
         ("Preload", with_unit(number(test.preload_s), "s") if test.preload_s else "none"),
-        ("Surface of the tissue", with_unit(fixed(1e3 * surface, 2), "mm") if np.isfinite(surface) else "not recorded"),
+        (first, with_unit(fixed(1e3 * surface, 2), "mm") if np.isfinite(surface) else "not recorded"),
         ("Seed of the stimulus", str(test.seed)),
         ("Repeats the command of", "no other test" if test.repeat_of is None else f"test {test.repeat_of}"),
     ]

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.reports.configured import surface_of
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
 from tissueid.sessions.quality import quality_of
@@ -112,7 +113,7 @@ def _gate(test: Test) -> list[_Doubt]:
 
 def _lifted_off(test: Test) -> list[_Doubt]:
     """What the position says of contact, where the surface is known."""
-    if "position" not in test.signals or not np.isfinite(test.surface_position_m):
+    if "position" not in test.signals or not np.isfinite(surface_of(test)):
         return []
     position = test.signals["position"][round(test.preload_s * test.sample_rate_hz) :]
     position = position[np.isfinite(position)]
