@@ -16,7 +16,7 @@ from tissueid.twin.effect import Effect
 FloatArray = NDArray[np.float64]
 Predictions = list[dict[str, FloatArray]]
 
-MOST_STEPS = 40
+MOST_STEPS = 100
 TOLERANCE = 1e-4
 """A step that lowers the cost by less than this share of it is the last."""
 WORST = 1e6
