@@ -267,6 +267,9 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     assert {"permuted_labels_top1", "always_friction_top1", "in_sample_top1"} <= set(found["kinds"]["single"])
     assert found["seal"] in page.read_text(encoding="utf-8")
     capsys.readouterr()
+    (kept / "scenario-0002.json").unlink()
+    assert main([*blind, "--resume"]) == 2
+    assert "other scenarios than its labels" in capsys.readouterr().err.replace("\n", " ")
     (kept / "labels.json").write_text("{}")
     assert "altered while they were sealed" in refused(capsys, *blind, "--resume")
 

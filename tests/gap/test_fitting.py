@@ -141,3 +141,14 @@ def test_differences_are_what_an_effect_changes():
     size = int(serving.sum())
     # The channels follow each other: voltage, current, position.
     assert added[size : 2 * size] == pytest.approx(moved[serving] / observed().noise["current"], abs=1e-6)
+
+
+def test_what_is_a_held_out_tests_own_stays_as_it_was_read():
+    session = recorded(samples=3000, full=True)
+    numbers = [test.number for test in session.tests if test.kind == "stochastic"]
+    seen = observe(session, fit=numbers[:1], check=numbers[:2])
+    assert not seen.tests[1].serving(Purpose.FIT).any()
+    parameters = parametrise(seen, [effect("physiological_motion")])
+    own = [name for name in parameters.index if name.startswith("physiological_motion.pulse_cosine_1_m")]
+    assert own == [f"physiological_motion.pulse_cosine_1_m@{numbers[0]}"]
+    assert f"physiological_motion.pulse_cosine_1_m@{numbers[1]}" in parameters.constants

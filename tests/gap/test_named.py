@@ -113,6 +113,7 @@ def _with(content, *path, value):
         (("instrument", "resistance_ohm"), float("nan"), "cannot be used"),
         (("tissue", "stiffness_n_per_m"), 1e9, "stiffness_n_per_m is"),
         (("tissue", "hair_m"), 1.0, "too many or too few"),
+        (("sample_rate_hz",), 1.0, "stiffness is too great"),
         (("effects", 0, "name"), "witchcraft", "no effect 'witchcraft'"),
         (("effects", 0, "parameters", "coulomb_n"), 1e6, "coulomb_n is"),
         (("effects", 0, "parameters", "secret"), 1.0, "secret"),

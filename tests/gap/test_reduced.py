@@ -11,6 +11,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
+from tissueid.gap.menu import menu
 from tissueid.gap.observing import observe
 from tissueid.gap.scoring import gap, judged
 from tissueid.gap.search import applicable
@@ -154,8 +155,32 @@ def test_a_bare_record_leaves_out_what_it_cannot_show():
         ({"input": np.arange(1000.0), "output": np.full(1000, NAN)}, UNKNOWN, "is missing"),
         ({"position": 1e-3 * np.sin(np.arange(2000.0))}, DEVICE, "no command, voltage, current or force"),
         ({"input": np.arange(50.0), "output": np.arange(50.0)}, UNKNOWN, "too short"),
+        (
+            {"command": np.arange(2000.0), "position": 1e-3 * np.sin(np.arange(2000.0))},
+            replace(DEVICE, amplifier_gain=NAN),
+            "neither gain nor limit",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(signals, device, reason):
     with pytest.raises(UnusableInputError, match=reason):
         observe(session(signals, device))
+
+
+def test_a_spring_of_which_nothing_is_known_is_refused():
+    device = replace(DEVICE, calibration_spring_n_per_m=NAN)
+    with pytest.raises(UnusableInputError, match="how stiff its calibration spring is"):
+        observe(Session(device, tests=(Test(1, "spring", linear_test(), RATE),)))
+
+
+def test_without_its_gain_a_session_is_driven_by_its_voltage():
+    observed = observe(session(linear_test(), replace(DEVICE, amplifier_gain=NAN)))
+    assert observed.tests[0].driven_by == "voltage"
+    assert menu(observed) == ()
+
+
+def test_the_menu_asks_for_commands_where_voltages_were_recorded():
+    signals = {name: values for name, values in linear_test().items() if name != "command"}
+    plain, doubled = (observe(session(signals, replace(DEVICE, amplifier_gain=gain))) for gain in (1.0, 2.0))
+    for one, other in zip(menu(plain), menu(doubled), strict=True):
+        np.testing.assert_allclose(other.test.command, 0.5 * one.test.command)

@@ -40,7 +40,7 @@ def told(position_left: np.ndarray, others: float = 0.0, seed: int = 0) -> Regio
     test = ObservedTest(1, "stochastic", "tissue", command, recorded, purpose, RATE_HZ, SURFACE_M)
     observed = Observed(DeviceDescription(), (test,), NOISE)
     baseline = SimpleNamespace(parameters=SimpleNamespace(observed=observed), predictions=[signals])
-    return regions(observed, baseline, None)  # type: ignore[arg-type]
+    return regions(observed, baseline)  # type: ignore[arg-type]
 
 
 def white(seed: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from gap_records import changed, observed, recorded
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import Cancelled
 from tissueid.gap.observing import observe
+from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import Found, Progress, Search, applicable
 from tissueid.gap.workers import Alone
 from tissueid.twin.catalogue import effect, library
@@ -107,6 +108,11 @@ def test_the_same_twice():
     assert [(item.effects, item.score) for item in again.candidates] == [
         (item.effects, item.score) for item in found("dry_friction").candidates
     ]
+
+
+def test_a_leader_that_fills_the_chain_has_no_partners():
+    full = Candidate(("cogging", "end_stop", "latency", "reflex"), found("dry_friction").baseline.fit, (), ())
+    assert Search(observed("dry_friction"), Alone(), CANDIDATES).partners([full]) == ()
 
 
 def test_candidates_that_do_not_exist_find_nothing():

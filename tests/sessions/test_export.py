@@ -129,6 +129,13 @@ def test_rows_of_an_export(tmp_path):
     assert (found.test.samples, found.test.site, found.test.preload_s) == (20, "leg", 0.005)
 
 
+def test_rows_of_an_export_are_counted_at_its_own_rate(tmp_path):
+    export_session(a_session(a_test()), tmp_path / "out", "csv")
+    rows = Source.parsed(f"{tmp_path}/out/test-0001.csv@10:30")
+    found = import_test(rows, None, Choices(), resample_hz=4000.0)
+    assert (found.test.sample_rate_hz, found.test.preload_s) == (4000.0, 0.005)
+
+
 def test_tests_of_two_sessions_get_new_numbers(tmp_path):
     export_session(a_session(a_test(1)), tmp_path / "a", "csv")
     export_session(a_session(a_test(1, repeat_of=4)), tmp_path / "b", "csv")
@@ -170,11 +177,12 @@ def test_attributes_from_others_are_checked(tmp_path, change, words):
         import_test(Source.parsed(str(tmp_path / "out" / "test-0001.csv")), None, Choices())
 
 
-def test_an_instrument_that_is_none(tmp_path):
+@pytest.mark.parametrize("ohm", [["twelve"], 10**400])
+def test_an_instrument_that_is_none(tmp_path, ohm):
     export_session(a_session(a_test()), tmp_path / "out", "csv")
     beside = tmp_path / "out" / "test-0001.json"
     told = json.loads(beside.read_text())
-    told["instrument"]["coil_resistance_ohm"] = ["twelve"]
+    told["instrument"]["coil_resistance_ohm"] = ohm
     beside.write_text(json.dumps(told))
     found = import_test(Source.parsed(str(tmp_path / "out" / "test-0001.csv")), None, Choices())
     with pytest.raises(UnusableInputError, match="coil_resistance_ohm"):

@@ -141,6 +141,7 @@ def test_a_file_that_was_cut_off_is_told(tmp_path):
         (END, "***", "cut off, or no LVM file"),
         ("Channels\t2", "Channels\tmany", "'many' channels"),
         ("Channels\t2", "Channels\t99999999999999999999", "channels"),
+        ("Channels\t2", "Channels\t000000002" + 5000 * "0", "channels"),
         ("-0.2\t2.5", "-0.2\tx", "line 25, column 3: 'x' is not a number"),
         ("-0.2\t2.5", "-0.2", "column 3 is missing"),
         ("Delta_X\t0.001", "Delta_X\tfast", "'fast': not a number"),

@@ -143,6 +143,15 @@ def test_a_bomb_is_not_set_off(tmp_path):
         imported(path)
 
 
+def test_groups_that_hold_each_other_come_to_an_end(tmp_path):
+    path = saved_73(tmp_path, {"u": U, "y": Y}, mark=False)
+    with h5py.File(path, "a") as file:
+        group = file.create_group("z")
+        for k in range(60):
+            group[f"again{k}"] = group
+    np.testing.assert_array_equal(imported(path).test.signals["input"], U)
+
+
 def test_a_session_is_not_imported(tmp_path):
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:

@@ -96,6 +96,13 @@ def test_resampling_makes_nothing_of_what_is_missing(tmp_path):
     np.testing.assert_array_equal(force, [1, np.nan, np.nan, np.nan, 3, 3.5, 4])
 
 
+def test_times_without_end_are_not_resampled(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,a,b\n0,1,2\n1e300,2,1\n1.2e308,1,2\n")
+    with pytest.raises(UnusableInputError, match="make a test"):
+        imported(path, "time=time:s", "input=a:V", "output=b:V", resample_hz=1e9)
+
+
 def test_units_of_time(tmp_path):
     assert imported(written(tmp_path, [0, 2, 4, 6], unit="ms")).test.sample_rate_hz == 500.0
     assert imported(written(tmp_path, [0, 2, 4, 6], unit="us")).test.sample_rate_hz == 500_000.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tissueid.cli.output import check_json, progress_bars
+from tissueid.cli.output import check_different, check_json, progress_bars
 from tissueid.cli.twin_tables import tell
 from tissueid.errors import UnusableInputError
 from tissueid.gap import Diagnosis, crew
@@ -13,7 +13,7 @@ from tissueid.gap.named import believing, file_of
 from tissueid.gap.observing import observe
 from tissueid.gap.scoring import Candidate, closed, floor, gap, quiet_tests
 from tissueid.gap.search import Progress, Search, applicable
-from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
+from tissueid.instrument.twin_file import MOST_NAMED, TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.sessions import read_session
 from tissueid.twin.catalogue import effect
 
@@ -34,15 +34,17 @@ def run_accept(
     Raises:
         UnusableInputError: the session, the twin, an effect or an option cannot be used, or there is nothing to accept.
     """
-    from tissueid.cli.gap_diagnosis import interruptible, run_diagnose
+    from tissueid.cli.gap_diagnosis import interruptible, numbers_of, run_diagnose
 
     check_json(json_file)
+    check_different(out, json_file)
     check_twin_writable(out)
     saved = None if before is None else read_twin(before)
     called = name or (saved.name if saved is not None else out.stem)
     with interruptible(), progress_bars() as show:
         if effects:
-            content = accept_named(session, effects, called, saved, workers, show)
+            chosen = numbers_of("--fit", fit), numbers_of("--check", check)
+            content = accept_named(session, effects, called, saved, workers, show, *chosen)
         else:
             found = run_diagnose(session, fit, check, workers, show, twin=saved)
             content = accepted(found, called, read_session(session).session_id, saved)
@@ -78,14 +80,21 @@ def accept_named(
     before: TwinFile | None,
     workers: int | None,
     show: Callable[[str, float], None],
+    fit: Sequence[int] = (),
+    check: Sequence[int] = (),
 ) -> TwinFile:
     """Fit a session with the effects that a person names, and make a twin of it.
 
     Raises:
         UnusableInputError: an effect does not exist, cannot be told from these records, or leaves no trace in them.
     """
+    if twice := [name for place, name in enumerate(names) if name in names[:place]]:
+        raise UnusableInputError(f"the effect {twice[0]} is named twice")
+    count = len(names) + (0 if before is None else len(before.effects))
+    if count > MOST_NAMED:
+        raise UnusableInputError(f"a twin holds at most {MOST_NAMED} effects, not {count}")
     session = read_session(path)
-    observed = observe(session)
+    observed = observe(session, fit, check)
     known: tuple[str, ...] = ()
     if before is not None:
         observed, known = believing(observed, before.twin), before.twin.effects
@@ -97,6 +106,7 @@ def accept_named(
     with crew(workers) as people:
         search = Search(observed, people, names, lambda step: show(step.what, _share(step)))
         baseline = best = search.baseline(known)
+        observed = baseline.fit.parameters.observed
         for name in names:
             tried = Search(observed, people, [name], lambda step: show(step.what, _share(step))).partners([best])
             if not tried:

@@ -122,7 +122,10 @@ def _check(plan: BlindPlan, folder: Path) -> None:
     with progress_bars() as show, crew(plan.workers) as people:
         found = answers(folder, names, people, _counter(show, "diagnosing", len(names)), nothing_out, keep)
         _check_seal(folder, begun)
-        cases = opened(found, unseal(folder))
+        labels = unseal(folder)
+        if labels.keys() != set(names):
+            raise UnusableInputError(f"{folder} holds other scenarios than its labels: nothing is scored")
+        cases = opened(found, labels)
         again: list[Answered] = []
         if plan.take_out:
             known = {
@@ -132,7 +135,7 @@ def _check(plan: BlindPlan, folder: Path) -> None:
             }
             count = _counter(show, "true effect taken out", len(known))
             one_out = answers(folder, list(known), people, count, known.__getitem__, keep)
-            again = opened(one_out, unseal(folder))
+            again = opened(one_out, labels)
     check = BlindCheck(begun.seal, begun.n, begun.seed, dict(_scores(cases, again)))
     for title, count_of, score in check.scores.values():
         _tell(console, title, count_of, score)

@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from tissueid.cli.gap_accept import accepted
-from tissueid.cli.output import check_json, check_output, people_read, progress_bars, table, write_json
+from tissueid.cli.output import check_different, check_json, check_output, people_read, progress_bars, table, write_json
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, crew, diagnose, observe
 from tissueid.gap.named import believing
@@ -46,6 +46,7 @@ def diagnose_session(
     """
     check_json(json_file)
     check_output(out, ("<!",))
+    check_different(json_file, out, twin_out)
     if twin_out is not None:
         check_twin_writable(twin_out)
     saved = None if twin is None else read_twin(twin)
@@ -119,7 +120,7 @@ def run_diagnose(
     Raises:
         UnusableInputError: the session cannot be read or used.
     """
-    observed = observe(read_session(path), _numbers("--fit", fit), _numbers("--check", check))
+    observed = observe(read_session(path), numbers_of("--fit", fit), numbers_of("--check", check))
     known: tuple[str, ...] = ()
     if twin is not None:
         observed, known = believing(observed, twin.twin), twin.twin.effects
@@ -131,7 +132,12 @@ def _bar(step: Progress) -> tuple[str, float]:
     return step.what, step.done / max(step.total, 1)
 
 
-def _numbers(option: str, text: str) -> tuple[int, ...]:
+def numbers_of(option: str, text: str) -> tuple[int, ...]:
+    """Numbers of tests with commas between them.
+
+    Raises:
+        UnusableInputError: they are none; names the option.
+    """
     try:
         return tuple(int(part) for part in text.split(",") if part.strip())
     except ValueError:

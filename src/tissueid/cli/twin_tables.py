@@ -44,7 +44,7 @@ def list_twins(folder: Path, json_file: Path | None) -> None:
         rows.add_row(path.name, content.name, str(content.version), effects, share, content.created)
         answers.append({"file": str(path), **_answer(content)})
     people = people_read(json_file)
-    people.print(rows if answers else f"there are no twins in {folder}")
+    people.print(rows if answers else f"there are no twins in {folder}", markup=False)
     if json_file is not None:
         write_json(json_file, {"twins": answers})
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.gap.driving import bridged
 from tissueid.gap.fitting import Fit
 from tissueid.gap.observed import ObservedTest
-from tissueid.gap.stagewise import MOTION_HZ, Substituted, bridged, motion, motion_noise
+from tissueid.gap.stagewise import MOTION_HZ, Substituted, motion, motion_noise
 
 FloatArray = NDArray[np.float64]
 

@@ -58,7 +58,10 @@ def known_instrument(device: DeviceDescription) -> bool:
 
 
 def driven(test: Test, device: DeviceDescription) -> Driven:
-    """What drives a test of a known instrument: the first signal down the chain that was recorded without gaps.
+    """What drives a test of a known instrument: its command if it has no gaps, or the first signal that was recorded.
+
+    What is missing of a recorded one, at most half, is bridged by straight lines. A command says nothing where the
+    session does not say what the amplifier makes of it.
 
     Raises:
         UnusableInputError: nothing does, or there is no position; says which.
@@ -79,20 +82,25 @@ def driven(test: Test, device: DeviceDescription) -> Driven:
     if travel == 0.0 and test.kind != "quiet":
         raise UnusableInputError("its position never changes")
     command = test.signals.get("command")
-    if command is not None and np.isfinite(command).all():
+    amplifier = all(np.isfinite(value) and value > 0.0 for value in (device.amplifier_gain, device.amplifier_limit_v))
+    if test.kind == "spring" and not device.calibration_spring_n_per_m > 0.0:
+        raise UnusableInputError("the session does not say how stiff its calibration spring is")
+    if command is not None and amplifier and np.isfinite(command).all():
         return Driven(test, "command", np.ascontiguousarray(command, np.float64), signals)
     if "voltage" in signals and np.isfinite(signals["voltage"]).mean() >= _LEAST_RECEIVED:
         return Driven(test, "voltage", bridged(signals["voltage"]), signals)
     if "current" not in signals and "force" in test.signals:
         force = np.where(np.isfinite(test.signals["force"]), test.signals["force"], np.nan)
         most = device.amplifier_limit_v / device.coil_resistance_ohm * device.force_constant_n_per_a
-        if float(np.nanmax(np.abs(force), initial=0.0)) > _MOST_FORCES * most:
+        if amplifier and float(np.nanmax(np.abs(force), initial=0.0)) > _MOST_FORCES * most:
             raise UnusableInputError(
                 f"its force reaches {np.nanmax(np.abs(force)):.3g} N, and the coil gives {most:.3g} N: is it in N?"
             )
         signals["current"] = force / device.force_constant_n_per_a
     if "current" in signals and np.isfinite(signals["current"]).mean() >= _LEAST_RECEIVED:
         return Driven(test, "current", bridged(signals["current"]), signals)
+    if command is not None and not amplifier:
+        raise UnusableInputError("the session says neither gain nor limit of the amplifier that its command goes to")
     if command is not None:
         raise UnusableInputError("its command has gaps, so that nothing can be played again")
     raise UnusableInputError("it has no command, voltage, current or force that drives it")

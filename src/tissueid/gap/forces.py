@@ -17,11 +17,12 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from tissueid.gap.driving import bridged
 from tissueid.gap.fitting import Fit
 from tissueid.gap.observed import ObservedTest, Purpose
 from tissueid.gap.playing import played
 from tissueid.gap.rhythm import lines
-from tissueid.gap.stagewise import Substituted, bridged, motion
+from tissueid.gap.stagewise import Substituted, motion
 from tissueid.twin.effect import Stage
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +36,7 @@ _PLAYS_M = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
 _SLIPS_M_S = (0.001, 0.005, 0.02)
 _DELAYS_S = (0.015, 0.025, 0.035, 0.05, 0.07, 0.1)
 _PITCHES_M = np.geomspace(0.0008, 0.008, 18)
-_PITCHES = 0.8
+_LONGEST_PITCH = 0.8
 """The longest period along the stroke, as a share of what was travelled: longer ones are any bent law."""
 _FRAMES_HZ = np.geomspace(12.0, 120.0, 14)
 _FRAME_DAMPING = 0.05
@@ -224,6 +225,8 @@ def families(
         ]
         after = _left(courses, columns, noise)
         gain = before - after - _PER_COLUMN * shapes[0].shape[0]
+        if not np.isfinite(gain):
+            continue  # shapes that run away, as a frame's do that is faster than the samples
         if (stage, kind) not in found or gain > found[stage, kind].gain:
             found[stage, kind] = Family(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
     return sorted(found.values(), key=lambda item: -item.gain)
@@ -286,7 +289,7 @@ def _shapes(courses: Sequence[Course], on_tissue: bool) -> Iterator[tuple[Stage,
     ends = _ends(courses)
     yield "mechanics", "end of stroke", [_beyond(one, ends) for one in courses]
     travelled = np.ptp(_reach(courses, of_position=True))
-    for pitch in _PITCHES_M[_PITCHES * travelled > _PITCHES_M]:
+    for pitch in _PITCHES_M[_LONGEST_PITCH * travelled > _PITCHES_M]:
         waves = [np.stack(_waves(2.0 * np.pi * one.position / pitch, 2)) for one in courses]
         yield "mechanics", "periodic along the stroke", waves
     for hz in _FRAMES_HZ:

@@ -35,10 +35,13 @@ class MenuItem:
 
 
 def menu(observed: Observed) -> tuple[MenuItem, ...]:
-    """Tests that could be run next; none where nothing in the session says what it was driven with."""
+    """Tests that could be run next; none where the session does not say what drove it, or nothing of its amplifier."""
     model = _model_test(observed)
-    if model is None:
+    if model is None or not (observed.instrument.amplifier_gain > 0.0 and observed.instrument.amplifier_limit_v > 0.0):
         return ()
+    if model.driven_by == "voltage":
+        # What was recorded lies behind the amplifier; what is to be asked for lies before it.
+        model = replace(model, command=model.command / observed.instrument.amplifier_gain, driven_by="command")
     rate = model.sample_rate_hz
     mean, swing = float(np.mean(model.command)), model.command - np.mean(model.command)
     spread = float(np.std(model.command))

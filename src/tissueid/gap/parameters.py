@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.gap.equivalent import FORCE_N, MOST_DELAY_SAMPLES
-from tissueid.gap.observed import Belief, Observed, ObservedTest
+from tissueid.gap.observed import Belief, Observed, ObservedTest, Purpose
 from tissueid.twin.effect import Effect, Parameter
 from tissueid.twin.figures import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
 from tissueid.twin.simulation import Acting
@@ -297,7 +297,8 @@ def _add(
         return
     for test, values in zip(observed.tests, read, strict=True):
         at = values.get(parameter.name, begin)
-        if parameter.fixed:
+        # Of a test that is held out whole nothing is fitted: what is its own stays as it was read.
+        if parameter.fixed or not test.serving(Purpose.FIT).any():
             constants[f"{name}@{test.number}"] = at
         else:
             found.append(_coordinate(f"{name}@{test.number}", parameter, at, test.number))
@@ -310,7 +311,7 @@ def _coordinate(name: str, parameter: Parameter, begin: float, test: int | None)
         low, high, begin = float(np.log(low)), float(np.log(high)), float(np.log(begin))
         prior = None if prior is None else float(np.log(prior))
     std = np.inf if parameter.prior_std is None else parameter.prior_std
-    # A derivative by a thousandth of the range, or of the value where a logarithm is fitted.
+    # A derivative by a five-thousandth of the range, or a thousandth of the value where a logarithm is fitted.
     step = 1e-3 if parameter.logarithmic else 2e-4 * (high - low)
     reach = 0.7 if parameter.logarithmic else 0.1 * (high - low)
     return Coordinate(name, begin, low, high, step, reach, begin if prior is None else prior, std, test)

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from tissueid.device import DeviceDescription
-from tissueid.gap.evidence import Evidence
+from tissueid.gap.driving import bridged
 from tissueid.gap.fitting import Fit
 from tissueid.gap.observed import Observed, ObservedTest
 from tissueid.gap.rhythm import MAINS_HZ, lines
-from tissueid.gap.stagewise import bridged, motion
+from tissueid.gap.stagewise import motion
 
 FloatArray = NDArray[np.float64]
 Direction = Literal["both", "into", "out"]
@@ -129,7 +129,7 @@ class Regions:
         }
 
 
-def regions(observed: Observed, baseline: Fit, found: Evidence) -> Regions:
+def regions(observed: Observed, baseline: Fit) -> Regions:
     """Regions where what the refitted baseline leaves stands above the floor, in the test that shows it most."""
     test, channel = _shown_in(observed, baseline)
     if test is None:
@@ -160,7 +160,7 @@ def regions(observed: Observed, baseline: Fit, found: Evidence) -> Regions:
         above["depth_m"],
         above["velocity_m_s"],
         above.get("current_a", ()),
-        _direction(residual / floor, velocity, test),
+        _direction(residual / floor, velocity),
         above["time_s"],
         profiles,
         spectra,
@@ -252,7 +252,7 @@ def _holm(chance: FloatArray) -> NDArray[np.bool_]:
     return above
 
 
-def _direction(residual: FloatArray, velocity: FloatArray, test: ObservedTest) -> Direction:
+def _direction(residual: FloatArray, velocity: FloatArray) -> Direction:
     known = np.isfinite(residual)
     slow = 0.1 * float(np.std(velocity))
     into = float(np.mean(residual[known & (velocity > slow)] ** 2)) if (known & (velocity > slow)).any() else 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.stagewise import bridged
+from tissueid.gap.driving import bridged
 
 FloatArray = NDArray[np.float64]
 

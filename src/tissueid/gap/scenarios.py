@@ -44,7 +44,7 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
         tests = tuple(_test(item, names, numbers) for item in about["tests"])
         known = {item.name for item in fields(DeviceDescription)}
         instrument = DeviceDescription(**{key: value for key, value in about["instrument"].items() if key in known})
-    except (OSError, AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (OSError, AttributeError, KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise UnusableInputError(f"{path} is no recording of the simulated laboratory: {error}") from error
     return Session(instrument, tests=tests)
 
@@ -102,8 +102,10 @@ def _label(about: dict[str, Any]) -> Label:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise UnusableInputError(f"{path} is too large for a scenario")
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise UnusableInputError(f"{path} cannot be read") from error
     if not isinstance(found, dict):
         raise UnusableInputError(f"{path} holds no object")

@@ -202,6 +202,7 @@ def score_of(cases: Sequence[Answered], asked: Asked, taken_out: Sequence[Answer
         _rate("unknown effect: unexplained", unknown, lambda case: case.verdict == "unexplained", asked.unexplained),
         _rate("known effect: unexplained", single, lambda case: case.verdict == "unexplained", 0.05, at_least=False),
         _rate("wrong name at 90 % or more", above, _wrong_and_sure, asked.wrong_and_sure, at_least=False),
+        _rate("the leading name alone", above, _wrong_leader_and_sure, asked.wrong_and_sure, at_least=False),
         _rate("false alarms without effect", none, lambda case: case.verdict != "no_gap", asked.false_alarm, False),
         _rate("gap missed", single, lambda case: case.verdict == "no_gap", 0.05, at_least=False),
     ]
@@ -275,8 +276,14 @@ def _stage(case: Answered) -> str:
 
 
 def _wrong_and_sure(case: Answered) -> bool:
+    # A second name has no probability of its own: it is taken to be as sure as the first.
     wrong = bool(case.named) and not case.named <= set(case.label.effects)
     return wrong and case.probability >= SURE
+
+
+def _wrong_leader_and_sure(case: Answered) -> bool:
+    leader = case.ranking[0]["effect"] if case.ranking else None
+    return bool(case.named) and leader not in case.label.effects and case.probability >= SURE
 
 
 def _figures(single: Sequence[Answered], asked: Asked) -> list[Measured]:

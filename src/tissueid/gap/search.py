@@ -13,6 +13,7 @@ from tissueid.gap.observed import Observed
 from tissueid.gap.scoring import Candidate, judged
 from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
+from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import effect, library
 from tissueid.twin.effect import Effect
 
@@ -157,11 +158,13 @@ class Search:
         """The leading candidates with one more effect each, best first.
 
         ``signatures`` against the baseline say at which starting point each effect is looked at; all are without them.
+        A leader that holds as many effects as the chain takes has none.
         """
         starts = {item.effect: item.start for item in sorted(signatures, key=lambda item: item.alignment)}
         heats = [
             pair
             for leader in leaders
+            if len(leader.effects) < MOST_EFFECTS
             for pair in self._heats("pairs", leader, self._screened(leader.fit, starts), PARTNERS)
         ]
         return self._finals("leading pairs", heats, FINAL_PAIRS)

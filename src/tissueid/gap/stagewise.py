@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import firwin
 
+from tissueid.gap.driving import bridged
 from tissueid.gap.fitting import Fit
-from tissueid.gap.observed import ObservedTest
+from tissueid.gap.observed import LEAST_NOISE, ObservedTest
 from tissueid.gap.playing import STEP_S, played
 from tissueid.twin.simulation import NOTHING_GIVEN, Given
 
@@ -39,7 +40,6 @@ MOTION_HZ = 350.0
 _TAPS = 61
 _STEPS = 14
 _TOLERANCE = 1e-4
-_LEAST_SIGMA = {"voltage": 1e-4, "current": 1e-5, "position": 1e-8}
 
 
 @dataclass(frozen=True)
@@ -72,15 +72,6 @@ def upstream(test: ObservedTest, *names: str) -> Given:
         position,
         velocity,
     )
-
-
-def bridged(values: FloatArray) -> FloatArray:
-    """The same with straight lines across what was not received, shape (n,)."""
-    known = np.isfinite(values)
-    if known.all():
-        return np.ascontiguousarray(values)
-    where = np.arange(values.size)
-    return np.interp(where, where[known], values[known])
 
 
 def motion(test: ObservedTest, instead: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +143,7 @@ def substitute(
     start = (baseline.theta if theta is None else theta).copy()
     givens = [upstream(test, *names) for test in tests]
     masks = [_used(test, channel) for test in tests]
-    sigma = max(noise, _LEAST_SIGMA[channel])
+    sigma = max(noise, LEAST_NOISE[channel])
 
     def simulated(values: FloatArray) -> list[dict[str, FloatArray]]:
         whole = start.copy()

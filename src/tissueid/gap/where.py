@@ -56,4 +56,4 @@ def where(observed: Observed, baseline: Candidate) -> Where:
     total = sum(weights.values())
     shares = {stage: weight / total if total > 0.0 else 0.0 for stage, weight in weights.items()}
     blamed = max(STAGES, key=lambda stage: (weights[stage], found.nearest.get(stage, 0.0)))
-    return Where(blamed, shares, found.findings, regions(observed, baseline.fit, found), found)
+    return Where(blamed, shares, found.findings, regions(observed, baseline.fit), found)

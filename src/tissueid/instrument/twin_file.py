@@ -18,6 +18,7 @@ from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import library
 from tissueid.twin.figures import Instrument, Tissue
 from tissueid.twin.named import NamedTwin
+from tissueid.twin.player import SUBSTEPS
 from tissueid.twin.simulation import Acting, values_by_name
 from tissueid.whole_file import whole_file
 
@@ -42,7 +43,8 @@ _TISSUE_BOUNDS = {
     "stiffness_n_per_m": (0.0, 1e7),
     "stiffness_growth_per_m": (-1e4, 1e4),
 }
-_STEPS_A_SAMPLE = 500.0
+_MOST_RADIANS = 1.5 * SUBSTEPS
+"""That a mass on the surface's stiffness may turn within a sample: from 2 a step on its simulation runs away."""
 
 
 class _Part(BaseModel):
@@ -125,7 +127,7 @@ class TwinFile(_Part):
     @model_validator(mode="after")
     def _can_be_played(self) -> TwinFile:
         mass = self.instrument["moving_mass_kg"] + self.tissue["mass_kg"]
-        if self.tissue["stiffness_n_per_m"] / mass > (_STEPS_A_SAMPLE * self.sample_rate_hz) ** 2:
+        if self.tissue["stiffness_n_per_m"] / mass > (_MOST_RADIANS * self.sample_rate_hz) ** 2:
             raise ValueError("its stiffness is too great for its mass to be played")
         names = [item.name for item in self.effects]
         if len(set(names)) < len(names):

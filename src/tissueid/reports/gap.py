@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tissueid import __version__
-from tissueid.gap.diagnosis import Diagnosis, Ranked
+from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
@@ -224,10 +224,11 @@ def next_steps_of(found: Diagnosis) -> Iterator[str]:
 def _tables(found: Diagnosis) -> Iterator[Table]:
     rows = tuple((stage, f"{fixed(100.0 * found.where.shares[stage], 0)} %") for stage in STAGES)
     yield Table("Stages", (), rows, "Shares of what stands above the floor.")
-    for item in found.ranking:
-        if item.effect in found.combination and item.parameters:
-            values = tuple(named_value(name, value) for name, value in item.parameters.items())
-            yield Table(f"Parameters of {effect_words(item.effect)}", (), values)
+    for effect in found.combination:
+        # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
+        if found.best is not None and (parameters := parameters_of(found.best, effect)):
+            values = tuple(named_value(name, value) for name, value in parameters.items())
+            yield Table(f"Parameters of {effect_words(effect)}", (), values)
     if found.where.evidence.errors:
         errors = tuple((name, f"{number(value, 3)} floors") for name, value in found.where.evidence.errors.items())
         note = "Each with everything upstream measured; 1 is the floor. Free current: from the voltage alone."

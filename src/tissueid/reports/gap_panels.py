@@ -105,8 +105,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "overlay",
         "Before and after",
         "Recorded signals with the simulation before and after the effect was added, and both residuals below.",
-        "A quarter of a second that no fit has seen. Below: recorded less simulated; dotted: what noise "
-        "alone would leave.",
+        "A quarter of a second that was held out of the fit, wholly or in part, where the error is largest. Below: "
+        "recorded less simulated; dotted: what noise alone would leave.",
         lambda figure: draw_overlay(figure, found),
         height=5.0,
     )

@@ -12,8 +12,8 @@ from tissueid.twin.simulation import Acting
 class NamedTwin:
     """Figures with their standard deviations where known, SI, and effects.
 
-    ``stds`` is by figure: ``force_constant_n_per_a``, ``surface_m``, ``dry_friction.coulomb_n``. ``sample_rate_hz`` is
-    that of the tests that it was fitted to.
+    ``stds`` is by figure: ``force_constant_n_per_a``, ``tissue_stiffness_n_per_m``, ``dry_friction.coulomb_n``.
+    ``sample_rate_hz`` is that of the tests that it was fitted to.
     """
 
     name: str

@@ -17,6 +17,8 @@ from tissueid.sessions.model import STATUSES, Session, Subject, Test
 
 FORMAT = "tissueid-export"
 _MOST_BYTES = 50_000_000
+_MOST = 1e300
+"""No figure is larger; a whole number in JSON can be larger than any float."""
 
 
 def _storable(text: str) -> str:
@@ -108,7 +110,7 @@ class Attributes(_Part):
                 good = isinstance(told, str)
             else:
                 told = math.nan if told is None else told
-                good = isinstance(told, int | float) and not isinstance(told, bool)
+                good = isinstance(told, int | float) and not isinstance(told, bool) and not abs(told) > _MOST
             if not good:
                 raise UnusableInputError(f"its attributes say instrument {field.name} {told!r:.60}")
             values[field.name] = told if not isinstance(told, int) else float(told)  # type: ignore[assignment]

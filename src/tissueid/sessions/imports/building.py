@@ -134,7 +134,7 @@ def _import_test(
     else:
         test = attributes.filled(test)
         if rows.start:
-            test = replace(test, preload_s=max(0.0, test.preload_s - rows.start / test.sample_rate_hz))
+            test = replace(test, preload_s=max(0.0, test.preload_s - rows.start / attributes.test.sample_rate_hz))
     told = {f.name: value for f in fields(Choices) if (value := getattr(choices, f.name)) is not None}
     return Imported(
         replace(test, **told), source, file.format, rows, tuple(signals), (*file.notices, *notices), attributes

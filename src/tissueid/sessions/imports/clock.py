@@ -96,9 +96,10 @@ def resampled(times: Array, values: list[Array], rate_hz: float) -> tuple[list[A
     """
     steps = _increasing(times)
     span = float(times[-1] - times[0])
-    count = int(np.floor(span * rate_hz * (1 + 1e-12))) + 1
-    if not 2 <= count <= MAX_ROWS:
-        raise UnusableInputError(f"at {rate_hz:g} Hz that would be {count} samples; 2 to {MAX_ROWS} make a test")
+    told = float(np.floor(span * rate_hz * (1 + 1e-12))) + 1.0
+    if not 2.0 <= told <= MAX_ROWS:
+        raise UnusableInputError(f"at {rate_hz:g} Hz that would be {told:.10g} samples; 2 to {MAX_ROWS} make a test")
+    count = int(told)
     grid = times[0] + np.arange(count) / rate_hz
     median = float(np.median(steps))
     after = np.clip(np.searchsorted(times, grid, side="right"), 1, times.size - 1)

@@ -148,7 +148,7 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
 
 def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], first: int) -> _Segment:
     told = header["Channels"][0] if header["Channels"] else ""
-    if not (told.isascii() and told.isdigit() and 0 < int(told[:9]) <= MAX_COLUMNS):
+    if not (told.isascii() and told.isdigit() and len(told) <= 9 and 0 < int(told) <= MAX_COLUMNS):
         raise UnusableInputError(f"a header says that there are {shown(told)} channels")
     count = int(told)
     before = outline.segments[-1].channels if outline.segments else [""] * count

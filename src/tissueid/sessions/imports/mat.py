@@ -57,7 +57,8 @@ def _open_hdf5(path: Path) -> ForeignFile:
     with _opened(path) as file:
         if file.attrs.get("format") in ("tissueid-session", b"tissueid-session"):
             raise UnusableInputError("is a session already: nothing needs to be imported")
-        found = {name: (where, shape, part) for name, where, shape, part in _hdf5_vectors(file, "", 0)}
+        items = iter(range(MAX_COLUMNS))
+        found = {name: (where, shape, part) for name, where, shape, part in _hdf5_vectors(file, "", 0, items)}
     if not found:
         raise UnusableInputError(_NOTHING)
 
@@ -73,17 +74,22 @@ def _open_hdf5(path: Path) -> ForeignFile:
     return _file({name: max(shape) for name, (_, shape, _) in found.items()}, read)
 
 
-def _hdf5_vectors(group: h5py.Group, before: str, depth: int) -> Iterator[tuple[str, str, tuple[int, ...], _Part]]:
-    """Name, place in the file, shape as MATLAB has it, and part, of every vector of real numbers."""
-    for count, name in enumerate(group):
-        if count >= MAX_COLUMNS:
+def _hdf5_vectors(
+    group: h5py.Group, before: str, depth: int, items: Iterator[int]
+) -> Iterator[tuple[str, str, tuple[int, ...], _Part]]:
+    """Name, place in the file, shape as MATLAB has it, and part, of every vector of real numbers.
+
+    Everything looked at takes one of ``items``: groups may hold each other, and a walk through them would not end.
+    """
+    for name in group:
+        if next(items, None) is None:
             return
         if name.startswith("#") or not isinstance(group.get(name, getlink=True), h5py.HardLink):
             continue
         item = group[name]
         if isinstance(item, h5py.Group):
             if depth < _DEEPEST:
-                yield from _hdf5_vectors(item, f"{before}{name}.", depth + 1)
+                yield from _hdf5_vectors(item, f"{before}{name}.", depth + 1, items)
         elif isinstance(item, h5py.Dataset) and _is_plain(item):
             shape = tuple(reversed(item.shape))
             for column, part in _columns(f"{before}{name}", shape):
