@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 from tissueid.twin import bus
 from tissueid.twin._slip import held
 from tissueid.twin.effect import Effect, FloatArray, Parameter
+from tissueid.twin.effects.dry_friction import STRIBECK_SPEED_M_S
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Dry friction, and beside it a force that goes one way while the probe slides either way."""
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    share = held(s, velocity, p[2], p[3], dt)
-    b[bus.FORCE] -= p[0] * share * (1.0 + p[1] * share)
+    ratio = velocity / STRIBECK_SPEED_M_S
+    level = p[0] * (1.0 + p[3] * math.exp(-min(ratio * ratio, 50.0)))
+    share = held(s, velocity, p[2], p[4], dt)
+    b[bus.FORCE] -= level * share * (1.0 + p[1] * share)
 
 
 EFFECT = Effect(
     name="directional_friction",
     stage="mechanics",
     title="Dry friction that differs by direction",
-    equation="F = -Fc z (1 + a z), z what dry friction holds, from -1 to 1: Fc (1 + a) in and Fc (1 - a) out; vanishes "
-    "with Fc = 0; a = 0 is plain dry friction",
+    equation="F = -Fc g(v) z (1 + a z), z what dry friction holds, from -1 to 1: Fc (1 + a) in and Fc (1 - a) out; "
+    "vanishes with Fc = 0; a = 0 is plain dry friction",
     signature="as dry friction, but one branch of every loop is shifted further than the other: a steady force while "
     "it slides that is absent while it sticks, so mean position depends on whether and how the probe moves",
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30 (1994) 1083-1138; Iwan, J. Applied Mechanics 33 "
@@ -28,9 +33,15 @@ EFFECT = Effect(
         Parameter("coulomb_n", "N", 0.0, 1e-3, 5.0, True, meaning="mean of the friction forces in and out"),
         Parameter("difference", "1", None, -0.95, 0.95, meaning="half of in less out, by their mean"),
         Parameter("presliding_m", "m", None, 1e-6, 3e-4, True, meaning="displacement before it slides"),
+        Parameter("stribeck_ratio", "1", None, -0.5, 3.0, prior=0.2, prior_std=0.5, meaning="extra hold at standstill"),
         Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share whose loops creep"),
     ),
-    starts=((0.1, 0.4, 2e-5, 0.5), (0.1, -0.4, 2e-5, 0.5), (0.5, 0.4, 5e-5, 0.5), (0.5, -0.4, 5e-5, 0.5)),
+    starts=(
+        (0.1, 0.4, 2e-5, 0.2, 0.5),
+        (0.1, -0.4, 2e-5, 0.2, 0.5),
+        (0.5, 0.4, 5e-5, 0.2, 0.5),
+        (0.5, -0.4, 5e-5, 0.2, 0.5),
+    ),
     mistaken_for=("dry_friction", "directional_damping", "tissue_hysteresis", "preconditioning"),
     places=(bus.MECHANICS,),
     hook=hook,
