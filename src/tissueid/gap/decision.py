@@ -27,10 +27,11 @@ class Thresholds:
     """With less than this left by the baseline there is no gap."""
     at_the_floor: float = 0.12
     """A candidate that leaves less than this explains the gap: nothing is left to be explained."""
-    explained_closed: float = 0.75
+    explained_closed: float = 0.7
     """Otherwise, the share of the gap that a candidate must close on held-out data to explain it ..."""
     alone_closed: float = 0.5
-    """... or this share, where no rival comes near: its form is not the recording's, but none other is like it."""
+    """... or this share, where no rival comes near that the data can tell from it: its form is not the recording's,
+    but none other is like it."""
     alone_lead: float = 0.3
     """That a rival comes near: it costs less than this more, nats."""
     explained_share: float = 0.55

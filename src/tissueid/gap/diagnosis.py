@@ -108,9 +108,9 @@ def diagnose(
         found, best = _with_partners(search, found, best)
     figures = figures_of(observed, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
-    if there_is:
-        verdict = "effect" if best is not None and _explained(found, best, figures) else "unexplained"
     ranking = _ranking(observed, found)
+    if there_is:
+        verdict = "effect" if best is not None and _explained(found, best, figures, ranking) else "unexplained"
     return Diagnosis(
         verdict,
         figures,
@@ -140,8 +140,12 @@ def _next(observed: Observed, found: Found, ranking: Sequence[Ranked], verdict: 
     return next_experiment(observed, singles, probabilities(found.baseline, singles))
 
 
-def _explained(found: Found, best: Candidate, figures: GapFigures) -> bool:
-    lead = lead_of(best, found.singles) if any(item is best for item in found.singles) else 0.0
+def _explained(found: Found, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked]) -> bool:
+    lead = 0.0
+    if any(item is best for item in found.singles):
+        # What this data cannot tell from it is named beside it, and is no rival.
+        alike = {name for item in ranking if item.effect in best.effects for name in item.indistinguishable}
+        lead = lead_of(best, [item for item in found.singles if not alike & set(item.effects)])
     return explains(found.baseline, best, figures.announced, lead)
 
 
