@@ -67,6 +67,7 @@ def _take_all(application: QApplication) -> None:
         calibrations=calibrations,
         audit=audit,
         folder=sessions,
+        language="en",
         wait=pace.wait,
         apart=False,
         now=SetClock.now,

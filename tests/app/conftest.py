@@ -54,6 +54,7 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations):
         around["calibrate"] = functools.partial(calibrated, folder=calibrations)
         around["show_file"] = lambda _: True
         around["first_page"] = "measure"
+        around["language"] = "en"
         around["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
         window = MainWindow(Surroundings(**(around | changes)))
         windows.append(window)

@@ -12,6 +12,7 @@ from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.language import _, marked
 from tissueid.audit import Trail
 from tissueid.calibration import StaticPlan, calibrate_static, write_calibration
 from tissueid.calibration.coil import Spring
@@ -26,8 +27,8 @@ from tissueid.calibration.words import notes_of
 from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
 
-BRING_WORDS = "Move the spring so that the probe stands at {0:.1f} mm, and let go. It goes on by itself."
-STANDS_WORDS = "The probe stands at {0:.1f} mm."
+BRING_WORDS = marked("Move the spring so that the probe stands at {position:.1f} mm, and let go. It goes on by itself.")
+STANDS_WORDS = marked("The probe stands at {position:.1f} mm.")
 
 
 def calibrate(
@@ -71,12 +72,12 @@ def calibrate(
         write_report(calibration, path.with_suffix(".html"))
     except Exception as error:  # noqa: BLE001 - the calibration is made and in force, whatever befalls its picture
         report = None
-        words = (
-            f"its report could not be written ({error}); 'tissueid calibrate show' with --report makes it from the file"
-        )
+        words = _(
+            "its report could not be written ({error}); 'tissueid calibrate show' with --report makes it from the file"
+        ).format(error=error)
         remarks = (*remarks, words)
     if problem := trail.settle():
-        remarks = (*remarks, f"not in the audit log: {problem}")
+        remarks = (*remarks, _("not in the audit log: {problem}").format(problem=problem))
     state = calibration_state(put_in_force(instrument.nominal, stored_calibrations(plan.folder), datetime.now(UTC)))
     return CalibrationOutcome(calibration, path, report, remarks, state)
 
@@ -104,10 +105,10 @@ def _sweep(
 
     def bring(position_m: float) -> None:
         """Have the person move the spring: it goes on by itself when the probe stands there."""
-        words = BRING_WORDS.format(1e3 * position_m)
+        words = _(BRING_WORDS).format(position=1e3 * position_m)
 
         def tell(standing: Standing) -> None:
-            talk.want(words, STANDS_WORDS.format(1e3 * standing.position_m))
+            talk.want(words, _(STANDS_WORDS).format(position=1e3 * standing.position_m))
 
         wait_until_there(instrument, position_m, tell, stop.check)
         talk.want("")
@@ -120,7 +121,7 @@ def _sweep(
         swept,
         recorder,
         bring=bring,
-        progress=lambda fraction: talk.show("identifying the spring along the stroke", fraction),
+        progress=lambda fraction: talk.show(_("identifying the spring along the stroke"), fraction),
         cancelled=stop.check,
     )
     try:
@@ -147,7 +148,7 @@ def _sweep(
             },
         )
 
-    talk.show("working out what the sweep says", 1.0)
+    talk.show(_("working out what the sweep says"), 1.0)
     calibration = meanwhile(instrument, analyse)
     return calibration, notes_of(calibration), lambda made, report: sweep_report(made).write(report)
 

@@ -21,19 +21,26 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.buttons import BigButton
 from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
+from tissueid.app.language import _, marked
 from tissueid.app.words import sentence
 from tissueid.calibration.words import readable, verdict_of
 
-_KINDS: dict[Kind, tuple[str, str]] = {
+_KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (
-        "Static calibration",
-        "Coil, force, position, range of motion, thermometer, accelerometer and supplies. Needs the "
-        "calibration spring; where there is no motorised stage, you are told what to put under the probe.",
+        marked("Static calibration"),
+        marked(
+            "Coil, force, position, range of motion, thermometer, accelerometer and supplies. Needs the "
+            "calibration spring; where there is no motorised stage, you are told what to put under the probe."
+        ),
+        marked("Begin static calibration"),
     ),
     "sweep": (
-        "Dynamic sweep",
-        "The calibration spring, identified along the stroke: the force constant by position, and where the coil is "
-        "linear. Best after a static calibration.",
+        marked("Dynamic sweep"),
+        marked(
+            "The calibration spring, identified along the stroke: the force constant by position, and where the coil "
+            "is linear. Best after a static calibration."
+        ),
+        marked("Begin dynamic sweep"),
     ),
 }
 _STEPS = 1000
@@ -55,10 +62,10 @@ class CalibrationPage(QWidget):
         self.bar = QProgressBar()
         self.bar.setRange(0, _STEPS)
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName("Progress of the calibration")
-        self.done = BigButton("Done, go on")
+        self.bar.setAccessibleName(_("Progress of the calibration"))
+        self.done = BigButton(_("Done, go on"))
         self.done.setProperty("role", "start")
-        self.done.setToolTip("Return does the same; Space and Escape stop")
+        self.done.setToolTip(_("Return does the same; Space and Escape stop"))
         self.done.clicked.connect(self.answered)
         self.done.hide()
         self.headline = QLabel()
@@ -69,11 +76,11 @@ class CalibrationPage(QWidget):
         self.said.setTextFormat(Qt.TextFormat.PlainText)
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._has_report = False
-        self.report = QPushButton("Open its report")
+        self.report = QPushButton(_("Open its report"))
         self.report.clicked.connect(self.report_wanted)
         self.figures = QTableWidget(0, 3)
-        self.figures.setHorizontalHeaderLabels(["Figure", "Value", "Unit"])
-        self.figures.setAccessibleName("Figures of the calibration")
+        self.figures.setHorizontalHeaderLabels([_("Figure"), _("Value"), _("Unit")])
+        self.figures.setAccessibleName(_("Figures of the calibration"))
         self.figures.verticalHeader().hide()
         self.figures.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.figures.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
@@ -84,12 +91,12 @@ class CalibrationPage(QWidget):
         header.setStretchLastSection(True)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         self.figures.verticalHeader().setDefaultSectionSize(_ROW)
-        self.fixed = QCheckBox("Spring fixed to the probe")
+        self.fixed = QCheckBox(_("Spring fixed to the probe"))
         self.fixed.setChecked(True)
-        self.fixed.setToolTip("Without it the probe only leans on the spring, and is pushed and never pulled")
-        self.room_known = QCheckBox("Room at")
+        self.fixed.setToolTip(_("Without it the probe only leans on the spring, and is pushed and never pulled"))
+        self.room_known = QCheckBox(_("Room at"))
         self.room = QDoubleSpinBox()
-        self.room.setAccessibleName("Temperature of the room")
+        self.room.setAccessibleName(_("Temperature of the room"))
         self.room.setSuffix(" °C")
         self.room.setDecimals(1)
         self.room.setRange(-10.0, 50.0)
@@ -126,13 +133,13 @@ class CalibrationPage(QWidget):
     def expect(self, kind: Kind) -> None:
         """A calibration begins."""
         self._show_result(False)
-        self.step.setText(f"{_KINDS[kind][0]}: connecting to the instrument.")
+        self.step.setText(_("{kind}: connecting to the instrument.").format(kind=_(_KINDS[kind][0])))
         self.bar.setValue(0)
 
     def rest(self) -> None:
         """Nothing goes on."""
         self.bar.setValue(0)
-        self.step.setText("No calibration is running.")
+        self.step.setText(_("No calibration is running."))
         self.done.hide()
 
     def settle(self, *, busy: bool) -> None:
@@ -160,14 +167,14 @@ class CalibrationPage(QWidget):
         """Verdict, figures, and what else is worth saying."""
         self.rest()
         calibration = outcome.calibration
-        self.headline.setText(sentence(f"{_KINDS[calibration.kind][0]} {verdict_of(calibration)}"))
+        self.headline.setText(sentence(f"{_(_KINDS[calibration.kind][0])} {verdict_of(calibration)}"))
         level = "good" if calibration.verdict == "passed" else "poor"
         for widget in (self._result, self.headline):
             widget.setProperty("level", level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
         lines = [sentence(line) for line in (*calibration.problems, *outcome.remarks)]
-        self.said.setText("\n".join([*lines, f"Saved in {outcome.path}."]))
+        self.said.setText("\n".join([*lines, _("Saved in {path}.").format(path=outcome.path)]))
         self._has_report = outcome.report is not None
         self.figures.setRowCount(len(calibration.quantities))
         for row, (name, quantity) in enumerate(calibration.quantities.items()):
@@ -186,7 +193,7 @@ class CalibrationPage(QWidget):
     # -- building -----------------------------------------------------------------------------------------
 
     def _make_choice(self, kind: Kind) -> QFrame:
-        title, words = _KINDS[kind]
+        title, words, begin = (_(text) for text in _KINDS[kind])
         card = QFrame()
         card.setProperty("role", "card")
         card.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
@@ -197,7 +204,7 @@ class CalibrationPage(QWidget):
         about.setWordWrap(True)
         about.setMinimumWidth(1)
         about.setAlignment(Qt.AlignmentFlag.AlignTop)
-        button = QPushButton(f"Begin {title.lower()}")
+        button = QPushButton(begin)
         button.clicked.connect(lambda: self.begun.emit(kind))
         self.begin[kind] = button
         options = QHBoxLayout()

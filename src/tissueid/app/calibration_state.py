@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
+from tissueid.app.language import marked
 from tissueid.app.words import sentence
 from tissueid.calibration.in_force import in_words, warnings_of
 from tissueid.device import DeviceDescription
 
-UNKNOWN = "Calibration: not known yet"
+UNKNOWN = marked("Calibration: not known yet")
 
 
 @dataclass(frozen=True)

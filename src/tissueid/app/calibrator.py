@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject
 
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind, calibrations_folder
+from tissueid.app.language import _
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
@@ -52,7 +53,7 @@ class Calibrator(QObject):
         self._talk = talk = Conversation(stop)
         trail = Trail(around.audit, window.ui.role.role)
         self._page.expect(kind)
-        window.ui.guidance.say("Calibrating. Keep hands and cables clear of the probe.")
+        window.ui.guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
         work = functools.partial(calibrate, plan, talk, stop, around.opener, trail, around.now)
         window.jobs.do(work, self._ended, self._failed)
         window.ui.stop.setFocus()
@@ -61,7 +62,7 @@ class Calibrator(QObject):
         if self._talk is not None and not self._talk.stopped:
             talk = self._talk.look()
             self._page.show_talk(talk)
-            self._window.ui.guidance.say(talk.wanted or "Calibrating. Keep hands and cables clear of the probe.")
+            self._window.ui.guidance.say(talk.wanted or _("Calibrating. Keep hands and cables clear of the probe."))
 
     def _answer(self) -> None:
         if self._talk is not None:

@@ -9,6 +9,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_state import CalibrationState
+from tissueid.app.language import _
 from tissueid.app.plan import DEFAULT_URL
 from tissueid.instrument import Found
 from tissueid.instrument.discovery import IN_PROCESS
@@ -29,13 +30,13 @@ class InstrumentChooser(QWidget):
         self.choice.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
         # A completer would turn a typed /dev/ttyACM1 into a listed /dev/ttyACM10.
         self.choice.setCompleter(None)  # type: ignore[arg-type]
-        self.choice.setAccessibleName("Instrument")
-        self.choice.setAccessibleDescription("A port, socket://HOST:PORT or simulated://TISSUE")
-        self.choice.setToolTip("A port, socket://HOST:PORT or simulated://TISSUE")
+        self.choice.setAccessibleName(_("Instrument"))
+        self.choice.setAccessibleDescription(_("A port, socket://HOST:PORT or simulated://TISSUE"))
+        self.choice.setToolTip(_("A port, socket://HOST:PORT or simulated://TISSUE"))
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.refresh = QPushButton("&Find")
-        self.refresh.setAccessibleName("Find instruments")
-        self.refresh.setToolTip("Ask every port whether an instrument answers")
+        self.refresh = QPushButton(_("&Find"))
+        self.refresh.setAccessibleName(_("Find instruments"))
+        self.refresh.setToolTip(_("Ask every port whether an instrument answers"))
         self.about = QLabel()
         self.about.setProperty("role", "field")
         self.about.setWordWrap(True)
@@ -111,12 +112,12 @@ class InstrumentChooser(QWidget):
     def _health(self, url: str) -> str:
         item = self._found.get(url)
         if item is None:
-            return "Typed address: tried when the test starts." if url else ""
+            return _("Typed address: tried when the test starts.") if url else ""
         if item.answers:
-            return f"Ready: {item.detail or item.what}."
+            return f"{_('Ready')}: {item.detail or item.what}."
         if item.answers is None:
-            return f"{item.what}: not asked whether it is ready."
-        return f"Does not answer: {item.detail or item.what}."
+            return _("{what}: not asked whether it is ready.").format(what=item.what)
+        return f"{_('Does not answer')}: {item.detail or item.what}."
 
     def _describe(self) -> None:
         self.about.setText(self._health(self.url))
@@ -124,9 +125,9 @@ class InstrumentChooser(QWidget):
 
     def _describe_calibration(self) -> None:
         state = self.calibration_of(self.url)
-        self.calibration.setText(state.words)
+        self.calibration.setText(_(state.words))
         self.calibration.setToolTip("\n".join(state.warnings))
-        self.calibration.setAccessibleName(" ".join([state.words, *state.warnings]))
+        self.calibration.setAccessibleName(" ".join([_(state.words), *state.warnings]))
         self.calibration.setProperty("level", state.level)
         self.calibration.style().unpolish(self.calibration)
         self.calibration.style().polish(self.calibration)

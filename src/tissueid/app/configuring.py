@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QGridLayout, QLabel, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
 
 _USUAL_SPRING_N_PER_M = 200.0
 _NAMES = {
-    "indentation": "Indentation",
-    "extension": "Extension",
-    "surface": "Surface (sliding)",
+    "indentation": marked("Indentation"),
+    "extension": marked("Extension"),
+    "surface": marked("Surface (sliding)"),
 }
 _WHAT = {
-    "indentation": "The probe pushes into the tissue",
-    "extension": "The probe is stuck on and moves along the skin, which it stretches",
-    "surface": "The probe slides on the surface against an external spring, which is subtracted",
+    "indentation": marked("The probe pushes into the tissue"),
+    "extension": marked("The probe is stuck on and moves along the skin, which it stretches"),
+    "surface": marked("The probe slides on the surface against an external spring, which is subtracted"),
 }
 
 
@@ -25,27 +26,27 @@ class ConfigurationChooser(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.name = QComboBox()
-        self.name.setAccessibleName("Configuration")
+        self.name.setAccessibleName(_("Configuration"))
         for name in CONFIGURATIONS:
-            self.name.addItem(_NAMES.get(name, name.capitalize()), name)
+            self.name.addItem(_(_NAMES.get(name, name.capitalize())), name)
         self.probe = QComboBox()
-        self.probe.setAccessibleName("Probe")
+        self.probe.setAccessibleName(_("Probe"))
         self.spring = QDoubleSpinBox()
-        self.spring.setAccessibleName("External spring")
+        self.spring.setAccessibleName(_("External spring"))
         self.spring.setSuffix(" N/m")
         self.spring.setDecimals(0)
         self.spring.setRange(1.0, STIFFEST_SPRING_N_PER_M)
         self.spring.setSingleStep(50.0)
         self.spring.setValue(_USUAL_SPRING_N_PER_M)
-        self._spring_label = QLabel("E&xternal spring")
+        self._spring_label = QLabel(_("E&xternal spring"))
         self._spring_label.setBuddy(self.spring)
-        probe_label = QLabel("&Probe")
+        probe_label = QLabel(_("&Probe"))
         probe_label.setBuddy(self.probe)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setHorizontalSpacing(8)
         grid.setVerticalSpacing(5)
-        rows = ((QLabel("Configuration"), self.name), (probe_label, self.probe), (self._spring_label, self.spring))
+        rows = ((QLabel(_("Configuration")), self.name), (probe_label, self.probe), (self._spring_label, self.spring))
         for row, (label, field) in enumerate(rows):
             label.setProperty("role", "field")
             grid.addWidget(label, row, 0)
@@ -78,7 +79,7 @@ class ConfigurationChooser(QWidget):
                 self.probe.addItem(probe.name, probe.name)
         for widget in (self.spring, self._spring_label):
             widget.setVisible(self.chosen == "surface")
-        self.name.setToolTip(_WHAT.get(self.chosen, ""))
+        self.name.setToolTip(_(_WHAT.get(self.chosen, "")))
         self._describe()
 
     def _describe(self) -> None:

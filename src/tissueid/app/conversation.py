@@ -11,6 +11,7 @@ import platformdirs
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.language import _
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.store import LOCAL, calibration_folder
 from tissueid.errors import UnusableInputError
@@ -39,7 +40,7 @@ class CalibrationPlan:
             UnusableInputError: no instrument is chosen.
         """
         if not self.url:
-            raise UnusableInputError("choose an instrument, or type its address")
+            raise UnusableInputError(_("choose an instrument, or type its address"))
 
 
 @dataclass(frozen=True)

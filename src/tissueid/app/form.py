@@ -27,9 +27,18 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
+from tissueid.app.language import _, marked
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.instrument import PROFILES
 
+_CALLED = {
+    "clinical": marked("Clinical"),
+    "research": marked("Research"),
+    "gaussian": marked("Gaussian"),
+    "uniform": marked("Uniform"),
+    "rayleigh": marked("Rayleigh"),
+    "exponential": marked("Exponential"),
+}
 _USUAL_FORCE_N = Plan.max_force_n
 
 _SHORTEST_S = 0.5
@@ -51,7 +60,7 @@ class PlanForm(QWidget):
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit(ANONYMOUS)
-        self.subject.setToolTip("A pseudonym, never a name")
+        self.subject.setToolTip(_("A pseudonym, never a name"))
         self.site = QComboBox()
         self.site.setEditable(True)
         self.site.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
@@ -60,9 +69,9 @@ class PlanForm(QWidget):
         self.site.addItems(list(SITES))
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
-            line.setPlaceholderText("where on the body, or which material")
-        self.map = QPushButton("Body map…")
-        self.map.setToolTip("Choose the site on a drawn body")
+            line.setPlaceholderText(_("where on the body, or which material"))
+        self.map = QPushButton(_("Body map…"))
+        self.map.setToolTip(_("Choose the site on a drawn body"))
         where = QWidget()
         beside = QHBoxLayout(where)
         beside.setContentsMargins(0, 0, 0, 0)
@@ -72,19 +81,24 @@ class PlanForm(QWidget):
         self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
-            self.limits.addItem(f"{name.capitalize()}: up to {PROFILES[name].max_force_n:g} N", name)
+            self.limits.addItem(
+                _("{profile}: up to {force:g} N").format(
+                    profile=_(_CALLED.get(name, name.capitalize())), force=PROFILES[name].max_force_n
+                ),
+                name,
+            )
         self.path = QLineEdit()
-        self.browse = QPushButton("C&hoose…")
-        self.browse.setAccessibleName("Choose where to save")
+        self.browse = QPushButton(_("C&hoose…"))
+        self.browse.setAccessibleName(_("Choose where to save"))
 
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(10)
-        _add(layout, "&Instrument", self.instrument, focus=self.instrument.choice)
-        _add(layout, "Si&te", where, focus=self.site)
-        _add(layout, "Su&bject (a pseudonym, never a name)", self.subject)
+        _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
+        _add(layout, _("Si&te"), where, focus=self.site)
+        _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
         layout.addWidget(self.set_up)
-        _add(layout, "&Limits", self.limits)
+        _add(layout, _("&Limits"), self.limits)
         self._add_settings(layout)
         saving = QWidget()
         row = QHBoxLayout(saving)
@@ -92,7 +106,7 @@ class PlanForm(QWidget):
         row.setSpacing(6)
         row.addWidget(self.path, 1)
         row.addWidget(self.browse)
-        _add(layout, "Sa&ve to", saving, focus=self.path)
+        _add(layout, _("Sa&ve to"), saving, focus=self.path)
         layout.addStretch(1)
 
         self.limits.currentIndexChanged.connect(self._apply_limits)
@@ -172,17 +186,17 @@ class PlanForm(QWidget):
     def _add_settings(self, layout: QVBoxLayout) -> None:
         """The stimulus, folded away under a line that says what it is."""
         self.fold = QToolButton()
-        self.fold.setText("S&ettings")
+        self.fold.setText(_("S&ettings"))
         self.fold.setProperty("role", "fold")
         self.fold.setCheckable(True)
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.fold.setAccessibleName("Settings of the stimulus")
+        self.fold.setAccessibleName(_("Settings of the stimulus"))
         self.summary = QLabel()
         self.summary.setProperty("role", "field")
         self.summary.setWordWrap(True)
         self.distribution = QComboBox()
         for name in DISTRIBUTIONS:
-            self.distribution.addItem(name.capitalize(), name)
+            self.distribution.addItem(_(_CALLED.get(name, name.capitalize())), name)
         self.min_force = _number(" N", 0.0, 14.5, 0.5, 0.5)
         self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
         self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
@@ -194,11 +208,11 @@ class PlanForm(QWidget):
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setVerticalSpacing(6)
         rows = (
-            ("&Distribution", self.distribution),
-            ("Lo&west force", self.min_force),
-            ("Hi&ghest force", self.max_force),
-            ("Dur&ation", self.seconds),
-            ("Seed", self.seed),
+            (_("&Distribution"), self.distribution),
+            (_("Lo&west force"), self.min_force),
+            (_("Hi&ghest force"), self.max_force),
+            (_("Dur&ation"), self.seconds),
+            (_("Seed"), self.seed),
         )
         for row, (name, field) in enumerate(rows):
             label = QLabel(name)
@@ -239,8 +253,13 @@ class PlanForm(QWidget):
 
     def _summarise(self) -> None:
         self.summary.setText(
-            f"{self.distribution.currentText()} noise, {self.min_force.value():g} to {self.max_force.value():g} N, "
-            f"{self.seconds.value():g} s, seed {self.seed.value()}"
+            _("{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}").format(
+                distribution=self.distribution.currentText(),
+                low=self.min_force.value(),
+                high=self.max_force.value(),
+                seconds=self.seconds.value(),
+                seed=self.seed.value(),
+            )
         )
 
     def _take_own_force(self) -> None:
@@ -250,7 +269,7 @@ class PlanForm(QWidget):
         self._own_path = True
 
     def _choose_path(self) -> None:
-        dialog = QFileDialog(self, "Save the session to", str(self.folder), "Sessions (*.h5)")
+        dialog = QFileDialog(self, _("Save the session to"), str(self.folder), _("Sessions (*.h5)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("h5")
         dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an existing session is refused, not replaced

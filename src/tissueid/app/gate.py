@@ -6,13 +6,14 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.sessions.quality import Quality, Verdict
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 MOST_SHOWN = 3
 """Findings that are shown at once; the others are counted, and shown when asked for."""
-UNJUDGED = "This test was not judged when it was made; 'tissueid quality' judges it."
+UNJUDGED = marked("This test was not judged when it was made; 'tissueid quality' judges it.")
 
 
 class QualityGate(QFrame):
@@ -30,9 +31,9 @@ class QualityGate(QFrame):
         self.headline.setProperty("role", "headline")
         self.more = QPushButton()
         self.more.setCheckable(True)
-        self.more.setAccessibleName("All findings")
-        self.run_again = QPushButton("Run again")
-        self.run_again.setToolTip("The same test once more, into a file of its own")
+        self.more.setAccessibleName(_("All findings"))
+        self.run_again = QPushButton(_("Run again"))
+        self.run_again.setToolTip(_("The same test once more, into a file of its own"))
         top = QHBoxLayout()
         top.setSpacing(8)
         top.addWidget(self.light)
@@ -64,12 +65,12 @@ class QualityGate(QFrame):
             widget.setProperty("level", level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
-        self.headline.setText("Not judged" if quality is None else quality.headline)
+        self.headline.setText(_("Not judged") if quality is None else quality.headline)
         self.run_again.setVisible(verdict == "repeat" and can_repeat)
         self.repeats.hide()
         self.more.setChecked(False)
         self._fill()
-        self.setAccessibleName(" ".join(["Quality gate:", self.headline.text() + ".", *self.words]))
+        self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.words]))
         self.show()
         if verdict in ("look", "repeat"):
             QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
@@ -77,7 +78,7 @@ class QualityGate(QFrame):
     @property
     def words(self) -> tuple[str, ...]:
         """Everything that it says, those findings included that are not shown at once."""
-        return (UNJUDGED,) if self._quality is None else self._quality.lines
+        return (_(UNJUDGED),) if self._quality is None else self._quality.lines
 
     def _fill(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
@@ -85,13 +86,13 @@ class QualityGate(QFrame):
                 widget.hide()
                 widget.deleteLater()
         if self._quality is None:
-            self._grid.addWidget(_text(UNJUDGED, "muted"), 0, 0, 1, 2)
+            self._grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
             self.more.hide()
             return
         findings = self._quality.findings
         hidden = len(findings) - MOST_SHOWN
         self.more.setVisible(hidden > 0)
-        self.more.setText("Fewer" if self.more.isChecked() else f"{hidden} more")
+        self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
         for row, finding in enumerate(shown):
             self._grid.addWidget(_text(finding.words, ""), row, 0)

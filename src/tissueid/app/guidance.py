@@ -9,22 +9,24 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLa
 
 from tissueid.acquisition.placing import PLACE_S
 from tissueid.acquisition.playing import Phase
+from tissueid.app.language import _, marked
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
 
-IDLE = "Place the probe on the skin and hold the reference surface firmly. Then start the test."
+IDLE = marked("Place the probe on the skin and hold the reference surface firmly. Then start the test.")
 _NAMES = {
-    Phase.PLACE: "1  Place",
-    Phase.PRELOAD: "2  Preload",
-    Phase.STIMULUS: "3  Stimulus",
-    Phase.RELEASE: "4  Release",
+    Phase.PLACE: marked("1  Place"),
+    Phase.PRELOAD: marked("2  Preload"),
+    Phase.STIMULUS: marked("3  Stimulus"),
+    Phase.RELEASE: marked("4  Release"),
 }
 _WORDS = {
-    Phase.PLACE: "Hold the reference surface firmly: the probe is finding the skin.",
-    Phase.PRELOAD: "Hold still: the probe leans in to its mean force.",
-    Phase.RELEASE: "Done. The coil is free: lift the probe off the skin.",
+    Phase.PLACE: marked("Hold the reference surface firmly: the probe is finding the skin."),
+    Phase.PRELOAD: marked("Hold still: the probe leans in to its mean force."),
+    Phase.RELEASE: marked("Done. The coil is free: lift the probe off the skin."),
 }
+_STATES = {"todo": marked("todo"), "now": marked("now"), "done": marked("done")}
 _STEPS = 1000
 
 
@@ -39,7 +41,7 @@ class Guidance(QFrame):
         phases = QHBoxLayout()
         phases.setSpacing(14)
         for phase, name in _NAMES.items():
-            label = QLabel(name)
+            label = QLabel(_(name))
             label.setProperty("role", "phase")
             self._labels[phase] = label
             phases.addWidget(label, 1)
@@ -51,7 +53,7 @@ class Guidance(QFrame):
         self.bar = QProgressBar()
         self.bar.setRange(0, _STEPS)
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName("Progress of the test")
+        self.bar.setAccessibleName(_("Progress of the test"))
         layout = QVBoxLayout(self)
         layout.setContentsMargins(14, 8, 14, 10)
         layout.setSpacing(6)
@@ -66,7 +68,7 @@ class Guidance(QFrame):
         """No test runs."""
         self._mark(None)
         self.bar.setValue(0)
-        self.say(IDLE)
+        self.say(_(IDLE))
 
     def say(self, text: str) -> None:
         """Change the instruction."""
@@ -84,9 +86,9 @@ class Guidance(QFrame):
         done_s = glance.fraction * PLACE_S if phase is Phase.PLACE else PLACE_S + run_s
         self.bar.setValue(round(_STEPS * done_s / (PLACE_S + plan.total_s)))
         if phase is Phase.STIMULUS:
-            self.say(f"Measuring. Hold still for {max(1, math.ceil(plan.total_s - run_s))} s.")
+            self.say(_("Measuring. Hold still for {left} s.").format(left=max(1, math.ceil(plan.total_s - run_s))))
         else:
-            self.say(_WORDS[phase])
+            self.say(_(_WORDS[phase]))
 
     def _mark(self, now: Phase | None) -> None:
         """Set the phases before ``now`` done, and the ones after it to come."""
@@ -99,6 +101,6 @@ class Guidance(QFrame):
             if now is Phase.RELEASE:
                 state = "done"
             label.setProperty("state", state)
-            label.setAccessibleName(f"{_NAMES[phase]}: {state}")
+            label.setAccessibleName(f"{_(_NAMES[phase])}: {_(_STATES[state])}")
             label.style().unpolish(label)
             label.style().polish(label)

@@ -8,10 +8,11 @@ from typing import Any
 from PySide6.QtCore import QUrl
 from PySide6.QtWidgets import QDockWidget, QTextBrowser, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked, spoken
 from tissueid.app.theme import Theme
 
 FOLDER = Path(__file__).with_name("help")
-MISSING = "There is no help for this page."
+MISSING = marked("There is no help for this page.")
 _WIDTH = 320
 
 
@@ -27,11 +28,11 @@ class HelpPanel(QDockWidget):
     """What the page is for, its steps, its colours and its keys."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__("Help", parent)
+        super().__init__(_("Help"), parent)
         self.setObjectName("help")
         self.reader = _Reader()
         self.reader.setOpenLinks(False)
-        self.reader.setAccessibleName("Help for this page")
+        self.reader.setAccessibleName(_("Help for this page"))
         self.reader.setMinimumWidth(_WIDTH - 40)
         self.reader.document().setDocumentMargin(10)
         inside = QWidget()
@@ -54,8 +55,18 @@ class HelpPanel(QDockWidget):
         self._fill()
 
     def _fill(self) -> None:
-        path = FOLDER / f"{self._page}.md"
         try:
-            self.reader.setMarkdown(path.read_text(encoding="utf-8") if self._page else "")
+            self.reader.setMarkdown(_help_of(self._page) if self._page else "")
         except OSError:
-            self.reader.setPlainText(MISSING)
+            self.reader.setPlainText(_(MISSING))
+
+
+def _help_of(page: str) -> str:
+    """The help of a page in the language of the window, else in English.
+
+    Raises:
+        OSError: there is none.
+    """
+    name = f"{page}.md"
+    path = FOLDER / spoken() / name
+    return (path if path.is_file() else FOLDER / name).read_text(encoding="utf-8")

@@ -9,6 +9,7 @@ import numpy as np
 
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
+from tissueid.app.language import _, marked
 from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
@@ -23,9 +24,9 @@ from tissueid.wording import engine_label, estimate, fixed, named_unit, people_u
 MM = 1e3
 MS = 1e3
 _OF_WHAT = {
-    "mass_kg": "coil and tissue",
-    "damping_n_s_per_m": "coil and tissue",
-    "stiffness_n_per_m": "tissue, depths visited",
+    "mass_kg": marked("coil and tissue"),
+    "damping_n_s_per_m": marked("coil and tissue"),
+    "stiffness_n_per_m": marked("tissue, depths visited"),
 }
 _CONFIDENCE = 1.96
 _EXCITED = 0.03
@@ -80,11 +81,13 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
             label, si_unit = named_unit(quantity)
             unit, scale = people_unit(si_unit)
             value, deviation, power = estimate(parameters[quantity], scale)
-            yield Number(label, value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])), note)
-    for engine, label in ((linear, "VAF, linear model"), ("wiener", "VAF, Wiener model")):
+            yield Number(
+                _(label), value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])), _(note)
+            )
+    for engine, label in ((linear, _("VAF, linear model")), ("wiener", _("VAF, Wiener model"))):
         if engine in analyses:
             report = analyses[engine].model.report
-            note = f"unseen; fitted {fixed(report.vaf_percent, 1)} %"
+            note = _("unseen; fitted {vaf} %").format(vaf=fixed(report.vaf_percent, 1))
             yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
 
 
@@ -92,13 +95,21 @@ def how_it_ended(test: Test) -> str:
     """Status and completeness of a test, as a sentence."""
     seconds = test.samples / test.sample_rate_hz
     lost = int(np.isnan(test.signals["position"]).sum()) if "position" in test.signals else 0
-    missing = f"{lost} of {test.samples} samples lost" if lost else "no sample lost"
+    missing = (
+        _("{lost} of {samples} samples lost").format(lost=lost, samples=test.samples) if lost else _("no sample lost")
+    )
     if test.status == "completed":
-        return f"Completed: {seconds:.1f} s, {missing}."
+        return _("Completed: {seconds:.1f} s, {missing}.").format(seconds=seconds, missing=missing)
     if test.status == "recovered":
-        return f"Recovered after an interruption: {seconds:.1f} s, {missing}."
+        return _("Recovered after an interruption: {seconds:.1f} s, {missing}.").format(
+            seconds=seconds, missing=missing
+        )
     reason = sentence(str(test.notes.get("reason", "")))
-    return f"Ended early after {seconds:.1f} s, {missing}. {reason}".strip()
+    return (
+        _("Ended early after {seconds:.1f} s, {missing}. {reason}")
+        .format(seconds=seconds, missing=missing, reason=reason)
+        .strip()
+    )
 
 
 def _drawn(draw: Callable[[Mapping[str, Analysis]], Curves], analyses: Mapping[str, Analysis]) -> Curves:
@@ -113,7 +124,7 @@ def _impulse(analyses: Mapping[str, Analysis]) -> Curves:
     """Lag in ms, response in mm/(N s), with one standard deviation to either side."""
     model = analyses["lms"].model if "lms" in analyses else None
     if not isinstance(model, LmsModel):
-        raise UnusableInputError("no impulse response could be estimated")
+        raise UnusableInputError(_("no impulse response could be estimated"))
     response, std = MM * model.impulse_response, MM * model.impulse_response_std
     fine_s = np.linspace(0.0, float(model.lag_s[-1]), _FINE)
     fitted = MM * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
@@ -124,12 +135,12 @@ def _bode(analyses: Mapping[str, Analysis]) -> Curves:
     """Decimal logarithms of frequency in Hz and compliance in mm/N, with a 95 % band, where there is input."""
     model = analyses["spectral"].model if "spectral" in analyses else None
     if not isinstance(model, SpectralModel):
-        raise UnusableInputError("no transfer function could be estimated")
+        raise UnusableInputError(_("no transfer function could be estimated"))
     spectra = model.spectra
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
     shown &= (spectra.magnitude > 0.0) & np.isfinite(spectra.magnitude_std)
     if shown.sum() < 3:
-        raise UnusableInputError("the input has power at fewer than three frequencies")
+        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
     frequency = np.log10(spectra.frequency_hz[shown])
     magnitude = np.log10(MM * spectra.magnitude[shown])
     spread = np.log10(1.0 + _CONFIDENCE * spectra.magnitude_std[shown] / spectra.magnitude[shown])
@@ -142,12 +153,12 @@ def _nonlinearity(analyses: Mapping[str, Analysis]) -> Curves:
     """Output of the linear stage in N against position in mm."""
     analysis = analyses.get("wiener")
     if analysis is None or not isinstance(analysis.model, WienerModel):
-        raise UnusableInputError("no static nonlinearity could be estimated")
+        raise UnusableInputError(_("no static nonlinearity could be estimated"))
     model, record = analysis.model, analysis.record[analysis.fit_part]
     z = model.linear_output(record.input)
     known = np.isfinite(z) & np.isfinite(record.output)
     if known.sum() < 2:
-        raise UnusableInputError("no sample lies where the Wiener model can be run")
+        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
     z, measured = z[known], record.output[known]
     some = slice(None, None, max(1, -(-z.size // _MOST_DOTS)))
     fine = np.linspace(z.min(), z.max(), _FINE)
@@ -158,7 +169,7 @@ def _prediction(analyses: Mapping[str, Analysis]) -> Curves:
     """Time in s against position in mm: a stretch of unseen motion, and what the Wiener model says of it."""
     analysis = analyses.get("wiener") or analyses.get("lms")
     if analysis is None:
-        raise UnusableInputError("no model could be run on motion that it had not seen")
+        raise UnusableInputError(_("no model could be run on motion that it had not seen"))
     record = analysis.held_out_record
     shown = slice(analysis.held_out.start, analysis.held_out.start + round(_STRETCH_S * record.sample_rate_hz))
     measured, predicted = record.output[shown], analysis.model.simulate(record.input)[shown]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.language import _, plural
 from tissueid.instrument import RESEARCH, Found, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
 
@@ -23,10 +24,9 @@ class Survey:
     def words(self) -> str:
         """How many instruments answer."""
         answering = sum(item.answers is True and not item.url.startswith(IN_PROCESS) for item in self.found)
-        what = {0: "No instrument answers", 1: "One instrument answers"}.get(
-            answering, f"{answering} instruments answer"
-        )
-        return f"{what}; simulations in this program can always be chosen."
+        some = plural("One instrument answers", "{count} instruments answer", answering).format(count=answering)
+        what = some if answering else _("No instrument answers")
+        return _("{what}; simulations in this program can always be chosen.").format(what=what)
 
 
 def greatest_force_n(instrument: Instrument) -> float:

@@ -26,6 +26,7 @@ from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
 from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
+from tissueid.app.language import _, marked
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.notice import Notice
 from tissueid.app.rail import Rail
@@ -39,7 +40,7 @@ from tissueid.audit import Role
 SIDE_WIDTH = 330
 MEASURE = "measure"
 """The page of the guided test."""
-RESEARCH_USE = "Research use only. Not a medical device."
+RESEARCH_USE = marked("Research use only. Not a medical device.")
 
 
 class _Stack(QStackedWidget):
@@ -64,14 +65,14 @@ class Layout:
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
         self.gate = QualityGate()
-        self.start = BigButton("&Start test")
+        self.start = BigButton(_("&Start test"))
         self.start.setProperty("role", "start")
-        self.stop = BigButton("STOP – release coil")
+        self.stop = BigButton(_("STOP – release coil"))
         self.stop.setProperty("role", "stop")
-        self.stop.setAccessibleName("STOP, release the coil")
-        self.stop.setToolTip("Escape and Space do the same")
-        self.open = QPushButton("&Open session…")
-        self.report = QPushButton("Open &report")
+        self.stop.setAccessibleName(_("STOP, release the coil"))
+        self.stop.setToolTip(_("Escape and Space do the same"))
+        self.open = QPushButton(_("&Open session…"))
+        self.report = QPushButton(_("Open &report"))
         self.notice = Notice()
         self.guidance = Guidance()
         self.signals = SignalPlots()
@@ -86,18 +87,18 @@ class Layout:
         self.pages = QTabWidget()
         self.pages.setDocumentMode(True)
         self.pages.tabBar().setDrawBase(False)
-        self.pages.addTab(self.running, "Sig&nals")
-        self.pages.addTab(self.result, "Res&ult")
+        self.pages.addTab(self.running, _("Sig&nals"))
+        self.pages.addTab(self.result, _("Res&ult"))
         self.calibration = CalibrationPage()
-        self.pages.addTab(self.calibration, "Calibration")
+        self.pages.addTab(self.calibration, _("Calibration"))
         self.pages.setTabVisible(1, False)
         # One stop of the tab key, not two: the bar alone.
         self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.rail = Rail()
-        self.halt = QPushButton("STOP")
+        self.halt = QPushButton(_("STOP"))
         self.halt.setProperty("role", "halt")
-        self.halt.setAccessibleName("STOP, release the coil, from any page")
+        self.halt.setAccessibleName(_("STOP, release the coil, from any page"))
         self.halt.setToolTip(self.stop.toolTip())
         self.halt.hide()
         self.stack = _Stack()
@@ -215,7 +216,7 @@ class Layout:
         header.setProperty("role", "header")
         title = QLabel("TissueID")
         title.setProperty("role", "title")
-        research = QLabel(RESEARCH_USE)
+        research = QLabel(_(RESEARCH_USE))
         research.setProperty("role", "research")
         row = QHBoxLayout(header)
         row.setContentsMargins(14, 7, 12, 7)

@@ -9,6 +9,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.live import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
@@ -26,8 +27,8 @@ MS = 1e3
 PERCENT = 100.0
 _NOTHING = np.zeros(0)
 _FINE = 200
-_WAITING = "Waiting for the stimulus."
-_ORANGE = "Orange: mass, damping and stiffness"
+_WAITING = marked("Waiting for the stimulus.")
+_ORANGE = marked("Orange: mass, damping and stiffness")
 _QUANTITIES: dict[Parameter, str] = {
     "mass": "mass_kg",
     "damping": "damping_n_s_per_m",
@@ -51,20 +52,20 @@ class LiveAnalysis(QWidget):
         super().__init__(parent)
         self._shown: LiveView | None = None
         self._planned_s = 4.0
-        self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)")
-        self.bode = PlotCard("Bode magnitude", "", "mm/N", log_axes=("bottom", "left"))
-        self.coherence = PlotCard("Coherence", "Frequency (Hz)", "", log_axes=("bottom",))
-        self.curve = PlotCard("Static nonlinearity", "Linear prediction (mm)", "mm")
-        self.course = PlotCard("Parameter change", "Time (s)", "%")
-        self.impulse.setToolTip(f"Band: one standard deviation to either side. {_ORANGE}")
-        self.bode.setToolTip(f"Of the impulse response. {_ORANGE}")
+        self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)")
+        self.bode = PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left"))
+        self.coherence = PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",))
+        self.curve = PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm")
+        self.course = PlotCard(_("Parameter change"), _("Time (s)"), "%")
+        self.impulse.setToolTip(f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}")
+        self.bode.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
         self.coherence.setToolTip(
-            "Share of the motion that the force explains at each frequency; below the dotted line none"
+            _("Share of the motion that the force explains at each frequency; below the dotted line none")
         )
         self.curve.setToolTip(
-            "Measured position against the linear prediction; a linear tissue lies on the dotted line"
+            _("Measured position against the linear prediction; a linear tissue lies on the dotted line")
         )
-        self.course.setToolTip("Parameters against their newest value; bands: one standard deviation to either side")
+        self.course.setToolTip(_("Parameters against their newest value; bands: one standard deviation to either side"))
         self.cards = (self.impulse, self.curve, self.bode, self.coherence, self.course)
         self._response_band = self.impulse.band("measured")
         self._response = self.impulse.line("measured", width=2)
@@ -80,9 +81,9 @@ class LiveAnalysis(QWidget):
         self._fitted = self.curve.line("model", width=2)
         self._course_bands = {name: self.course.band(_ROLES[name]) for name in _QUANTITIES}
         self._courses = {name: self.course.line(_ROLES[name], width=2) for name in _QUANTITIES}
-        self.numbers = {name: _Figure(named_unit(_QUANTITIES[name])[0], _ROLES[name]) for name in _QUANTITIES}
-        self.vaf = _Figure("VAF, linear")
-        self.vaf.setToolTip("Variance accounted for: how much of the motion so far the impulse response explains")
+        self.numbers = {name: _Figure(_(named_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
+        self.vaf = _Figure(_("VAF, linear"))
+        self.vaf.setToolTip(_("Variance accounted for: how much of the motion so far the impulse response explains"))
         self.said = QLabel()
         self.said.setProperty("role", "muted")
         self.said.setWordWrap(True)
@@ -97,7 +98,7 @@ class LiveAnalysis(QWidget):
         for figure in (*self.numbers.values(), self.vaf):
             figure.fill(MISSING, "")
         for card in self.cards:
-            card.say_missing(_WAITING)
+            card.say_missing(_(_WAITING))
         self._say("")
         self.show()
 
@@ -108,7 +109,7 @@ class LiveAnalysis(QWidget):
             self._shown = view
             self.show_view(view)
         if identification.problem:
-            self._say(f"{sentence(identification.problem)} The test goes on without it.")
+            self._say(_("{problem} The test goes on without it.").format(problem=sentence(identification.problem)))
 
     def show_view(self, view: LiveView) -> None:
         """Draw one view."""
@@ -203,7 +204,7 @@ class LiveAnalysis(QWidget):
             card.plot.setXRange(float(frequency[0]), float(frequency[-1]), padding=0.02)
 
     def _show_curve(self, curve: LiveCurve | None, missing: str) -> None:
-        self.curve.say_missing("" if curve is not None else missing or _WAITING)
+        self.curve.say_missing("" if curve is not None else missing or _(_WAITING))
         if curve is None:
             return
         ends = MM * curve.curve_x[[0, -1]]
@@ -212,7 +213,7 @@ class LiveAnalysis(QWidget):
         self._fitted.setData(MM * curve.curve_x, MM * curve.curve_y)
 
     def _show_course(self, course: LiveCourse, missing: str) -> None:
-        self.course.say_missing("" if course.seconds.size else missing or _WAITING)
+        self.course.say_missing("" if course.seconds.size else missing or _(_WAITING))
         if not course.seconds.size:
             return
         widest = 0.0

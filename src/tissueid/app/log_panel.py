@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _
 from tissueid.app.words import in_words
 from tissueid.wording import clean
 
@@ -35,23 +36,27 @@ class LogPanel(QDockWidget):
     saved = Signal(str, bool)
 
     def __init__(self, now: Callable[[], datetime], folder: Path, parent: QWidget | None = None) -> None:
-        super().__init__("What happened", parent)
+        super().__init__(_("What happened"), parent)
         self.setObjectName("log")
         self._now, self._folder, self._last = now, folder, ""
-        self.lines = _reader("What happened")
+        self.lines = _reader(_("What happened"))
         self.lines.setMaximumBlockCount(MOST_LINES)
-        self.copy = QPushButton("Copy")
-        self.copy.setAccessibleName("Copy all lines")
-        self.save = QPushButton("Save…")
-        self.save.setAccessibleName("Save all lines to a file")
+        self.copy = QPushButton(_("Copy"))
+        self.copy.setAccessibleName(_("Copy all lines"))
+        self.save = QPushButton(_("Save…"))
+        self.save.setAccessibleName(_("Save all lines to a file"))
         self.fold = QToolButton()
-        self.fold.setText("Details of the last defect")
+        self.fold.setText(_("Details of the last defect"))
         self.fold.setProperty("role", "fold")
         self.fold.setCheckable(True)
         self.fold.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.details = _reader("Details of the last defect")
-        about = QLabel(f"Since the program was started; the last {MOST_LINES:,} lines".replace(",", "\u202f"))
+        self.details = _reader(_("Details of the last defect"))
+        about = QLabel(
+            _("Since the program was started; the last {count} lines").format(
+                count=f"{MOST_LINES:,}".replace(",", "\u202f")
+            )
+        )
         about.setProperty("role", "muted")
         inside = QWidget()
         column = QVBoxLayout(inside)
@@ -97,11 +102,11 @@ class LogPanel(QDockWidget):
 
     def _copy(self) -> None:
         QGuiApplication.clipboard().setText(self.lines.toPlainText())
-        self.saved.emit("The lines are copied.", False)
+        self.saved.emit(_("The lines are copied."), False)
 
     def _choose(self) -> None:
         name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
-        dialog = QFileDialog(self, "Save what happened", str(self._folder), "Text (*.txt)")
+        dialog = QFileDialog(self, _("Save what happened"), str(self._folder), _("Text (*.txt)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("txt")
         dialog.selectFile(name.name)
@@ -116,7 +121,7 @@ class LogPanel(QDockWidget):
         except OSError as error:
             self.saved.emit(in_words(error), True)
         else:
-            self.saved.emit(f"What happened is saved in {path}.", False)
+            self.saved.emit(_("What happened is saved in {path}.").format(path=path), False)
 
 
 def _defect_path() -> Path:

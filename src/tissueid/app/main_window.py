@@ -17,6 +17,8 @@ from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, Eme
 from tissueid.app.errands import write_report_beside
 from tissueid.app.findings import Findings, find
 from tissueid.app.jobs import Jobs
+from tissueid.app.language import _, speak
+from tissueid.app.language_choice import chosen
 from tissueid.app.layout import MEASURE, Layout
 from tissueid.app.live import LiveSignals
 from tissueid.app.pages import Pages
@@ -62,6 +64,7 @@ class MainWindow(QMainWindow):
         self.testing = False
         self.setWindowTitle("TissueID")
         self.settings = self.around.settings()
+        speak(chosen(self.around.language, self.settings))
         role = self.around.role or remembered_role(self.settings)
         self.ui = Layout(self, self.around.folder, self.around.now, role)
         self._frames = QTimer(self)
@@ -105,8 +108,10 @@ class MainWindow(QMainWindow):
         self.ui.pages.setTabVisible(1, False)
         self.ui.gate.hide()
         self.ui.guidance.rest()
-        self.ui.guidance.say("Connecting to the instrument.")
-        self.panels.log.note(f"A test begins: {plan.site}, with {plan.url}, to {plan.path}.")
+        self.ui.guidance.say(_("Connecting to the instrument."))
+        self.panels.log.note(
+            _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.path)
+        )
         self.ui.signals.expect(plan)
         self.ui.analysis.expect(plan)
         self.ui.pages.setCurrentWidget(self.ui.running)
@@ -151,9 +156,9 @@ class MainWindow(QMainWindow):
         """Release the coil and end the running test; what was recorded is kept."""
         if self.testing:
             self._stop.press(reason)
-            self.ui.guidance.say("Stopping: the coil is being released.")
+            self.ui.guidance.say(_("Stopping: the coil is being released."))
         elif not self.busy:
-            self.ui.notice.say("No test is running.")
+            self.ui.notice.say(_("No test is running."))
 
     def _stop_by_button(self) -> None:
         self.stop_test(BY_BUTTON)
@@ -190,10 +195,11 @@ class MainWindow(QMainWindow):
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
-        saved = f"The recorded part is saved in {outcome.path}." if session else ""
+        saved = _("The recorded part is saved in {path}.").format(path=outcome.path) if session else ""
         if outcome.stopped:
-            how = "Stopped by the button on the instrument" if outcome.by_button else "Stopped"
-            words = [f"{how}, and the coil is released.", saved or outcome.trouble or "Nothing was recorded yet."]
+            by_button = _("Stopped by the button on the instrument, and the coil is released.")
+            how = by_button if outcome.by_button else _("Stopped, and the coil is released.")
+            words = [how, saved or outcome.trouble or _("Nothing was recorded yet.")]
         else:
             words = [outcome.problem, saved if outcome.problem else ""]
         if said := " ".join(filter(None, [*words, outcome.unlogged])):
@@ -240,12 +246,16 @@ class MainWindow(QMainWindow):
         self._identify(path, session, None)
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
-        self.ui.guidance.say("Identifying the tissue.")
+        self.ui.guidance.say(_("Identifying the tissue."))
         self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed)
 
     def _show_findings(self, findings: Findings) -> None:
         self.findings, self._report = findings, None
-        self.panels.log.note(f"{findings.path}, test {findings.test.number}: {findings.verdict.headline}.")
+        self.panels.log.note(
+            _("{path}, test {number}: {headline}.").format(
+                path=findings.path, number=findings.test.number, headline=findings.verdict.headline
+            )
+        )
         self.ui.signals.show_test(findings.test, findings.session.instrument)
         self._show_gate(findings.test)
         self.ui.result.show_findings(findings)
@@ -263,7 +273,7 @@ class MainWindow(QMainWindow):
         """Nothing goes on: name what is shown, or say how to begin."""
         self.ui.guidance.rest()
         if self.findings is not None:
-            site = clean(self.findings.test.site)[:LONGEST_SITE] or "Site not recorded"
+            site = clean(self.findings.test.site)[:LONGEST_SITE] or _("Site not recorded")
             self.ui.guidance.say(f"{site}  ·  {self.findings.path.name}")
 
     def say_failed(self, words: str) -> None:
@@ -272,7 +282,7 @@ class MainWindow(QMainWindow):
         self.ui.notice.say(words, problem=True)
 
     def _choose_session(self) -> None:
-        dialog = QFileDialog(self, "Open a session", str(self.ui.form.folder), "Sessions (*.h5);;All files (*)")
+        dialog = QFileDialog(self, _("Open a session"), str(self.ui.form.folder), _("Sessions (*.h5);;All files (*)"))
         dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self._open_chosen)
@@ -295,7 +305,7 @@ class MainWindow(QMainWindow):
         if self._report is not None and self._report.exists():
             self.show_report(self._report)
             return
-        self.ui.guidance.say("Writing the report.")
+        self.ui.guidance.say(_("Writing the report."))
         self.jobs.do(functools.partial(write_report_beside, self.findings), self._report_written, self.say_failed)
 
     def _report_written(self, path: Path) -> None:
@@ -306,9 +316,9 @@ class MainWindow(QMainWindow):
     def show_report(self, path: Path) -> None:
         """Open a report, and say where it is."""
         if self.around.show_file(path):
-            self.ui.notice.say(f"The report is saved in {path}.")
+            self.ui.notice.say(_("The report is saved in {path}.").format(path=path))
         else:
-            self.ui.notice.say(f"The report is saved in {path}; open it in a browser.")
+            self.ui.notice.say(_("The report is saved in {path}; open it in a browser.").format(path=path))
 
     # -- roles and jobs -----------------------------------------------------------------------------------------------
 
@@ -344,8 +354,8 @@ class MainWindow(QMainWindow):
             self._stop.press(BY_CLOSING)
             self.pages.cancel()
             self.clinician.cancel()
-            first = "the coil is being released" if self.testing else "the last work is being finished"
-            self.ui.guidance.say(f"Closing: {first}.")
+            first = _("Closing: the coil is being released.")
+            self.ui.guidance.say(first if self.testing else _("Closing: the last work is being finished."))
             self._settle()
             event.ignore()
             return

@@ -21,6 +21,7 @@ from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.emergency import NO_ANSWER, EmergencyStop
 from tissueid.app.instruments import greatest_force_n
+from tissueid.app.language import _
 from tissueid.app.live import LiveSignals
 from tissueid.app.pacing import PacedInstrument, Wait
 from tissueid.app.plan import Plan
@@ -135,7 +136,7 @@ def measure(
         stopped=by_button or by_person,
         by_button=by_button,
         trouble=trouble,
-        unlogged=sentence(f"not in the audit log: {lacking}") if lacking else "",
+        unlogged=sentence(_("not in the audit log: {problem}").format(problem=lacking)) if lacking else "",
     )
 
 
@@ -151,7 +152,7 @@ def _said(problem: Exception | None, session: Session | None, trouble: str) -> s
         return ""
     if not isinstance(problem, JournalError) or session is not None:
         return in_words(problem)
-    return "" if trouble else f"{_cause(problem)} Nothing was recorded."
+    return "" if trouble else f"{_cause(problem)} {_('Nothing was recorded.')}"
 
 
 def _cause(error: Exception) -> str:
@@ -168,5 +169,7 @@ def _keep(recorder: SessionRecorder | None, problem: Exception | None) -> tuple[
         return recorder.finish_or_discard(problem), ""
     except Exception as error:  # noqa: BLE001 - whatever it was, the journal must be let go of and mentioned
         recorder.abandon()
-        kept = f"The recording stays in {journal_path(recorder.path)}; it is offered for recovery at the next start."
+        kept = _("The recording stays in {path}; it is offered for recovery at the next start.").format(
+            path=journal_path(recorder.path)
+        )
         return None, f"{_cause(error)} {kept}"

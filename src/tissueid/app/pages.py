@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject
 
+from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.remembered import put_back, remember, remembered_page
 from tissueid.app.theme import Theme, palette_of
@@ -43,9 +44,9 @@ def _instrument(desk: Desk) -> View:
 
 
 LATER: dict[str, tuple[str, Callable[[Desk], View]]] = {
-    "research": ("Research", _research),
-    "gap": ("Gap", _gap),
-    "instrument": ("Instrument", _instrument),
+    "research": (marked("Research"), _research),
+    "gap": (marked("Gap"), _gap),
+    "instrument": (marked("Instrument"), _instrument),
 }
 """What the rail calls the pages that are made when they are first shown, and what makes them."""
 ROLE_PAGES: dict[Role, str] = {"clinician": MEASURE, "researcher": "research", "technician": "instrument"}
@@ -74,12 +75,12 @@ class Pages(QObject):
         )
         self.start = StartView(self._desk)
         self.views: list[View] = [self.start]
-        window.ui.rail.add(self.start.name, "Start")
+        window.ui.rail.add(self.start.name, _("Start"))
         window.ui.add_page(self.start.name, self.start)
-        window.ui.rail.add(MEASURE, "Measure")
+        window.ui.rail.add(MEASURE, _("Measure"))
         window.ui.add_page(MEASURE, window.ui.test_page())
-        for name, (title, _) in LATER.items():
-            window.ui.rail.add(name, title)
+        for name, (title, _make) in LATER.items():
+            window.ui.rail.add(name, _(title))
         window.ui.order_tabs()
         window.ui.rail.chosen.connect(self.show)
         self.start.role_chosen.connect(self._work_as)
@@ -159,7 +160,7 @@ class Pages(QObject):
 
     def _use_instrument(self, url: str) -> None:
         self._window.ui.form.instrument.choose(url)
-        self._window.ui.notice.say(f"The next test is with {clean(url)}.")
+        self._window.ui.notice.say(_("The next test is with {url}.").format(url=clean(url)))
 
     def _show_instruments(self) -> None:
         chooser = self._window.ui.form.instrument

@@ -11,6 +11,7 @@ from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QDockWidget, QToolButton, QWidget
 
 from tissueid.app.help_panel import HelpPanel
+from tissueid.app.language import _
 from tissueid.app.log_panel import LogPanel
 from tissueid.app.theme import Theme
 
@@ -38,12 +39,12 @@ class Panels(QObject):
         window.addDockWidget(sides.BottomDockWidgetArea, self.log)
         window.setCorner(Qt.Corner.BottomRightCorner, sides.RightDockWidgetArea)
         rail = window.ui.rail
-        self.help_button = self._add(self.help, rail.add_foot("Help", HELP_KEY, "Help for this page"), HELP_KEY)
-        self.log_button = self._add(self.log, rail.add_foot("Log", LOG_KEY, "What happened so far"), LOG_KEY)
+        self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")), HELP_KEY)
+        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("What happened so far")), LOG_KEY)
         window.ui.notice.said.connect(self.log.note)
         window.jobs.failed.connect(self._note_failure)
         self.log.saved.connect(self._tell_saved)
-        self.log.note("TissueID was started.")
+        self.log.note(_("TissueID was started."))
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

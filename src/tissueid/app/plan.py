@@ -10,6 +10,7 @@ from typing import get_args
 from platformdirs import user_documents_path
 
 from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
+from tissueid.app.language import _
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES
@@ -66,15 +67,17 @@ class Plan(NoiseChoice):
             UnusableInputError: says what to fill in.
         """
         if not self.url:
-            raise UnusableInputError("choose an instrument, or type its address")
+            raise UnusableInputError(_("choose an instrument, or type its address"))
         if not self.site:
-            raise UnusableInputError("fill in the site: where on the body, or which material")
+            raise UnusableInputError(_("fill in the site: where on the body, or which material"))
         if self.min_force_n >= self.max_force_n:
             raise UnusableInputError(
-                f"the lowest force ({self.min_force_n:g} N) must be below the highest ({self.max_force_n:g} N)"
+                _("the lowest force ({low:g} N) must be below the highest ({high:g} N)").format(
+                    low=self.min_force_n, high=self.max_force_n
+                )
             )
         if not self.path.name:
-            raise UnusableInputError("say where to save the session")
+            raise UnusableInputError(_("say where to save the session"))
         self.set_up()
 
     def within(self, greatest_n: float) -> Plan:

@@ -13,6 +13,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QFont
 from PySide6.QtWidgets import QFrame, QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.theme import Theme, faint
 
 Array = NDArray[np.float64]
@@ -69,7 +70,11 @@ class PlotCard(QFrame):
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()
         self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.plot.setAccessibleName(f"Plot: {title}, {unit}" if unit else f"Plot: {title}")
+        self.plot.setAccessibleName(
+            _("Plot: {title}, {unit}").format(title=title, unit=unit)
+            if unit
+            else _("Plot: {title}").format(title=title)
+        )
         self.plot.setMinimumHeight(60)
         self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._remark: tuple[str, str] | None = None
@@ -134,7 +139,11 @@ class PlotCard(QFrame):
     def retitle(self, title: str, unit: str) -> None:
         """Another heading: what is plotted goes by the test."""
         self._heading.setText(f"{title} ({unit})" if unit else title)
-        self.plot.setAccessibleName(f"Plot: {title}, {unit}" if unit else f"Plot: {title}")
+        self.plot.setAccessibleName(
+            _("Plot: {title}, {unit}").format(title=title, unit=unit)
+            if unit
+            else _("Plot: {title}").format(title=title)
+        )
 
     def remark(self, text: str, role: str = "muted") -> None:
         """Words beside the key, in the colour of a role; none of them takes them away."""

@@ -9,6 +9,8 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QFrame, QToolButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
+
 WIDTH = 92
 
 
@@ -21,7 +23,7 @@ class Rail(QFrame):
         super().__init__(parent)
         self.setProperty("role", "rail")
         self.setFixedWidth(WIDTH)
-        self.setAccessibleName("Pages")
+        self.setAccessibleName(_("Pages"))
         self.buttons: dict[str, QToolButton] = {}
         self.feet: list[QToolButton] = []
         self._column = QVBoxLayout(self)
@@ -33,7 +35,7 @@ class Rail(QFrame):
         """Put a button for a page at the end."""
         button = _button(title)
         button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        button.setAccessibleName(f"Page {title}")
+        button.setAccessibleName(_("Page {title}").format(title=title))
         keys = f"Ctrl+{len(self.buttons) + 1}"
         button.setToolTip(f"{title} ({keys})")
         button.clicked.connect(lambda _checked=False, name=name: self._choose(name))

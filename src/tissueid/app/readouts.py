@@ -5,6 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.safety import Safety
 from tissueid.wording import MISSING, fixed
 
@@ -12,8 +13,8 @@ _EVERY = 8
 """Frames between two changes of a number: four a second can be read."""
 _NEAR = 0.9
 _WARM_SHARE = 0.8
-KEYS_REACH = "Esc or Space stops"
-KEYS_LOST = "Keys do not reach this window: click it"
+KEYS_REACH = marked("Esc or Space stops")
+KEYS_LOST = marked("Keys do not reach this window: click it")
 
 
 class SafetyReadouts(QFrame):
@@ -28,7 +29,7 @@ class SafetyReadouts(QFrame):
         grid.setContentsMargins(10, 6, 10, 6)
         grid.setHorizontalSpacing(8)
         grid.setVerticalSpacing(1)
-        rows = (("Force", self.force), ("Coil", self.coil), ("Probe", self.contact))
+        rows = ((_("Force"), self.force), (_("Coil"), self.coil), (_("Probe"), self.contact))
         for row, (name, value) in enumerate(rows):
             label = QLabel(name)
             label.setProperty("role", "field")
@@ -47,16 +48,16 @@ class SafetyReadouts(QFrame):
         self._frame = 0
         for label in (self.force, self.coil, self.contact):
             _say(label, MISSING)
-        _say(self.keys, "The coil is free")
+        _say(self.keys, _("The coil is free"))
 
     def expect(self) -> None:
         """A test begins."""
         self.rest()
-        _say(self.keys, KEYS_REACH)
+        _say(self.keys, _(KEYS_REACH))
 
     def tell_keys(self, *, reach: bool) -> None:
         """Whether the keys that stop come to this window."""
-        _say(self.keys, KEYS_REACH if reach else KEYS_LOST, "" if reach else "check")
+        _say(self.keys, _(KEYS_REACH) if reach else _(KEYS_LOST), "" if reach else "check")
 
     def show_safety(self, safety: Safety | None) -> None:
         """Show how things stand; called with every frame."""
@@ -73,26 +74,34 @@ def _force(safety: Safety) -> tuple[str, str]:
     if safety.force_n is None:
         return MISSING, ""
     most = safety.limits.max_force_n
-    return f"{fixed(safety.force_n, 1)} N of {most:g} N", "check" if safety.force_n > _NEAR * most else ""
+    return _("{force} N of {most:g} N").format(
+        force=fixed(safety.force_n, 1), most=most
+    ), "check" if safety.force_n > _NEAR * most else ""
 
 
 def _coil(safety: Safety) -> tuple[str, str]:
     most = safety.limits.max_temperature_c
     known = [value for value in (safety.temperature_c, safety.model_c) if value is not None]
     if not known:
-        return "temperature not known", "check"
+        return _("temperature not known"), "check"
     words = [MISSING if safety.temperature_c is None else f"{fixed(safety.temperature_c, 0)} °C"]
     if safety.model_c is not None:
-        words.append(f"model {fixed(safety.model_c, 0)} °C")
-    return f"{', '.join(words)} of {most:g} °C", "check" if max(known) > _WARM_SHARE * most else ""
+        words.append(_("model {temperature} °C").format(temperature=fixed(safety.model_c, 0)))
+    return _("{temperatures} of {most:g} °C").format(temperatures=", ".join(words), most=most), "check" if max(
+        known
+    ) > _WARM_SHARE * most else ""
 
 
 def _contact(safety: Safety) -> tuple[str, str]:
-    where = " · outside linear region" if safety.left_region else ""
+    where = _(" · outside linear region") if safety.left_region else ""
     level = "check" if safety.left_region else ""
     if safety.contact is None:
-        return f"finding the skin{where}", level
-    return (f"on the skin{where}", level) if safety.contact else (f"off the skin{where}", "check")
+        return _("finding the skin{where}").format(where=where), level
+    return (
+        (_("on the skin{where}").format(where=where), level)
+        if safety.contact
+        else (_("off the skin{where}").format(where=where), "check")
+    )
 
 
 def _say(label: QLabel, text: str, level: str = "") -> None:

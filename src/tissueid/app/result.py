@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.findings import Curves, Findings, Number
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
@@ -28,7 +29,7 @@ _TILES = 5
 _ROOM_FOR_TILES = 720
 _ROOM_FOR_TWO_PLOTS = 840
 """Pixels."""
-SEE_ABOVE = "For the reasons above."
+SEE_ABOVE = marked("For the reasons above.")
 _NOTHING = np.zeros(0)
 
 
@@ -51,7 +52,7 @@ class ResultPage(QScrollArea):
         self._tiles = [_Tile() for _ in range(_TILES)]
         for tile in self._tiles[-2:]:
             tile.setToolTip(
-                "Variance accounted for: how much of the motion a simulation explains that sees only the force"
+                _("Variance accounted for: how much of the motion a simulation explains that sees only the force")
             )
         self.summary = SittingSummary()
         layout.addWidget(self.summary)
@@ -79,7 +80,7 @@ class ResultPage(QScrollArea):
         told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in verdict.reasons if reason not in told]
         if verdict.reasons and not reasons:
-            reasons = [SEE_ABOVE]
+            reasons = [_(SEE_ABOVE)]
         self.reasons.setText("\n".join([*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
         self.facts.setText(" ".join(text for text in (findings.ended, findings.visited) if text))
@@ -117,7 +118,7 @@ class ResultPage(QScrollArea):
         self.facts.setProperty("role", "muted")
         self.reasons = QLabel()
         self.test = QComboBox()
-        self.test.setAccessibleName("Test of this session")
+        self.test.setAccessibleName(_("Test of this session"))
         self.test.setMaximumWidth(260)
         self.test.activated.connect(self._choose_test)
         for label in (self.facts, self.reasons):
@@ -126,8 +127,8 @@ class ResultPage(QScrollArea):
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         top = QHBoxLayout()
-        self.pdf = QPushButton("PDF report")
-        self.pdf.setToolTip("One or two pages to print, beside the session")
+        self.pdf = QPushButton(_("PDF report"))
+        self.pdf.setToolTip(_("One or two pages to print, beside the session"))
         top.addWidget(self.headline, 1)
         top.addWidget(self.test)
         top.addWidget(self.pdf)
@@ -140,23 +141,23 @@ class ResultPage(QScrollArea):
         return self._verdict
 
     def _make_plots(self) -> None:
-        fit = {"measured": "measured", "second order": "model"}
-        self.impulse = PlotCard("Impulse response", "Lag (ms)", "mm/(N·s)", key=fit)
-        self.bode = PlotCard("Bode magnitude", "Frequency (Hz)", "mm/N", key=fit, log_axes=("bottom", "left"))
+        fit = {_("measured"): "measured", _("second order"): "model"}
+        self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)", key=fit)
+        self.bode = PlotCard(_("Bode magnitude"), _("Frequency (Hz)"), "mm/N", key=fit, log_axes=("bottom", "left"))
         self.nonlinearity = PlotCard(
-            "Static nonlinearity, position",
-            "Force after the linear stage (N)",
+            _("Static nonlinearity, position"),
+            _("Force after the linear stage (N)"),
             "mm",
-            key={"measured": "measured", "fitted": "model"},
+            key={_("measured"): "measured", _("fitted"): "model"},
         )
         self.prediction = PlotCard(
-            "Unseen motion, position",
-            "Time after the fitted part (s)",
+            _("Unseen motion, position"),
+            _("Time after the fitted part (s)"),
             "mm",
-            key={"measured": "measured", "predicted": "model"},
+            key={_("measured"): "measured", _("predicted"): "model"},
         )
-        self.impulse.setToolTip("Band: one standard deviation to either side")
-        self.bode.setToolTip("Band: 95 % confidence")
+        self.impulse.setToolTip(_("Band: one standard deviation to either side"))
+        self.bode.setToolTip(_("Band: 95 % confidence"))
         self.cards = (self.impulse, self.bode, self.nonlinearity, self.prediction)
         self._bands = {card: card.band("measured") for card in (self.impulse, self.bode)}
         self._measured = {
@@ -201,7 +202,9 @@ class ResultPage(QScrollArea):
     def _offer_tests(self, tests: tuple[Test, ...], shown: Test) -> None:
         self.test.clear()
         for test in tests:
-            self.test.addItem(f"Test {test.number}: {test.kind.replace('_', ' ')}", test.number)
+            self.test.addItem(
+                _("Test {number}: {kind}").format(number=test.number, kind=test.kind.replace("_", " ")), test.number
+            )
         self.test.setCurrentIndex(self.test.findData(shown.number))
         self.test.setVisible(len(tests) > 1)
 

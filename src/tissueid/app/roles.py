@@ -5,7 +5,14 @@ from __future__ import annotations
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.audit import ROLES, Role
+
+ROLE_NAMES: dict[Role, str] = {
+    "clinician": marked("Clinician"),
+    "researcher": marked("Researcher"),
+    "technician": marked("Technician"),
+}
 
 
 class RoleChooser(QWidget):
@@ -17,12 +24,12 @@ class RoleChooser(QWidget):
         super().__init__(parent)
         self._role: Role = role
         self.choice = QComboBox()
-        self.choice.setAccessibleName("Role")
-        self.choice.setToolTip("What is done is logged in this role; a technician can calibrate")
+        self.choice.setAccessibleName(_("Role"))
+        self.choice.setToolTip(_("What is done is logged in this role; a technician can calibrate"))
         for name in ROLES:
-            self.choice.addItem(name.capitalize(), name)
+            self.choice.addItem(_(ROLE_NAMES[name]), name)
         self.choice.setCurrentIndex(self.choice.findData(role))
-        label = QLabel("Role")
+        label = QLabel(_("Role"))
         label.setProperty("role", "muted")
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)

@@ -10,6 +10,7 @@ from PySide6.QtCore import QObject
 
 from tissueid.app.errands import Recovery, recover_all, unfinished
 from tissueid.app.instruments import Survey, survey
+from tissueid.app.language import _, plural
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
@@ -32,7 +33,7 @@ class Searching(QObject):
         """Ask every port whether an instrument answers."""
         if self._window.busy:
             return
-        self._chooser.about.setText("Asking every port…")
+        self._chooser.about.setText(_("Asking every port…"))
         around = self._window.around
         work = functools.partial(survey, around.finder, around.opener, around.calibrate)
         self._window.jobs.do(work, self._found, self._finding_failed)
@@ -62,9 +63,15 @@ class Searching(QObject):
         found = unfinished(folder)
         if found:
             count = len(found)
-            what = "An unfinished test was" if count == 1 else f"{count} unfinished tests were"
             names = ", ".join(path.name.removesuffix(".journal") for path in found[:3])
-            self._window.ui.notice.say(f"{what} found in {folder}: {names}.", offer="Re&cover")
+            self._window.ui.notice.say(
+                plural(
+                    "An unfinished test was found in {folder}: {names}.",
+                    "{count} unfinished tests were found in {folder}: {names}.",
+                    count,
+                ).format(count=count, folder=folder, names=names),
+                offer=_("Re&cover"),
+            )
 
     def recover(self) -> None:
         """Make sessions of all tests that were never finished, and show the last of them."""
@@ -75,10 +82,10 @@ class Searching(QObject):
             self._window.jobs.do(work, self._recovered, self._window.say_failed)
 
     def _recovered(self, recovery: Recovery) -> None:
-        saved = [f"Recovered {path}." for path, _ in recovery.sessions]
-        words = " ".join(saved + recovery.problems) or "There is nothing left to recover."
+        saved = [_("Recovered {path}.").format(path=path) for path, _session in recovery.sessions]
+        words = " ".join(saved + recovery.problems) or _("There is nothing left to recover.")
         self._window.ui.notice.say(words, problem=bool(recovery.problems))
-        for path, _ in recovery.sessions:
+        for path, _session in recovery.sessions:
             self._window.pages.heard_of(path)
         if recovery.sessions:
             self._window.identify(*recovery.sessions[-1])

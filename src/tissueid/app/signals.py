@@ -8,6 +8,7 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from tissueid.acquisition.choice import PRELOAD_S
 from tissueid.acquisition.placing import PLACE_S
+from tissueid.app.language import _, marked
 from tissueid.app.live import Array, Glance, decimated
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
@@ -23,8 +24,8 @@ _SLACK = 0.15
 _LEAST_SPAN = {"force": 2.0, "position": 1.0}
 _LONG_BEFORE_S, _LONG_AFTER_S = -1e3, 1e5
 """A shade reaches as far to both sides as any test."""
-LINEAR = "shaded: linear"
-OUTSIDE = "left the linear region"
+LINEAR = marked("shaded: linear")
+OUTSIDE = marked("left the linear region")
 
 
 class SignalPlots(QWidget):
@@ -32,15 +33,15 @@ class SignalPlots(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.force = PlotCard("Force", "", "N")
-        self.position = PlotCard("Position", "Time from the start of the preload (s)", "mm")
+        self.force = PlotCard(_("Force"), "", "N")
+        self.position = PlotCard(_("Position"), _("Time from the start of the preload (s)"), "mm")
         self.force.plot.setXLink(self.position.plot)
         self._region_edges = self.position.band("good", alpha=30)
         self._region: Region | None = None
         self._curves = {"force": self.force.line("measured"), "position": self.position.line("measured")}
         self._starts = [card.mark() for card in self.cards for _ in range(2)]
-        self._surface = self.position.mark(upright=False, text="surface")
-        self._level = self.position.mark(upright=False, text="where it began")
+        self._surface = self.position.mark(upright=False, text=_("surface"))
+        self._level = self.position.mark(upright=False, text=_("where it began"))
         self._limits: dict[str, tuple[float, float]] = {}
         self._time = (-PLACE_S, 5.0)
         layout = QVBoxLayout(self)
@@ -68,7 +69,7 @@ class SignalPlots(QWidget):
             self.show_region(safety.region)
         self._draw(glance.time_s, glance.force_n, MM * glance.position_m)
         if safety is not None and safety.left_region:
-            self.position.remark(OUTSIDE, "check")
+            self.position.remark(_(OUTSIDE), "check")
 
     def show_test(self, test: Test, device: DeviceDescription) -> None:
         """Draw a recorded test, and where the coil that recorded it was linear."""
@@ -81,7 +82,7 @@ class SignalPlots(QWidget):
         self._draw(time_s, force, MM * position)
         self.show_region(linear_region(device))
         if self._region is not None and not self._region.holds(position):
-            self.position.remark(OUTSIDE, "check")
+            self.position.remark(_(OUTSIDE), "check")
         if np.isfinite(test.surface_position_m):
             mark = self._surface if has_depth(test.configuration) else self._level
             mark.setValue(MM * test.surface_position_m)
@@ -94,8 +95,8 @@ class SignalPlots(QWidget):
         times = np.zeros(0) if region is None else np.array([_LONG_BEFORE_S, _LONG_AFTER_S])
         for edge, values in zip(self._region_edges, ends, strict=True):
             edge.setData(times, values)
-        self.position.setToolTip("" if region is None else "Shaded: where the coil was found to be linear")
-        self.position.remark("" if region is None else LINEAR, "good")
+        self.position.setToolTip("" if region is None else _("Shaded: where the coil was found to be linear"))
+        self.position.remark("" if region is None else _(LINEAR), "good")
 
     def clear(self) -> None:
         """Empty plots."""
@@ -116,7 +117,7 @@ class SignalPlots(QWidget):
             card.paint_with(theme)
 
     def _title(self, configuration: str) -> None:
-        self.position.retitle("Position" if has_depth(configuration) else "Displacement", "mm")
+        self.position.retitle(_("Position") if has_depth(configuration) else _("Displacement"), "mm")
 
     def _show_times(self, low_s: float, high_s: float, marks: tuple[float, ...]) -> None:
         self._time = (low_s, high_s)

@@ -37,6 +37,7 @@ class Surroundings:
     ``calibrations`` is where new ones go, None for where those in force are looked for. ``first_page`` is shown at the
     start, by its name; where empty, the one of last time. ``role`` is who sits there, None for whoever did
     last time. ``settings`` are what is kept from one start to the next.
+    ``language`` is the code of the window's; where empty, the kept one, else the system's, else English.
     """
 
     opener: Callable[[str], Instrument] = open_instrument
@@ -52,4 +53,5 @@ class Surroundings:
     role: Role | None = None
     first_page: str = ""
     settings: Callable[[], QSettings] = _settings
+    language: str = ""
     audit: AuditLog = field(default_factory=lambda: AuditLog(default_path()))

@@ -9,9 +9,10 @@ import sys
 import threading
 from types import FrameType, TracebackType
 
-from PySide6.QtCore import QObject, QTimer
+from PySide6.QtCore import QLocale, QObject, QTimer
 from PySide6.QtWidgets import QApplication
 
+from tissueid.app.language_choice import qt_texts
 from tissueid.app.main_window import MainWindow
 
 _HOUSEKEEPING_MS = 500
@@ -94,7 +95,10 @@ def run() -> int:
     assert isinstance(application, QApplication)
     application.setApplicationName("TissueID")
     application.setStyle("Fusion")
+    QLocale.setDefault(QLocale.c())  # figures have a decimal point in every language
     window = MainWindow()
+    said_by_qt = qt_texts()
+    application.installTranslator(said_by_qt)
     housekeeping = Housekeeping(window)
     warm_up = WarmUp(window)
 

@@ -6,7 +6,11 @@ import traceback
 
 from platformdirs import user_log_path
 
+from tissueid.app.language import _, marked
 from tissueid.errors import TissueIDError
+
+QUANTITIES = (marked("Mass"), marked("Damping"), marked("Stiffness"))
+"""What the core calls the parameters of a tissue."""
 
 
 def sentence(text: str) -> str:
@@ -26,4 +30,4 @@ def in_words(error: BaseException) -> str:
         return sentence(f"{where}{error.strerror or error}")
     path = user_log_path("tissueid", appauthor=False, ensure_exists=True) / "last-defect.txt"
     path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
-    return f"This is a defect of the software; please report {path}"
+    return _("This is a defect of the software; please report {path}").format(path=path)

@@ -15,11 +15,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.clinician.body import HEIGHT, SPOTS, WIDTH, Side, Spot, outline
 
 _POINT = 24
 """Pixels that a point takes: large enough for a finger."""
-_HINT = "Click a point, or use the arrow keys and Return. Esc leaves the site as it is."
+_HINT = marked("Click a point, or use the arrow keys and Return. Esc leaves the site as it is.")
 
 
 class BodyMap(QDialog):
@@ -29,16 +30,16 @@ class BodyMap(QDialog):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setWindowTitle("Site on the body")
-        self.setAccessibleName("Body map")
-        self.setAccessibleDescription(_HINT)
+        self.setWindowTitle(_("Site on the body"))
+        self.setAccessibleName(_("Body map"))
+        self.setAccessibleDescription(_(_HINT))
         self._group = QButtonGroup(self)
         self.spots: dict[str, QRadioButton] = {}
         grid = QGridLayout()
         grid.setHorizontalSpacing(16)
         sides: tuple[Side, ...] = ("front", "back")
         for column, side in enumerate(sides):
-            heading = QLabel({"front": "Front", "back": "Back"}[side])
+            heading = QLabel({"front": _("Front"), "back": _("Back")}[side])
             heading.setProperty("role", "heading")
             heading.setAlignment(Qt.AlignmentFlag.AlignCenter)
             figure = _Figure(side)
@@ -53,12 +54,12 @@ class BodyMap(QDialog):
         self.name = QLabel()
         self.name.setProperty("role", "headline")
         self.name.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        hint = QLabel(_HINT)
+        hint = QLabel(_(_HINT))
         hint.setProperty("role", "muted")
         hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
         self.use = buttons.button(QDialogButtonBox.StandardButton.Ok)
-        self.use.setText("Use this site")
+        self.use.setText(_("Use this site"))
         buttons.accepted.connect(self._use)
         buttons.rejected.connect(self.reject)
         layout = QVBoxLayout(self)
@@ -103,7 +104,7 @@ class BodyMap(QDialog):
             self.accept()
 
     def _name(self) -> None:
-        self.name.setText(self.site or "No point is chosen")
+        self.name.setText(self.site or _("No point is chosen"))
         self.use.setEnabled(bool(self.site))
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject
 
 from tissueid.app.findings import Findings
+from tissueid.app.language import _, plural
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
 from tissueid.app.theme import Theme
@@ -128,8 +129,14 @@ class Clinician(QObject):
         self._accepted = True
         window.ui.gate.repeats.show_sitting(sitting)
         window.ui.result.summary.show_sitting(sitting)
-        count = f"{sitting.counted} repeats" if sitting.counted > 1 else "One test"
-        window.ui.notice.say(f"{count} accepted. The next test begins a new sitting.")
+        count = sitting.counted
+        window.ui.notice.say(
+            plural(
+                "One test accepted. The next test begins a new sitting.",
+                "{count} repeats accepted. The next test begins a new sitting.",
+                count,
+            ).format(count=count)
+        )
         trail = Trail(window.around.audit, window.ui.role.role)
         new = {"repeats": sitting.counted, "tests": len(sitting.repeats)}
         work = functools.partial(trail.record, "sitting.accepted", subject=sitting.key, new=new)
@@ -142,7 +149,7 @@ class Clinician(QObject):
         sitting = self.sitting
         shown = sitting if sitting is not None and sitting.holds(self._found.path) else None
         work = functools.partial(write_paper, self._found, shown, self._comparison)
-        self._window.ui.guidance.say("Writing the report.")
+        self._window.ui.guidance.say(_("Writing the report."))
         self._window.jobs.do(work, self._written, self._failed)
 
     # -- jobs --------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tissueid.app.language import _, plural
 from tissueid.app.plan import ANONYMOUS
 from tissueid.app.views.clinician.sitting import QUANTITIES, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
@@ -75,7 +76,7 @@ def compare_with(
     found: list[Sighting] = []
     for file in [path, *mine[:MOST_READ]]:
         if cancelled.is_set():
-            return Comparison(left_out="The comparison was cancelled.")
+            return Comparison(left_out=_("The comparison was cancelled."))
         try:
             state = file.stat()
             key = (file, state.st_mtime_ns, state.st_size)
@@ -92,9 +93,11 @@ def compare_with(
         shown = [*shown[: MOST_SHOWN - 1], *(one for one in joined if one.this)]
     words = []
     if len(mine) > MOST_READ or len(joined) > len(shown):
-        words.append(f"Only the newest {len(shown)} sittings are shown.")
+        words.append(_("Only the newest {count} sittings are shown.").format(count=len(shown)))
     if skipped:
-        words.append(f"{skipped} {'file was' if skipped == 1 else 'files were'} passed over.")
+        words.append(
+            plural("{count} file was passed over.", "{count} files were passed over.", skipped).format(count=skipped)
+        )
     return Comparison(tuple(shown), " ".join(words))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison
@@ -15,8 +16,10 @@ from tissueid.wording import named_unit, people_unit
 _ROW = 17
 _AROUND = 62
 _LABELS = 215
-_LEGEND = "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
-READING = "Reading the subject's other sittings…"
+_LEGEND = marked(
+    "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
+)
+READING = marked("Reading the subject's other sittings…")
 
 
 class ComparisonCard(QFrame):
@@ -24,14 +27,14 @@ class ComparisonCard(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.heading = QLabel("Compared with the subject's other sites and sittings")
+        self.heading = QLabel(_("Compared with the subject's other sites and sittings"))
         self.heading.setProperty("role", "heading")
         self.words = QLabel()
         self.words.setProperty("role", "field")
         self.words.setWordWrap(True)
         self.words.setMinimumWidth(1)
         self.words.setTextFormat(Qt.TextFormat.PlainText)
-        self.cancel = QPushButton("Cancel comparison")
+        self.cancel = QPushButton(_("Cancel comparison"))
         top = QHBoxLayout()
         top.setContentsMargins(2, 0, 0, 0)
         top.addWidget(self.heading)
@@ -43,8 +46,8 @@ class ComparisonCard(QFrame):
         row.setSpacing(8)
         for place, quantity in enumerate(QUANTITIES):
             name, si_unit = named_unit(quantity)
-            key = {"this sitting": "model", "others": "measured"} if place == 0 else {}
-            card = PlotCard(name, "± one SD", people_unit(si_unit)[0], key=key)
+            key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
+            card = PlotCard(_(name), _("± one SD"), people_unit(si_unit)[0], key=key)
             axis = card.plot.getAxis("left")
             axis.setWidth(_LABELS if place == 0 else 8)
             bars = [card.line(role, width=2) for role in ("measured", "model")]
@@ -58,13 +61,13 @@ class ComparisonCard(QFrame):
         layout.setSpacing(3)
         layout.addLayout(top)
         layout.addLayout(row)
-        self.setToolTip(_LEGEND)
+        self.setToolTip(_(_LEGEND))
         self._row = row
         self.hide()
 
     def expect(self) -> None:
         """The folder is being read."""
-        self.words.setText(READING)
+        self.words.setText(_(READING))
         self.cancel.show()
         for card in self.cards:
             card.hide()
@@ -105,8 +108,8 @@ class ComparisonCard(QFrame):
             card.plot.enableAutoRange(axis="x")
             card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
             card.show()
-        said = "; ".join(f"{one.label}{', this sitting' if one.this else ''}" for one in sightings)
-        self.setAccessibleName(f"Comparison of {len(sightings)} sittings: {said}")
+        said = "; ".join(f"{one.label}{', ' + _('this sitting') if one.this else ''}" for one in sightings)
+        self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
 
     def paint_with(self, theme: Theme) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.playing import Phase
+from tissueid.app.language import marked
 from tissueid.app.live import Glance
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 
@@ -21,16 +22,16 @@ _LAID = 0.5 * GRAVITY_M_S2
 
 
 class Contact(Enum):
-    """How the probe stands; the value is what a person reads."""
+    """How the probe stands; the value is what a person reads, in English."""
 
-    UNWATCHED = "Contact is not watched"
-    FINDING = "Finding the skin"
-    OFF = "Off the skin: bring the probe down onto it"
-    ON = "On the skin"
-    TOO_FAR = "Pressed too far: lift the instrument a little"
-    TOO_DEEP = "Pressed too far: the probe is near the end of its stroke"
-    MOVING = "Moving: hold still"
-    UNTOLD = "Held so that gravity does not lay the probe down: the test finds the skin"
+    UNWATCHED = marked("Contact is not watched")
+    FINDING = marked("Finding the skin")
+    OFF = marked("Off the skin: bring the probe down onto it")
+    ON = marked("On the skin")
+    TOO_FAR = marked("Pressed too far: lift the instrument a little")
+    TOO_DEEP = marked("Pressed too far: the probe is near the end of its stroke")
+    MOVING = marked("Moving: hold still")
+    UNTOLD = marked("Held so that gravity does not lay the probe down: the test finds the skin")
 
     @property
     def level(self) -> str:

@@ -6,6 +6,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.clinician.contact import Contact
 
 
@@ -23,11 +24,11 @@ class ContactLamp(QWidget):
             label.setTextFormat(Qt.TextFormat.PlainText)
         self.words.setWordWrap(True)
         self.words.setMinimumWidth(1)
-        self.watch = QPushButton("Watch contact")
+        self.watch = QPushButton(_("Watch contact"))
         self.watch.setCheckable(True)
-        self.watch.setToolTip("Read the instrument before the test; its coil stays free")
-        self.arm = QCheckBox("Start by the instrument's button")
-        self.arm.setToolTip("Press the button and let go of it: the test starts. During the test it stops.")
+        self.watch.setToolTip(_("Read the instrument before the test; its coil stays free"))
+        self.arm = QCheckBox(_("Start by the instrument's button"))
+        self.arm.setToolTip(_("Press the button and let go of it: the test starts. During the test it stops."))
         self.arm.hide()
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
@@ -44,8 +45,8 @@ class ContactLamp(QWidget):
         if contact is self.contact:
             return
         self.contact = contact
-        self.words.setText(contact.value)
-        self.words.setAccessibleName(f"Contact: {contact.value}")
+        self.words.setText(_(contact.value))
+        self.words.setAccessibleName(_("Contact: {words}").format(words=_(contact.value)))
         for label in (self.light, self.words):
             label.setProperty("role", "muted" if contact is Contact.UNWATCHED else "headline")
             label.setProperty("level", contact.level)

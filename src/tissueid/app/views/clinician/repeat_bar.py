@@ -8,11 +8,17 @@ from collections.abc import Sequence
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting import NORM, Sitting
 
 _COLOURS = {"good": "good", "look": "check", "repeat": "poor", None: "muted"}
-_WORDS = {"good": "good", "look": "to be looked at", "repeat": "not counted", None: "not judged"}
+_WORDS = {
+    "good": marked("good"),
+    "look": marked("to be looked at"),
+    "repeat": marked("not counted"),
+    None: marked("not judged"),
+}
 
 
 class RepeatBar(QWidget):
@@ -28,10 +34,10 @@ class RepeatBar(QWidget):
         self._left = 0
         self.dots = QLabel()
         self.dots.setTextFormat(Qt.TextFormat.RichText)
-        self.repeat = QPushButton("Repeat")
-        self.repeat.setToolTip("The same test once more, into a file of its own")
-        self.accept = QPushButton("Accept")
-        self.accept.setToolTip("Enough was measured: the sitting ends, and its mean is the result")
+        self.repeat = QPushButton(_("Repeat"))
+        self.repeat.setToolTip(_("The same test once more, into a file of its own"))
+        self.accept = QPushButton(_("Accept"))
+        self.accept.setToolTip(_("Enough was measured: the sitting ends, and its mean is the result"))
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(8)
@@ -49,14 +55,19 @@ class RepeatBar(QWidget):
         self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
         self._left = max(0, NORM - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
-        self.repeat.setText(f"Repeat {sitting.counted + 1} of {NORM}")
+        self.repeat.setText(_("Repeat {number} of {count}").format(number=sitting.counted + 1, count=NORM))
         self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
-        self.accept.setText("Accept" if sitting.counted == 1 else f"Accept {sitting.counted} repeats")
-        said = ", ".join(f"{place} {_WORDS[verdict]}" for place, verdict in enumerate(self._shown, 1))
-        count = f"{sitting.counted} of {NORM} repeats" + (" accepted" if sitting.accepted else "")
+        self.accept.setText(
+            _("Accept") if sitting.counted == 1 else _("Accept {count} repeats").format(count=sitting.counted)
+        )
+        said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
+        count = _("{done} of {count} repeats accepted") if sitting.accepted else _("{done} of {count} repeats")
+        count = count.format(done=sitting.counted, count=NORM)
         self.dots.setAccessibleName(f"{count}: {said}")
-        self.dots.setToolTip(f"{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.")
+        self.dots.setToolTip(
+            _("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(count=count)
+        )
         self._draw()
 
     def settle(self, *, busy: bool) -> None:

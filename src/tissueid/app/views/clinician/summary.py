@@ -5,10 +5,11 @@ from __future__ import annotations
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.clinician.sitting import QUANTITIES, Sitting, rows_of
 
-_HEADS = ("", "Mean ± standard deviation", "Relative", "Two tests differ by less than")
-_EXPLAINED = (
+_HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("Two tests differ by less than"))
+_EXPLAINED = marked(
     "Deviation: of one test about the mean of the repeats. Two tests of the same site differ by less than the last "
     "column in 95 % of cases: 1.96 · √2 deviations."
 )
@@ -20,19 +21,19 @@ class SittingSummary(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self.setToolTip(_EXPLAINED)
+        self.setToolTip(_(_EXPLAINED))
         self.heading = QLabel()
         self.heading.setProperty("role", "headline")
         grid = QGridLayout()
         grid.setHorizontalSpacing(22)
         grid.setVerticalSpacing(2)
         for column, head in enumerate(_HEADS):
-            label = QLabel(head)
+            label = QLabel(_(head))
             label.setProperty("role", "field")
             grid.addWidget(label, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
         for row, quantity in enumerate(QUANTITIES, 1):
-            cells = [QLabel() for _ in _HEADS]
+            cells = [QLabel() for _head in _HEADS]
             cells[1].setStyleSheet("font-weight: 600;")
             for column, cell in enumerate(cells):
                 cell.setTextFormat(Qt.TextFormat.PlainText)
@@ -52,11 +53,14 @@ class SittingSummary(QFrame):
         self.setVisible(bool(rows))
         if sitting is None or not rows:
             return
-        done = "Accepted: mean" if sitting.accepted else "Mean so far"
-        self.heading.setText(f"{done} of {sitting.counted} repeats")
+        done = _("Accepted: mean") if sitting.accepted else _("Mean so far")
+        self.heading.setText(_("{done} of {count} repeats").format(done=done, count=sitting.counted))
         for quantity, cells in self.cells.items():
             texts = rows.get(quantity, ("", "", "", ""))
             for cell, text in zip(cells, texts, strict=True):
-                cell.setText(text)
-        said = "; ".join(f"{row[0]} {row[1]}, repeatability {row[3]}" for row in rows.values())
+                cell.setText(_(text))
+        said = "; ".join(
+            _("{name} {mean}, repeatability {repeatability}").format(name=_(row[0]), mean=row[1], repeatability=row[3])
+            for row in rows.values()
+        )
         self.setAccessibleName(f"{self.heading.text()}: {said}")

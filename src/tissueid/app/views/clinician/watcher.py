@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, QTimer
 
 from tissueid.app.calibration_state import calibration_state
+from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.views.clinician.watching import Sight, Watched, watch
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow
 
 _LOOK_MS = 80
-NOT_ON_SKIN = "The button was pressed, but the probe does not stand on the skin: nothing was started."
+NOT_ON_SKIN = marked("The button was pressed, but the probe does not stand on the skin: nothing was started.")
 
 
 class Watcher(QObject):
@@ -62,7 +63,7 @@ class Watcher(QObject):
         self._lamp.watch.setVisible(not testing)
         self._lamp.watch.setEnabled(self.watching or not busy)
         self._lamp.watch.setChecked(self.watching)
-        self._lamp.watch.setText("Stop watching" if self.watching else "Watch contact")
+        self._lamp.watch.setText(_("Stop watching") if self.watching else _("Watch contact"))
         if not self.watching:
             self._lamp.arm.hide()
 
@@ -95,7 +96,7 @@ class Watcher(QObject):
             self._lamp.arm.setVisible(sight.has_button)
         if sight.refused:
             sight.refused = False
-            self._window.ui.notice.say(NOT_ON_SKIN, problem=True)
+            self._window.ui.notice.say(_(NOT_ON_SKIN), problem=True)
 
     def _arm(self, on: bool) -> None:
         if self._sight is not None and on:
@@ -108,7 +109,7 @@ class Watcher(QObject):
         self._close()
         self._start_next = self._start_next or watched.pressed
         if watched.too_long:
-            self._window.ui.notice.say("Contact is no longer watched: that went on for three minutes.")
+            self._window.ui.notice.say(_("Contact is no longer watched: that went on for three minutes."))
 
     def _failed(self, words: str) -> None:
         self._close()

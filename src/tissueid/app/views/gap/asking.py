@@ -23,10 +23,11 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.buttons import BigButton
+from tissueid.app.language import _, marked, spoken
 from tissueid.app.views.gap.diagnosing import Asked, numbers_of_tests
 from tissueid.wording import clean
 
-NOMINAL = "Nominal twin"
+NOMINAL = marked("Nominal twin")
 _RECENT = 20
 _LONGEST = 60
 _SETTING = "gap"
@@ -43,26 +44,28 @@ class Asking(QFrame):
         super().__init__(parent)
         self.setProperty("role", "card")
         self._folder = folder
-        self.session = _FileChoice("Session", "Open a session", "Sessions (*.h5);;All files (*)", folder)
-        self.twin = _FileChoice("Baseline twin", "Open a twin", "Twins (*.toml);;All files (*)", folder, first=NOMINAL)
-        self.run = BigButton("Run")
-        self.run.setAccessibleName("Run the diagnosis")
-        self.run.setToolTip("Find out where simulated and recorded differ, and why (half a minute to some minutes)")
-        self.stop = QPushButton("Cancel")
-        self.stop.setAccessibleName("Cancel the diagnosis")
+        self.session = _FileChoice(_("Session"), _("Open a session"), _("Sessions (*.h5);;All files (*)"), folder)
+        self.twin = _FileChoice(
+            _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
+        )
+        self.run = BigButton(_("Run"))
+        self.run.setAccessibleName(_("Run the diagnosis"))
+        self.run.setToolTip(_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"))
+        self.stop = QPushButton(_("Cancel"))
+        self.stop.setAccessibleName(_("Cancel the diagnosis"))
         self.fold = QToolButton()
-        self.fold.setText("Advanced")
+        self.fold.setText(_("Advanced"))
         self.fold.setProperty("role", "fold")
         self.fold.setCheckable(True)
         self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.fold.setAccessibleName("Advanced: which tests to fit and to check")
+        self.fold.setAccessibleName(_("Advanced: which tests to fit and to check"))
         self.fit, self.check = QLineEdit(), QLineEdit()
         self.more = QWidget()
         self.doing = QLabel()
         self.doing.setProperty("role", "muted")
         self.bar = QProgressBar()
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName("Progress of the diagnosis")
+        self.bar.setAccessibleName(_("Progress of the diagnosis"))
         self._arrange()
         self.run.clicked.connect(self.wanted)
         self.stop.clicked.connect(self.unwanted)
@@ -84,8 +87,11 @@ class Asking(QFrame):
         Raises:
             UnusableInputError: what is typed are no numbers of tests.
         """
-        fit, check = numbers_of_tests(self.fit.text(), "tests to fit"), numbers_of_tests(self.check.text(), "to check")
-        return Asked(self.session.path or Path(), self.twin.path, fit, check)
+        fit, check = (
+            numbers_of_tests(self.fit.text(), _("tests to fit")),
+            numbers_of_tests(self.check.text(), _("to check")),
+        )
+        return Asked(self.session.path or Path(), self.twin.path, fit, check, spoken())
 
     def look(self) -> None:
         """Offer the newest files of the folder; what is chosen stays."""
@@ -99,7 +105,9 @@ class Asking(QFrame):
     def tell(self, what: str, done: int, total: int) -> None:
         """What goes on, and how much of it is done; a total of 0 is not known."""
         known = total > 1
-        self.doing.setText(f"{what}: {done} of {total}" if known else f"{what}…")
+        self.doing.setText(
+            _("{what}: {done} of {total}").format(what=_(what), done=done, total=total) if known else f"{_(what)}…"
+        )
         self.bar.setRange(0, total if known else 0)
         self.bar.setValue(done if known else 0)
 
@@ -114,7 +122,7 @@ class Asking(QFrame):
         for widget in (self.doing, self.bar, self.stop):
             widget.show()
         self.stop.setEnabled(True)
-        self.tell("Starting", 0, 0)
+        self.tell(_("Starting"), 0, 0)
 
     def settle(self, *, busy: bool, testing: bool) -> None:
         """Enable what makes sense."""
@@ -161,11 +169,11 @@ class Asking(QFrame):
         grid.addWidget(self.run, 1, 2)
         inside = QHBoxLayout(self.more)
         inside.setContentsMargins(0, 0, 0, 0)
-        for words, field in (("Tests to fit", self.fit), ("Tests to check", self.check)):
+        for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
             label = QLabel(words)
             label.setBuddy(field)
-            field.setAccessibleName(f"{words}, numbers with commas between")
-            field.setPlaceholderText("chosen by itself")
+            field.setAccessibleName(_("{field}, numbers with commas between").format(field=words))
+            field.setPlaceholderText(_("chosen by itself"))
             field.setMaxLength(200)
             field.setFixedWidth(130)
             inside.addWidget(label)
@@ -199,8 +207,8 @@ class _FileChoice(QObject):
         self.choice.setAccessibleName(name)
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(12)
-        self.choice.setPlaceholderText("No session: open one, or drop its file here")
-        self.open = QPushButton("Open…")
+        self.choice.setPlaceholderText(_("No session: open one, or drop its file here"))
+        self.open = QPushButton(_("Open…"))
         self.open.setAccessibleName(f"{title}…")
         self.open.clicked.connect(self._ask)
         self.choice.currentIndexChanged.connect(self._tell)

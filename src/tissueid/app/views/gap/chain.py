@@ -9,6 +9,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QKeyEvent, QPainter, QPainterPath, QPaintEvent, QPen, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import QAbstractButton, QButtonGroup, QSizePolicy, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import LIGHT, Theme, faint
 from tissueid.app.views.gap.words import STAGE_TITLES
 
@@ -24,7 +25,7 @@ _PLACES: dict[Stage, tuple[float, int]] = {
     "environment": (3.5, 1),
 }
 """Middle of each box in columns of four, and its row."""
-_SIGNALS = ("command", "voltage", "force", "motion", "numbers")
+_SIGNALS = (marked("command"), marked("voltage"), marked("force"), marked("motion"), marked("numbers"))
 """What goes into each stage of the upper row, and out of the last."""
 _SHARE_OF_COLUMN = 0.8
 _MARGIN, _HEAD = 30.0, 5.0
@@ -40,7 +41,7 @@ class Chain(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setAccessibleName("Signal chain")
+        self.setAccessibleName(_("Signal chain"))
         self.setMinimumSize(530, 136)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.stages: dict[Stage, _Box] = {stage: _Box(stage, self) for stage in _PLACES}
@@ -111,7 +112,7 @@ class Chain(QWidget):
             middle = 0.5 * (start + end)
             middle = min(max(middle, 34.0), self.width() - 34.0)
             painter.setPen(QColor(self._theme.muted))
-            painter.drawText(QRectF(middle - 60, top[0].top() - 20, 120, 16), Qt.AlignmentFlag.AlignCenter, name)
+            painter.drawText(QRectF(middle - 60, top[0].top() - 20, 120, 16), Qt.AlignmentFlag.AlignCenter, _(name))
 
     def _back_emf(self, painter: QPainter, coil: QRectF, moving: QRectF, tissue: QRectF) -> None:
         start = QPointF(moving.left() + 0.25 * moving.width(), moving.bottom())
@@ -125,7 +126,7 @@ class Chain(QWidget):
         self._head(painter, QPointF(end.x(), end.y() + _HEAD), end)
         painter.setPen(QColor(self._theme.muted))
         place = QRectF(0.5 * (start.x() + end.x()) - 50, low + 1, 100, 16)
-        painter.drawText(place, Qt.AlignmentFlag.AlignCenter, "back-EMF")
+        painter.drawText(place, Qt.AlignmentFlag.AlignCenter, _("back-EMF"))
 
     def _arrow(self, painter: QPainter, start: QPointF, end: QPointF) -> None:
         painter.setPen(QPen(QColor(self._theme.muted), 1.2))
@@ -163,7 +164,7 @@ class _Box(QAbstractButton):
     def __init__(self, stage: Stage, parent: QWidget) -> None:
         super().__init__(parent)
         self.theme = LIGHT
-        self._title = STAGE_TITLES[stage]
+        self._title = _(STAGE_TITLES[stage])
         self._share, self._lit = 0.0, False
         self.setCheckable(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -173,12 +174,14 @@ class _Box(QAbstractButton):
     def show_share(self, share: float, *, lit: bool) -> None:
         """Its share, and whether it is at fault."""
         self._share, self._lit = share, lit
-        words = f"{100.0 * share:.0f} %" if share > 0.0 else "at the floor"
+        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("at the floor")
         self.setText(words)
-        fault = ", at fault" if lit else ""
-        of = "of what stands above the floor" if share > 0.0 else ""
-        self.setAccessibleName(f"Stage {self._title}, {words} {of}".strip() + fault)
-        self.setToolTip(f"{self._title}: {words} {of}".strip() + f"{fault}. Click for its evidence.")
+        fault = _(", at fault") if lit else ""
+        of = _("of what stands above the floor") if share > 0.0 else ""
+        self.setAccessibleName(
+            _("Stage {title}, {share} {of}").format(title=self._title, share=words, of=of).strip() + fault
+        )
+        self.setToolTip(f"{self._title}: {words} {of}".strip() + f"{fault}. {_('Click for its evidence.')}")
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802

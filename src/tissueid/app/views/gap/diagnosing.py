@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tissueid.app.language import ENGLISH, _, marked, speak
 from tissueid.app.views.gap.apart import Step, done_apart
 from tissueid.errors import UnusableInputError
 
@@ -18,24 +19,28 @@ if TYPE_CHECKING:
     from tissueid.instrument.twin_file import TwinFile
 
 _PHASES = {
-    "baseline": "Fitting the baseline twin",
-    "screening": "Looking at every known effect",
-    "candidates": "Fitting the likeliest effects",
-    "leading candidates": "Fitting the leading effects to the end",
-    "pairs": "Fitting pairs of effects",
-    "leading pairs": "Fitting the leading pairs to the end",
+    "baseline": marked("Fitting the baseline twin"),
+    "screening": marked("Looking at every known effect"),
+    "candidates": marked("Fitting the likeliest effects"),
+    "leading candidates": marked("Fitting the leading effects to the end"),
+    "pairs": marked("Fitting pairs of effects"),
+    "leading pairs": marked("Fitting the leading pairs to the end"),
 }
-_LAST = "Working out where, which and how far"
+_LAST = marked("Working out where, which and how far")
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be diagnosed; without a ``twin`` from the nominal one. ``fit`` and ``check`` number tests."""
+    """What is to be diagnosed; without a ``twin`` from the nominal one. ``fit`` and ``check`` number tests.
+
+    ``language`` is that in which the story is told.
+    """
 
     session: Path
     twin: Path | None = None
     fit: tuple[int, ...] = ()
     check: tuple[int, ...] = ()
+    language: str = ENGLISH
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,9 @@ def numbers_of_tests(text: str, what: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.replace(",", " ").split())
     except ValueError:
-        raise UnusableInputError(f"{what}: give numbers of tests with commas between them, not {text[:40]!r}") from None
+        raise UnusableInputError(
+            _("{what}: give numbers of tests with commas between them, not {text!r}").format(what=what, text=text[:40])
+        ) from None
 
 
 def run(asked: Asked, step: Step, cancelled: Callable[[], bool], *, apart: bool) -> Result | None:
@@ -71,7 +78,7 @@ def run(asked: Asked, step: Step, cancelled: Callable[[], bool], *, apart: bool)
     Raises:
         UnusableInputError: the session, the twin or the numbers of tests cannot be used.
     """
-    step("Starting", 0, 0)
+    step(marked("Starting"), 0, 0)
     if apart:
         return done_apart(functools.partial(_diagnosed, asked), step, cancelled)
     from tissueid.gap.fitting import Cancelled
@@ -92,11 +99,13 @@ def _diagnosed(asked: Asked, step: Step, crew: Crew, cancelled: Callable[[], boo
     from tissueid.instrument.twin_file import read_twin
     from tissueid.sessions import read_session
 
+    speak(asked.language)  # in another process nobody has yet
+
     def told(progress: Progress) -> None:
         over = progress.what.startswith("leading") and progress.done == progress.total
         step(_LAST if over else _PHASES.get(progress.what, progress.what), progress.done, progress.total)
 
-    step("Reading the session", 0, 0)
+    step(marked("Reading the session"), 0, 0)
     twin = None if asked.twin is None else read_twin(asked.twin)
     session = read_session(asked.session)
     observed = observe(session, asked.fit, asked.check)

@@ -9,6 +9,7 @@ from PySide6.QtCore import QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.gap.labels import plain_label
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from tissueid.app.views.gap.overlay import Overlay
     from tissueid.app.views.gap.story import Story
 
-_KEY = {"recorded": "muted", "baseline twin": "model", "with the effect": "measured"}
+_KEY = {marked("recorded"): "muted", marked("baseline twin"): "model", marked("with the effect"): "measured"}
 _NOTHING = np.zeros(0)
 _TWICE = 1.96
 
@@ -32,16 +33,16 @@ class FarTab(QWidget):
         self.bars = _GapBars()
         self.closing = plain_label()
         self.channel = QComboBox()
-        self.channel.setAccessibleName("Signal to look at")
+        self.channel.setAccessibleName(_("Signal to look at"))
         self.channel.currentIndexChanged.connect(self._show_chosen)
-        self.signal = PlotCard("Recorded and simulated", "", "", key=_KEY)
-        self.left = PlotCard("Recorded less simulated", "Time (s)", "", key={"95 % of the noise": "check"})
+        self.signal = PlotCard(_("Recorded and simulated"), "", "", key={_(name): role for name, role in _KEY.items()})
+        self.left = PlotCard(_("Recorded less simulated"), _("Time (s)"), "", key={_("95 % of the noise"): "check"})
         self._recorded = self.signal.line("muted", width=4, alpha=140)
         self._before, self._after = self.signal.line("model"), self.signal.line("measured")
         self._noise = self.left.band("check", alpha=70)
         self._left_before, self._left_after = self.left.line("model"), self.left.line("measured")
         self.cards = (self.signal, self.left)
-        self.signal.setToolTip("A quarter of a second that no fit has seen")
+        self.signal.setToolTip(_("A quarter of a second that no fit has seen"))
         self._arrange()
 
     def show_story(self, story: Story) -> None:
@@ -51,11 +52,11 @@ class FarTab(QWidget):
         self._overlays = story.overlays
         self.channel.blockSignals(True)
         self.channel.clear()
-        self.channel.addItems([item.channel.capitalize() for item in story.overlays])
+        self.channel.addItems([_(item.channel.capitalize()) for item in story.overlays])
         self.channel.blockSignals(False)
         self.channel.setEnabled(len(story.overlays) > 1)
         for card in self.cards:
-            card.say_missing("" if story.overlays else "Every sample was fitted: nothing is left to compare with.")
+            card.say_missing("" if story.overlays else _("Every sample was fitted: nothing is left to compare with."))
         self._show_chosen()
 
     def paint_with(self, theme: Theme) -> None:
@@ -69,8 +70,8 @@ class FarTab(QWidget):
         if not 0 <= place < len(self._overlays):
             return
         shown = self._overlays[place]
-        self.signal.retitle(shown.channel.capitalize(), shown.unit)
-        self.left.retitle("Recorded less simulated", shown.fine_unit)
+        self.signal.retitle(_(shown.channel.capitalize()), shown.unit)
+        self.left.retitle(_("Recorded less simulated"), shown.fine_unit)
         time = shown.time
         self._recorded.setData(time, shown.recorded)
         self._before.setData(time, shown.before)
@@ -87,7 +88,7 @@ class FarTab(QWidget):
             card.plot.setXRange(float(time[0]), float(time[-1]), padding=0.01)
 
     def _arrange(self) -> None:
-        label = QLabel("Signal")
+        label = QLabel(_("Signal"))
         label.setBuddy(self.channel)
         choice = QHBoxLayout()
         choice.addWidget(label)
@@ -98,9 +99,9 @@ class FarTab(QWidget):
         column = QVBoxLayout(side)
         column.setContentsMargins(12, 8, 12, 10)
         column.setSpacing(8)
-        heading = QLabel("Gap on held-out data")
+        heading = QLabel(_("Gap on held-out data"))
         heading.setProperty("role", "heading")
-        heading.setToolTip("Error of the free run over the signals' deviation")
+        heading.setToolTip(_("Error of the free run over the signals' deviation"))
         for widget in (heading, self.bars, self.closing):
             column.addWidget(widget)
         column.addStretch(1)
@@ -128,12 +129,12 @@ class _GapBars(QWidget):
 
     def show_gap(self, before: float, after: float | None, floor: float) -> None:
         """Show three shares, or two."""
-        self._rows = [("Before", before, "model")]
+        self._rows = [(_("Before"), before, "model")]
         if after is not None:
-            self._rows.append(("After", after, "measured"))
-        self._rows.append(("Floor", floor, "check"))
+            self._rows.append((_("After"), after, "measured"))
+        self._rows.append((_("Floor"), floor, "check"))
         told = ", ".join(f"{name.lower()} {_percent(share)}" for name, share, _ in self._rows)
-        self.setAccessibleName(f"Gap: {told}")
+        self.setAccessibleName(_("Gap: {told}").format(told=told))
         self.updateGeometry()
         self.update()
 

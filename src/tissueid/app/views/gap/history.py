@@ -5,6 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.gap.diagnosing import Result
 from tissueid.app.views.gap.words import STAGE_TITLES, VERDICT_WORDS
 from tissueid.wording import clean
@@ -25,15 +26,15 @@ class History(QWidget):
         self.setFixedWidth(_WIDTH)
         self._results: list[Result] = []
         self.list = QListWidget()
-        self.list.setAccessibleName("Diagnoses of this sitting, newest first")
+        self.list.setAccessibleName(_("Diagnoses of this sitting, newest first"))
         self.list.setWordWrap(True)
         self.list.setSpacing(2)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.list.currentRowChanged.connect(self._tell)
-        self.remove = QPushButton("Remove")
-        self.remove.setAccessibleName("Remove the chosen diagnosis from the list")
+        self.remove = QPushButton(_("Remove"))
+        self.remove.setAccessibleName(_("Remove the chosen diagnosis from the list"))
         self.remove.clicked.connect(self._remove)
-        heading = QLabel("Diagnoses")
+        heading = QLabel(_("Diagnoses"))
         heading.setProperty("role", "heading")
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)
@@ -81,11 +82,11 @@ class History(QWidget):
 
 def _words(result: Result) -> list[str]:
     story = result.story
-    words = [clean(result.asked.session.name)[:_LONGEST], VERDICT_WORDS[story.verdict]]
+    words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_WORDS[story.verdict])]
     if story.verdict != "no_gap":
-        words[1] += f"  ·  {STAGE_TITLES[story.at_fault]}"
+        words[1] += f"  ·  {_(STAGE_TITLES[story.at_fault])}"
     if story.effect:
         words.append(story.effect[:1].upper() + story.effect[1:])
     if result.twin is not None:
-        words.append(f"from twin {result.twin.name}")
+        words.append(_("from twin {name}").format(name=result.twin.name))
     return words

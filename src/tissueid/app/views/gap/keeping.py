@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from tissueid.app.language import _
 from tissueid.app.views.gap.diagnosing import Result
 from tissueid.audit import Trail
 from tissueid.errors import UnusableInputError
@@ -21,9 +22,9 @@ _SUFFIX = ".toml"
 def why_not_accepted(result: Result) -> str:
     """Why there is nothing to make a twin of; nothing where there is."""
     if result.diagnosis.verdict == "no_gap":
-        return "There is nothing to accept: there is no gap, so the twin may be used as it is."
+        return _("There is nothing to accept: there is no gap, so the twin may be used as it is.")
     if result.diagnosis.verdict != "effect" or result.diagnosis.best is None:
-        return "There is nothing to accept: no known effect explains the gap."
+        return _("There is nothing to accept: no known effect explains the gap.")
     return ""
 
 
@@ -44,8 +45,10 @@ def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
     name = path.stem if result.twin is None else result.twin.name
     if _NAME.fullmatch(name) is None:
         raise UnusableInputError(
-            f"a twin is called by its file: {clean(name)[:40]!r} must begin with a letter or digit and have only "
-            "letters of the English alphabet, digits, blanks, dots, dashes and underscores"
+            _(
+                "a twin is called by its file: {name!r} must begin with a letter or digit and have only "
+                "letters of the English alphabet, digits, blanks, dots, dashes and underscores"
+            ).format(name=clean(name)[:40])
         )
     content = file_of(
         found.best,
@@ -61,8 +64,10 @@ def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
     made = {"file": path.name, "name": content.name, "version": content.version, "effects": effects}
     trail.note("twin.accepted", subject=result.session_id, new=made)
     unlogged = trail.settle()
-    said = f"The twin {content.name}, version {content.version}, is saved in {path}."
-    return f"{said} It is not in the audit log: {unlogged}" if unlogged else said
+    said = _("The twin {name}, version {version}, is saved in {path}.").format(
+        name=content.name, version=content.version, path=path
+    )
+    return f"{said} {_('It is not in the audit log: {problem}').format(problem=unlogged)}" if unlogged else said
 
 
 def report_beside(result: Result) -> Path:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bars import BarTable
 from tissueid.app.views.gap.labels import plain_label
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
     from tissueid.app.views.gap.story import Story
 
 _NONE = {
-    "no_gap": "No further test is needed: the twin is as good as this recording can tell.",
-    "effect": "No further test is needed: one cause stands clear of its rivals, or no test would part them.",
-    "unexplained": "No test on the menu would part the candidates: none of them explains the gap.",
+    "no_gap": marked("No further test is needed: the twin is as good as this recording can tell."),
+    "effect": marked("No further test is needed: one cause stands clear of its rivals, or no test would part them."),
+    "unexplained": marked("No test on the menu would part the candidates: none of them explains the gap."),
 }
 
 
@@ -33,14 +34,14 @@ class NextTab(QWidget):
         self.title = plain_label("headline")
         self.why = plain_label()
         self.by_hand = plain_label()
-        self.prepare = QPushButton("Prepare this test")
-        self.prepare.setToolTip("Fill in the form of the guided test; nothing moves before you start it there")
+        self.prepare = QPushButton(_("Prepare this test"))
+        self.prepare.setToolTip(_("Fill in the form of the guided test; nothing moves before you start it there"))
         self.command = QLineEdit()
         self.command.setReadOnly(True)
-        self.command.setAccessibleName("Command line of the test")
-        self.copy = QPushButton("Copy")
-        self.copy.setAccessibleName("Copy the command line")
-        self.gains = BarTable("What each test would be worth", ("Test", "Worth (nats a channel)"), 1)
+        self.command.setAccessibleName(_("Command line of the test"))
+        self.copy = QPushButton(_("Copy"))
+        self.copy.setAccessibleName(_("Copy the command line"))
+        self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Worth (nats a channel)")), 1)
         self.prepare.clicked.connect(self.wanted)
         self.copy.clicked.connect(self._copy)
         self._arrange()
@@ -53,8 +54,8 @@ class NextTab(QWidget):
     def show_story(self, story: Story) -> None:
         """Show what a diagnosis would measure next."""
         step = story.proposal
-        self.title.setText("Nothing to measure" if step is None else step.title)
-        self.why.setText(_NONE[story.verdict] if step is None else step.why)
+        self.title.setText(_("Nothing to measure") if step is None else step.title)
+        self.why.setText(_(_NONE[story.verdict]) if step is None else step.why)
         self.by_hand.setText("" if step is None else step.by_hand)
         self.by_hand.setVisible(bool(self.by_hand.text()))
         self.prepare.setVisible(step is not None and step.fields is not None)

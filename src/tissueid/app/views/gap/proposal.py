@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import count, pairwise
 from typing import Any
 
+from tissueid.app.language import _
 from tissueid.app.words import sentence
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.menu import menu
@@ -57,11 +58,13 @@ def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
 
 def _by_hand(title: str, command_line: str) -> str:
     if command_line:
-        return f"By hand: {title[:1].lower()}{title[1:]}. Then run this command, with the instrument's address for URL."
-    return (
-        f"By hand: {title[:1].lower()}{title[1:]}. The guided test has no stimulus for it: record it with the "
+        return _("By hand: {title}. Then run this command, with the instrument's address for URL.").format(
+            title=f"{title[:1].lower()}{title[1:]}"
+        )
+    return _(
+        "By hand: {title}. The guided test has no stimulus for it: record it with the "
         "instrument's own program, import the file, and diagnose that session."
-    )
+    ).format(title=f"{title[:1].lower()}{title[1:]}")
 
 
 def _fields(command_line: str, session: Session) -> dict[str, Any]:

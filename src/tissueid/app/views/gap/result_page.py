@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.chain import Chain
 from tissueid.app.views.gap.far_tab import FarTab
@@ -37,12 +38,12 @@ class ResultPage(QScrollArea):
         self.means = plain_label()
         self.todo = plain_label()
         self.remarks = plain_label("muted")
-        self.accept = QPushButton("Accept into twin…")
-        self.accept.setToolTip("Save a twin that has the named effect, for simulation and later diagnoses")
-        self.report = QPushButton("Report")
-        self.report.setToolTip("Write this as one page beside the session, and open it")
-        self.export = QPushButton("Export JSON…")
-        self.export.setToolTip("For scripts: the same answer as the command line gives")
+        self.accept = QPushButton(_("Accept into twin…"))
+        self.accept.setToolTip(_("Save a twin that has the named effect, for simulation and later diagnoses"))
+        self.report = QPushButton(_("Report"))
+        self.report.setToolTip(_("Write this as one page beside the session, and open it"))
+        self.export = QPushButton(_("Export JSON…"))
+        self.export.setToolTip(_("For scripts: the same answer as the command line gives"))
         self.chain = Chain()
         self.stage = plain_label("heading")
         self.evidence = plain_label()
@@ -50,12 +51,12 @@ class ResultPage(QScrollArea):
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName("Where, which, how far, what next")
+        self.tabs.tabBar().setAccessibleName(_("Where, which, how far, what next"))
         for title, tab in (
-            ("Where", self.where),
-            ("Which", self.which),
-            ("How far", self.far),
-            ("Next test", self.next),
+            (_("Where"), self.where),
+            (_("Which"), self.which),
+            (_("How far"), self.far),
+            (_("Next test"), self.next),
         ):
             self.tabs.addTab(tab, title)
         self.chain.chosen.connect(self._show_stage)
@@ -76,7 +77,7 @@ class ResultPage(QScrollArea):
         for label, lines in ((self.means, story.means), (self.remarks, story.remarks)):
             label.setText(" ".join(lines))
             label.setVisible(bool(lines))
-        self.todo.setText(f"What to do: {' '.join(story.todo)}")
+        self.todo.setText(_("What to do: {advice}").format(advice=" ".join(story.todo)))
         self.todo.setVisible(bool(story.todo))
         self.chain.show_shares([(item.stage, item.share, item.lit) for item in story.stages])
         self.chain.choose(story.at_fault)
@@ -100,7 +101,11 @@ class ResultPage(QScrollArea):
         if self._story is None:
             return
         found = next(item for item in self._story.stages if item.stage == stage)
-        self.stage.setText(f"Evidence: {STAGE_TITLES[stage]}{' (at fault)' if found.lit else ''}")
+        self.stage.setText(
+            (_("Evidence: {stage} (at fault)") if found.lit else _("Evidence: {stage}")).format(
+                stage=_(STAGE_TITLES[stage])
+            )
+        )
         self.evidence.setText("\n".join(found.evidence))
         self.evidence.setAccessibleName(f"{self.stage.text()}. {self.evidence.text()}")
 

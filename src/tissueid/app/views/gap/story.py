@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.app.language import _
 from tissueid.app.views.gap.overlay import Overlay, overlays_of
 from tissueid.app.views.gap.proposal import Proposal, proposal_of
 from tissueid.app.words import sentence
@@ -132,22 +133,28 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     where = found.where
     lit = found.verdict != "no_gap" and where.above_floor and stage == where.stage
     lines = [
-        f"{sentence(item.what).rstrip('.')}: {number(item.error / item.floor, 3)} floors of the {item.channel}."
+        _("{finding}: {error} floors of the {channel}.").format(
+            finding=sentence(item.what).rstrip("."), error=number(item.error / item.floor, 3), channel=_(item.channel)
+        )
         for item in where.findings
         if item.stage == stage
     ]
     lines += [
-        f"The effect that explains the gap belongs here: {effect_words(name)}."
+        _("The effect that explains the gap belongs here: {name}.").format(name=effect_words(name))
         for name in found.combination
         if name in library() and library()[name].stage == stage
     ]
     if not lines and stage in where.evidence.nearest:
         times = where.evidence.nearest[stage]
-        left = f"what it leaves is {number(times, 3)} times the floor"
+        left = _("what it leaves is {times} times the floor").format(times=number(times, 3))
         lines.append(
-            f"Nothing speaks against it: {left}{'' if times <= MARGIN else ', which is put down to another stage'}."
+            (
+                _("Nothing speaks against it: {left}.")
+                if times <= MARGIN
+                else _("Nothing speaks against it: {left}, which is put down to another stage.")
+            ).format(left=left)
         )
-    return StageStory(stage, where.shares[stage], lit, tuple(lines) or ("Nothing speaks against it.",))
+    return StageStory(stage, where.shares[stage], lit, tuple(lines) or (_("Nothing speaks against it."),))
 
 
 def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumStory:
@@ -171,13 +178,17 @@ def _profile(found: Profile, scale: float) -> ProfileStory:
 def _rival(found: Diagnosis, item: Ranked) -> Rival:
     known = library().get(item.effect)
     low, high = item.closed_ci
-    interval = f" ({_percent(low)} to {_percent(high)} %)" if np.isfinite(low) and np.isfinite(high) else ""
+    interval = (
+        _(" ({low} to {high} %)").format(low=_percent(low), high=_percent(high))
+        if np.isfinite(low) and np.isfinite(high)
+        else ""
+    )
     return Rival(
         sentence(effect_words(item.effect)).rstrip("."),
         item.stage,
         item.effect in found.combination,
         item.probability,
-        f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else "cannot be told",
+        f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else _("cannot be told"),
         ", ".join(effect_words(name) for name in item.indistinguishable),
         "" if known is None else sentence(known.signature),
         "" if known is None else sentence(known.remedy),
@@ -207,16 +218,16 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[tuple[str, str], ...]:
 def _closing(found: Diagnosis) -> str:
     gap = found.gap
     if found.verdict == "no_gap":
-        return "There is no gap to close: what is left is the noise."
+        return _("There is no gap to close: what is left is the noise.")
     if not np.isfinite(gap.closed):
-        return "No candidate was fitted to it."
+        return _("No candidate was fitted to it.")
     low, high = gap.closed_ci
-    words = f"Closed: {_percent(gap.closed)}\u00a0% of what stands above the floor"
+    words = _("Closed: {closed}\u00a0% of what stands above the floor").format(closed=_percent(gap.closed))
     if np.isfinite(low) and np.isfinite(high):
-        words += f" (95 %: {_percent(low)} to {_percent(high)}\u00a0%)"
-    words += f", announced {_percent(gap.announced)}\u00a0%."
+        words += _(" (95 %: {low} to {high}\u00a0%)").format(low=_percent(low), high=_percent(high))
+    words += _(", announced {announced}\u00a0%.").format(announced=_percent(gap.announced))
     if np.isfinite(found.ceiling):
-        words += f" Something flexible would close {_percent(found.ceiling)}\u00a0%."
+        words += _(" Something flexible would close {ceiling}\u00a0%.").format(ceiling=_percent(found.ceiling))
     return words
 
 

@@ -12,6 +12,7 @@ from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication, QKeySequence, QShortcut
 from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QSizePolicy, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.asking import Asking
 from tissueid.app.views.gap.diagnosing import Result, run
@@ -29,12 +30,12 @@ from tissueid.app.views.view import Desk, View
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
 
-_WELCOME = (
+_WELCOME = marked(
     "A simulation of the same test never equals the recording. Choose a session and run: this page says whether the "
     "difference is more than noise, in which stage of the signal chain it arises, which effect that the simulation "
     "leaves out causes it, and how much of it goes away once that effect is added."
 )
-_CANCELLED = "The diagnosis was cancelled."
+_CANCELLED = marked("The diagnosis was cancelled.")
 _TAB = "gap/tab"
 
 
@@ -55,7 +56,7 @@ class GapView(View):
         self.history = History()
         self.result = ResultPage()
         self.welcome = plain_label("muted")
-        self.welcome.setText(_WELCOME)
+        self.welcome.setText(_(_WELCOME))
         self.welcome.setAlignment(Qt.AlignmentFlag.AlignTop)
         self._stack = QStackedWidget()
         self._stack.addWidget(self.welcome)
@@ -118,7 +119,7 @@ class GapView(View):
         if self._running:
             self._cancelled.set()
             self.asking.stop.setEnabled(False)
-            self.asking.tell("Cancelling", 0, 0)
+            self.asking.tell(_("Cancelling"), 0, 0)
 
     def _step(self, what: str, done: int, total: int) -> None:
         if self._running and not self._cancelled.is_set():
@@ -127,7 +128,7 @@ class GapView(View):
     def _ended(self, result: Result | None) -> None:
         waited = self._rest()
         if result is None:
-            self.desk.say(_CANCELLED)
+            self.desk.say(_(_CANCELLED))
             return
         self.history.add(result)
         if waited:
@@ -161,14 +162,14 @@ class GapView(View):
         if why := why_not_accepted(result):
             self.desk.say(why, problem=True)
             return
-        self._ask("Save the twin", proposed_twin(result), "Twins (*.toml)", "toml", self._accept)
+        self._ask(_("Save the twin"), proposed_twin(result), _("Twins (*.toml)"), "toml", self._accept)
 
     def _ask_for_json(self) -> None:
         result = self.history.result
         if result is not None:
             session = result.asked.session
             path = session.with_name(f"{session.stem}-gap.json")
-            self._ask("Save the answer", path, "JSON (*.json)", "json", self._export)
+            self._ask(_("Save the answer"), path, "JSON (*.json)", "json", self._export)
 
     def _ask(self, title: str, path: Path, kinds: str, suffix: str, then: Callable[[str], None]) -> None:
         dialog = QFileDialog(self, title, str(path.parent), kinds)
@@ -199,7 +200,7 @@ class GapView(View):
         self.desk.say(words)
 
     def _exported(self, path: Path) -> None:
-        self.desk.say(f"The answer is saved in {path}.")
+        self.desk.say(_("The answer is saved in {path}.").format(path=path))
 
     def _not_kept(self, words: str) -> None:
         self.desk.say(words, problem=True)
@@ -214,13 +215,15 @@ class GapView(View):
         low, high = step.fields.get("min_force_n", 0.0), step.fields.get("max_force_n", 0.0)
         self.desk.prepare_test(
             step.fields,
-            f"Prepared: {step.title[:1].lower()}{step.title[1:]}, {low:.1f} to {high:.1f} N as far as the limits "
-            "allow. Check the instrument and the site, then start the test.",
+            _(
+                "Prepared: {title}, {low:.1f} to {high:.1f} N as far as the limits allow. Check "
+                "the instrument and the site, then start the test."
+            ).format(title=f"{step.title[:1].lower()}{step.title[1:]}", low=low, high=high),
         )
 
     def _copy(self, text: str) -> None:
         QGuiApplication.clipboard().setText(text)
-        self.desk.say("The command is on the clipboard.")
+        self.desk.say(_("The command is on the clipboard."))
 
     # -- files that are dropped -----------------------------------------------------------------------------------
 

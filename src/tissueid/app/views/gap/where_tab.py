@@ -8,6 +8,7 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QGridLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 
@@ -15,17 +16,17 @@ if TYPE_CHECKING:
     from tissueid.app.views.gap.story import ProfileStory, SpectrumStory, Story
 
 _LINES = {
-    "recorded": ("recorded", "muted", 1),
-    "residual": ("left by the twin", "text", 2),
-    "linear": ("linear", "measured", 1),
-    "even": ("even", "model", 1),
-    "odd": ("odd", "good", 1),
-    "noise": ("floor", "check", 1),
+    "recorded": (marked("recorded"), "muted", 1),
+    "residual": (marked("left by the twin"), "text", 2),
+    "linear": (marked("linear"), "measured", 1),
+    "even": (marked("even"), "model", 1),
+    "odd": (marked("odd"), "good", 1),
+    "noise": (marked("floor"), "check", 1),
 }
 """Line: what it is called, the role of its colour, and its width."""
-_ABOVE = {"above floor": "poor"}
+_ABOVE = {marked("above floor"): "poor"}
 _NOTHING = np.zeros(0)
-_NOT_THERE = "Nothing was left to look at."
+_NOT_THERE = marked("Nothing was left to look at.")
 _FAR = 20.0
 
 
@@ -34,26 +35,26 @@ class WhereTab(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        key = {label: role for label, role, _ in _LINES.values()}
-        self.frequency = PlotCard("By frequency", "Frequency (Hz)", "", key=key, log_axes=("bottom", "left"))
+        key = {_(label): role for label, role, _width in _LINES.values()}
+        self.frequency = PlotCard(_("By frequency"), _("Frequency (Hz)"), "", key=key, log_axes=("bottom", "left"))
         self._bands = self.frequency.band("poor", alpha=28)
-        self._lines = {name: self.frequency.line(role, width=width) for name, (_, role, width) in _LINES.items()}
-        self.frequency.setToolTip("Shaded: bands that stand above the floor with significance")
+        self._lines = {name: self.frequency.line(role, width=width) for name, (_label, role, width) in _LINES.items()}
+        self.frequency.setToolTip(_("Shaded: bands that stand above the floor with significance"))
         self.profiles = {
-            "depth_m": _profile_card("By depth", "Depth (mm)"),
-            "velocity_m_s": _profile_card("By velocity", "Velocity (mm/s), positive goes in"),
-            "time_s": _profile_card("By time", "Time (s)"),
+            "depth_m": _profile_card(_("By depth"), _("Depth (mm)")),
+            "velocity_m_s": _profile_card(_("By velocity"), _("Velocity (mm/s), positive goes in")),
+            "time_s": _profile_card(_("By time"), _("Time (s)")),
         }
         self._items = {
             name: (card.line("muted"), card.dots("poor", 7), card.dots("muted", 6))
             for name, card in self.profiles.items()
         }
         for card in self.profiles.values():
-            floor = card.mark(upright=False, text="floor")
+            floor = card.mark(upright=False, text=_("floor"))
             floor.setValue(0.0)
             floor.show()
             card.setToolTip(
-                "Root-mean-square error in floors; 1 is what noise alone leaves. Red: above it with significance"
+                _("Root-mean-square error in floors; 1 is what noise alone leaves. Red: above it with significance")
             )
         self.cards: tuple[PlotCard, ...] = (self.frequency, *self.profiles.values())
         grid = QGridLayout(self)
@@ -79,10 +80,10 @@ class WhereTab(QWidget):
 
     def _show_spectrum(self, spectrum: SpectrumStory | None) -> None:
         card = self.frequency
-        card.say_missing("" if spectrum is not None else _NOT_THERE)
+        card.say_missing("" if spectrum is not None else _(_NOT_THERE))
         if spectrum is None:
             return
-        card.retitle(f"By frequency, {spectrum.channel}", f"{spectrum.unit}/√Hz")
+        card.retitle(_("By frequency, {channel}").format(channel=_(spectrum.channel)), f"{spectrum.unit}/√Hz")
         for name, line in self._lines.items():
             line.setData(spectrum.frequency, spectrum.lines[name])
         self._shade(spectrum.bands)
@@ -101,7 +102,7 @@ class WhereTab(QWidget):
 
     def _show_profile(self, card: PlotCard, name: str, profile: ProfileStory | None, channel: str) -> None:
         there = profile is not None and profile.middle.size > 0
-        card.say_missing("" if there else _NOT_THERE)
+        card.say_missing("" if there else _(_NOT_THERE))
         if profile is None or not there:
             return
         card.setAccessibleDescription(_described(profile, channel))
@@ -121,11 +122,18 @@ def _dot(item: pg.PlotDataItem, profile: ProfileStory, chosen: np.ndarray) -> No
 def _described(profile: ProfileStory, channel: str) -> str:
     most = int(np.argmax(profile.error))
     many = int(profile.above.sum())
-    return (
-        f"Error of the {channel}: {many} of {profile.above.size} bins stand above the floor; "
-        f"most at {profile.middle[most]:.3g}, {10.0 ** profile.error[most]:.3g} floors."
+    return _(
+        "Error of the {channel}: {many} of {count} bins stand above the floor; most at {place:.3g}, {most:.3g} floors."
+    ).format(
+        channel=_(channel),
+        many=many,
+        count=profile.above.size,
+        place=profile.middle[most],
+        most=10.0 ** profile.error[most],
     )
 
 
 def _profile_card(title: str, x_label: str) -> PlotCard:
-    return PlotCard(title, x_label, "floors", key=_ABOVE, log_axes=("left",))
+    return PlotCard(
+        title, x_label, _("floors"), key={_(name): role for name, role in _ABOVE.items()}, log_axes=("left",)
+    )

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bars import BarTable
 from tissueid.app.views.gap.labels import plain_label
@@ -21,9 +22,11 @@ class WhichTab(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._rivals: tuple[Rival, ...] = ()
-        self.table = BarTable("Candidates, likeliest first", ("Effect", "Stage", "Probability", "Closed (95 %)"), 2)
+        self.table = BarTable(
+            _("Candidates, likeliest first"), (_("Effect"), _("Stage"), _("Probability"), _("Closed (95 %)")), 2
+        )
         self.none = plain_label("muted")
-        self.none.setText("No effect leaves a trace in this recording that a refit of the twin would not take up.")
+        self.none.setText(_("No effect leaves a trace in this recording that a refit of the twin would not take up."))
         self.title = plain_label("heading")
         self.alike = plain_label()
         self.leaves = plain_label("muted")
@@ -44,7 +47,7 @@ class WhichTab(QWidget):
         self.table.fill(
             [
                 (
-                    (item.title, STAGE_TITLES[item.stage], _percent(item.probability), item.closed),
+                    (item.title, _(STAGE_TITLES[item.stage]), _percent(item.probability), item.closed),
                     item.probability,
                     item.named,
                 )
@@ -69,11 +72,11 @@ class WhichTab(QWidget):
             return
         rival = self._rivals[row]
         self.title.setText(rival.title)
-        alike = f"This data cannot tell it from: {rival.alike}." if rival.alike else ""
-        self.alike.setText(alike or "No rival looks the same in this data.")
-        self.leaves.setText(f"What it leaves: {rival.signature}")
-        self.remedy.setText(f"What to do: {rival.remedy}" if rival.remedy else "")
-        self.figures.setText("\n".join(["Fitted:", *(f"{name}: {value}" for name, value in rival.figures)]))
+        alike = _("This data cannot tell it from: {alike}.").format(alike=rival.alike) if rival.alike else ""
+        self.alike.setText(alike or _("No rival looks the same in this data."))
+        self.leaves.setText(_("What it leaves: {signature}").format(signature=rival.signature))
+        self.remedy.setText(_("What to do: {advice}").format(advice=rival.remedy) if rival.remedy else "")
+        self.figures.setText("\n".join([_("Fitted:"), *(f"{name}: {value}" for name, value in rival.figures)]))
         self.figures.setVisible(bool(rival.figures))
 
     def _make_details(self) -> QWidget:
@@ -87,7 +90,7 @@ class WhichTab(QWidget):
         scroll = QScrollArea()
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setAccessibleName("The chosen candidate")
+        scroll.setAccessibleName(_("The chosen candidate"))
         scroll.setWidget(inside)
         card = QFrame()
         card.setProperty("role", "card")

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.arranging import arrange
 from tissueid.app.views.researcher.batch import Batch, run, run_folder
@@ -57,29 +58,29 @@ class AnalysisPanel(QWidget):
         self._doing = ""
         self._busy = self._testing = False
         self.form = EngineForm()
-        self.run = QPushButton("R&un")
-        self.run.setToolTip("Fit the engine to every chosen test")
-        self.compare = QPushButton("Com&pare engines")
-        self.compare.setToolTip("Fit every engine to every chosen test, and say which one it bears out")
-        self.folder = QPushButton("Run on folder…")
-        self.folder.setToolTip("Fit the engine to every stochastic test of every session below a folder")
-        self.cancelling = QPushButton("Cancel")
+        self.run = QPushButton(_("R&un"))
+        self.run.setToolTip(_("Fit the engine to every chosen test"))
+        self.compare = QPushButton(_("Com&pare engines"))
+        self.compare.setToolTip(_("Fit every engine to every chosen test, and say which one it bears out"))
+        self.folder = QPushButton(_("Run on folder…"))
+        self.folder.setToolTip(_("Fit the engine to every stochastic test of every session below a folder"))
+        self.cancelling = QPushButton(_("Cancel"))
         self.bar = QProgressBar()
         self.bar.setRange(0, _STEPS)
         self.bar.setTextVisible(False)
-        self.bar.setAccessibleName("Progress of the analysis")
+        self.bar.setAccessibleName(_("Progress of the analysis"))
         self.step = _line()
         self.results = ResultsTable()
         self.pictures = Pictures()
-        self.save_table = QPushButton("Table…")
-        self.save_table.setAccessibleName("Save the table")
-        self.save_table.setToolTip("Save the table of results as CSV")
-        self.save_figure = QPushButton("Figure…")
-        self.save_figure.setAccessibleName("Save the figure")
-        self.save_figure.setToolTip("Save the figure as PNG or SVG")
+        self.save_table = QPushButton(_("Table…"))
+        self.save_table.setAccessibleName(_("Save the table"))
+        self.save_table.setToolTip(_("Save the table of results as CSV"))
+        self.save_figure = QPushButton(_("Figure…"))
+        self.save_figure.setAccessibleName(_("Save the figure"))
+        self.save_figure.setToolTip(_("Save the figure as PNG or SVG"))
         self._saver = Saver(desk, self)
-        self.clear = QPushButton("Clear")
-        self.clear.setToolTip("Take all results out of the table (Delete: the selected ones)")
+        self.clear = QPushButton(_("Clear"))
+        self.clear.setToolTip(_("Take all results out of the table (Delete: the selected ones)"))
         self.verdicts = RecommendationView()
         self.past = HistoryList()
         self.tabs = QTabWidget()
@@ -112,7 +113,7 @@ class AnalysisPanel(QWidget):
         """End what goes on, as soon as the fit that runs is done."""
         if self._work is not None:
             self._work.cancel()
-            self.step.setText("Cancelling: what is being fitted is finished first.")
+            self.step.setText(_("Cancelling: what is being fitted is finished first."))
             self.cancelling.setEnabled(False)
 
     def save_state(self) -> None:
@@ -132,7 +133,7 @@ class AnalysisPanel(QWidget):
             work = functools.partial(run, task, progress, self._history, moment)
         else:
             work = functools.partial(run_folder, folder, task, progress, self._history, moment)
-        self._work, self._doing = progress, "Comparing" if task.kind == "compare" else "Fitting"
+        self._work, self._doing = progress, _("Comparing") if task.kind == "compare" else _("Fitting")
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
@@ -164,14 +165,14 @@ class AnalysisPanel(QWidget):
     def _compare(self) -> None:
         engines = self.verdicts.compared
         if not engines:
-            self.desk.say("Choose at least one engine to compare.", problem=True)
+            self.desk.say(_("Choose at least one engine to compare."), problem=True)
         elif self._chosen and (task := self._task(kind="compare", engines=engines)) is not None:
             self.start(task)
 
     def _choose_folder(self) -> None:
         if self._task(tests=()) is None:
             return
-        dialog = QFileDialog(self, "Run on the sessions below a folder", str(self.desk.around.folder))
+        dialog = QFileDialog(self, _("Run on the sessions below a folder"), str(self.desk.around.folder))
         dialog.setFileMode(QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -197,10 +198,10 @@ class AnalysisPanel(QWidget):
         self.tabs.setCurrentIndex(1 if batch.verdicts else 0)
         if batch.problems:
             more = len(batch.problems) - _TOLD
-            told = [*batch.problems[:_TOLD], *([f"And {more} more."] if more > 0 else [])]
+            told = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
             self.desk.say(" ".join(told), problem=True)
         elif batch.cancelled:
-            self.desk.say("Cancelled; what was done by then is shown.")
+            self.desk.say(_("Cancelled; what was done by then is shown."))
 
     def _failed(self, words: str) -> None:
         self._end()
@@ -239,7 +240,7 @@ class AnalysisPanel(QWidget):
         try:
             self.past.show_entries(*self._history.read())
         except OSError as error:
-            self.past.remark.setText(f"The history cannot be read: {in_words(error)}")
+            self.past.remark.setText(_("The history cannot be read: {problem}").format(problem=in_words(error)))
 
     def _take_task(self, task: Task) -> None:
         """Put the settings of an earlier run back into the form; which tests are chosen stays."""
@@ -253,7 +254,7 @@ class AnalysisPanel(QWidget):
             self.desk.say(in_words(error), problem=True)
             return
         self.form.take_signals(task.input_name, task.output_name, task.together)
-        self.desk.say("The settings of that run are in the form; the chosen tests are as they were.")
+        self.desk.say(_("The settings of that run are in the form; the chosen tests are as they were."))
 
     def _save_table(self) -> None:
         self._saver.save_table(self.results.rows())
@@ -267,7 +268,11 @@ class AnalysisPanel(QWidget):
         """Nothing of ours goes on."""
         if self._work is None:
             count = len(self._chosen)
-            self.step.setText(f"{count} {'test' if count == 1 else 'tests'} chosen." if count else "No test is chosen.")
+            self.step.setText(
+                plural("{count} test chosen.", "{count} tests chosen.", count).format(count=count)
+                if count
+                else _("No test is chosen.")
+            )
         self._enable()
 
     def _show_working(self) -> None:

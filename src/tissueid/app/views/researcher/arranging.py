@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QSplitter, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
+
 if TYPE_CHECKING:
     from tissueid.app.views.researcher.analysis import AnalysisPanel
 
@@ -40,9 +42,9 @@ def arrange(panel: AnalysisPanel) -> None:
     results.setStretchFactor(1, 3)
     panel.tabs.setDocumentMode(True)
     panel.tabs.tabBar().setDrawBase(False)
-    panel.tabs.addTab(results, "Results")
-    panel.tabs.addTab(panel.verdicts, "Recommendation")
-    panel.tabs.addTab(panel.past, "History")
+    panel.tabs.addTab(results, _("Results"))
+    panel.tabs.addTab(panel.verdicts, _("Recommendation"))
+    panel.tabs.addTab(panel.past, _("History"))
     right = QWidget()
     column = QVBoxLayout(right)
     column.setContentsMargins(6, 0, 0, 0)

@@ -10,6 +10,7 @@ from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import ErrandStrip
@@ -58,8 +59,8 @@ class Browser(QWidget):
         self.picked = QLabel()
         folders = [Path(text) for text in kept_texts(desk.settings, _FOLDERS)]
         self.folders = FolderButton(folders or [desk.around.folder], self)
-        self.again = QPushButton("Look again")
-        self.again.setToolTip("Look for new sessions in the folders (F5)")
+        self.again = QPushButton(_("Look again"))
+        self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
         self._restore()
         self._arrange()
         self._drain = self._timer(_DRAIN_MS, self._take_found, single=False)
@@ -181,15 +182,15 @@ class Browser(QWidget):
         bad = sum(bool(entry.problem) for entry in entries)
         shown = self.shown.rowCount()
         listed = len(entries) - bad
-        words = f"{grouped(listed)} session{'' if listed == 1 else 's'}"
+        words = plural("{count} session", "{count} sessions", listed).format(count=grouped(listed))
         if bad:
-            words += f", {grouped(bad)} unreadable"
+            words += _(", {count} unreadable").format(count=grouped(bad))
         if shown != len(entries):
-            words += f"; {grouped(shown)} shown"
+            words += _("; {count} shown").format(count=grouped(shown))
         self.count.setText(words)
-        empty = "" if entries or self._search is not None or self._all_wanted else "No sessions in these folders."
+        empty = "" if entries or self._search is not None or self._all_wanted else _("No sessions in these folders.")
         if entries and not shown:
-            empty = "Nothing matches."
+            empty = _("Nothing matches.")
         self.tree.say_empty(empty)
 
     def _select(self, _now: QItemSelection, _before: QItemSelection) -> None:
@@ -198,13 +199,13 @@ class Browser(QWidget):
     def _tell_selected(self) -> None:
         chosen = self.chosen()
         sessions = len({one.path for one in chosen})
-        tests = f"{len(chosen)} test{'' if len(chosen) == 1 else 's'}"
-        of = f" of {sessions} session{'' if sessions == 1 else 's'}"
-        self.picked.setText(f"{tests}{of} selected" if chosen else "Nothing selected")
+        tests = plural("{count} test", "{count} tests", len(chosen)).format(count=len(chosen))
+        of = plural(" of {count} session", " of {count} sessions", sessions).format(count=sessions)
+        self.picked.setText(_("{tests} selected").format(tests=f"{tests}{of}") if chosen else _("Nothing selected"))
         self.selected.emit()
 
     def _chosen(self, entry: Entry, test: TestEntry) -> Chosen:
-        parts = [clean(entry.pseudonym), clean(test.site), f"test {test.number}"]
+        parts = [clean(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
         label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
         return Chosen(entry.path, test.number, test.site, entry.pseudonym, f"{label} ({clean(entry.path.stem)[:40]})")
 
@@ -227,7 +228,7 @@ class Browser(QWidget):
             label.setProperty("role", "muted")
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setMinimumWidth(1)
-        self.picked.setText("Nothing selected")
+        self.picked.setText(_("Nothing selected"))
         top = QHBoxLayout()
         top.setSpacing(6)
         top.addWidget(self.folders)

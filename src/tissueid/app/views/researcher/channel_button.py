@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QMenu, QPushButton, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.plot_stack import MOST_PLOTS
 from tissueid.app.views.researcher.reading import Channel
 
@@ -21,12 +22,12 @@ class ChannelButton(QPushButton):
     changed = Signal()
 
     def __init__(self, wanted: Sequence[str], parent: QWidget | None = None) -> None:
-        super().__init__("Signals", parent)
+        super().__init__(_("Signals"), parent)
         self.wanted = list(wanted)
         """Names that a person chose; none where nobody chose."""
         self._channels: list[Channel] = []
         self.setMenu(QMenu(self))
-        self.setToolTip("Which signals are drawn")
+        self.setToolTip(_("Which signals are drawn"))
         self.offer([])
 
     def offer(self, channels: Sequence[Channel]) -> None:
@@ -43,7 +44,11 @@ class ChannelButton(QPushButton):
             action.setEnabled(channel in drawn or len(drawn) < MOST_PLOTS)
             action.toggled.connect(self._toggle)
         self.setEnabled(bool(channels))
-        self.setText(f"Signals ({len(drawn)} of {len(channels)})" if channels else "Signals")
+        self.setText(
+            _("Signals ({drawn} of {count})").format(drawn=len(drawn), count=len(channels))
+            if channels
+            else _("Signals")
+        )
 
     @property
     def drawn(self) -> list[Channel]:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Drawn, Line, Panel
 from tissueid.app.views.researcher.images import images_of
 from tissueid.app.words import sentence
@@ -118,14 +119,14 @@ def _probed(analysis: Analysis) -> tuple[Array, Array]:
     model, record = analysis.model, analysis.record[analysis.fit_part]
     known = record.input[np.isfinite(record.input)]
     if known.size < 2:
-        raise UnusableInputError("no input was received")
+        raise UnusableInputError(_("no input was received"))
     lags = min(model.memory_samples, known.size)
     rest = np.full(3 * lags, float(np.mean(known)))
     pulse, height = rest.copy(), _PULSE * float(np.std(known))
     pulse[lags] += height
     answer = (model.simulate(pulse) - model.simulate(rest))[lags - 1 : 2 * lags]
     if not np.isfinite(answer).all() or height == 0.0 or not np.any(answer):
-        raise UnusableInputError("the model does not answer a small pulse about the mean input")
+        raise UnusableInputError(_("the model does not answer a small pulse about the mean input"))
     return np.arange(-1, lags) / model.sample_rate_hz, answer * model.sample_rate_hz / height
 
 
@@ -142,10 +143,10 @@ def _spectra(analysis: Analysis) -> Spectra | None:
 
 def _excited(spectra: Spectra | None) -> np.ndarray:
     if spectra is None:
-        raise UnusableInputError("the record is too short for spectra")
+        raise UnusableInputError(_("the record is too short for spectra"))
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
     if shown.sum() < 3:
-        raise UnusableInputError("the input has power at fewer than three frequencies")
+        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
     return np.asarray(shown, dtype=np.bool_)
 
 
@@ -201,13 +202,13 @@ def _nonlinearity(analysis: Analysis) -> Line:
     if isinstance(model, CascadeModel) and model.structure == "hammerstein" and model.inner is not None:
         x = _span(record.input)
         return Line(into * x, out * (model.inner(x) + model.offset))
-    raise UnusableInputError("this engine has no static nonlinearity of its own; wiener and hammerstein have")
+    raise UnusableInputError(_("this engine has no static nonlinearity of its own; wiener and hammerstein have"))
 
 
 def _span(values: Array) -> Array:
     known = values[np.isfinite(values)]
     if known.size < 2:
-        raise UnusableInputError("no sample lies where the cascade can be run")
+        raise UnusableInputError(_("no sample lies where the cascade can be run"))
     low, high = np.quantile(known, (0.005, 0.995))
     return np.linspace(float(low), float(high), _FINE)
 
@@ -265,7 +266,7 @@ def _at_one_depth(analysis: Analysis) -> tuple[Line, Line, Line]:
     record, found = analysis.record[analysis.fit_part], analysis.model.report.parameters
     names = (("mass_kg", 1e3), ("damping_n_s_per_m", 1.0), ("stiffness_n_per_m", 1.0))
     if (record.output_unit, record.input_unit) != ("m", "N") or any(name not in found for name, _ in names):
-        raise UnusableInputError("this engine gives no mass, damping and stiffness of this record")
+        raise UnusableInputError(_("this engine gives no mass, damping and stiffness of this record"))
     where = np.array([1e3 * float(np.nanmean(record.output))])
     mass, damping, stiffness = (Line(where, np.array([scale * found[n].value]), dots=True) for n, scale in names)
     return mass, damping, stiffness
@@ -277,7 +278,7 @@ def _residuals(tests: ResidualTests) -> tuple[Line, Line]:
         test = tests[name]
         known = np.isfinite(test.correlation)
         if not known.any():
-            raise UnusableInputError("too little is held out to test what the model leaves")
+            raise UnusableInputError(_("too little is held out to test what the model leaves"))
         band = test.band[known]
         lines.append(Line(MS * test.lag_s[known], test.correlation[known], -band, band))
     return lines[0], lines[1]

@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.fields import OptionField
 from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
@@ -44,7 +45,7 @@ class EngineForm(QWidget):
         self._stack = QUndoStack(self)
         self._stack.setUndoLimit(_UNDOABLE)
         self.engine = QComboBox()
-        self.engine.setAccessibleName("Identification engine")
+        self.engine.setAccessibleName(_("Identification engine"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
             about = " ".join((get_engine(name).__doc__ or "").split("\n\n")[0].split())
@@ -54,15 +55,15 @@ class EngineForm(QWidget):
         self.about.setWordWrap(True)
         self.about.setMinimumWidth(1)
         self.about.setTextFormat(Qt.TextFormat.PlainText)
-        self.input, self.output = _signals("Input", INPUTS), _signals("Output", OUTPUTS)
-        self.together = QCheckBox("Fit tests of a file together")
-        self.together.setToolTip("One model for all chosen tests of a session; otherwise one for each test")
-        self.defaults = QPushButton("&Defaults")
-        self.defaults.setToolTip("All options of this engine as they are when nothing is chosen")
-        self.undo = QPushButton("Undo")
-        self.redo = QPushButton("Redo")
-        self.undo.setToolTip("Take the last change back (Ctrl+Z)")
-        self.redo.setToolTip("Make it again (Ctrl+Shift+Z)")
+        self.input, self.output = _signals(_("Input"), INPUTS), _signals(_("Output"), OUTPUTS)
+        self.together = QCheckBox(_("Fit tests of a file together"))
+        self.together.setToolTip(_("One model for all chosen tests of a session; otherwise one for each test"))
+        self.defaults = QPushButton(_("&Defaults"))
+        self.defaults.setToolTip(_("All options of this engine as they are when nothing is chosen"))
+        self.undo = QPushButton(_("Undo"))
+        self.redo = QPushButton(_("Redo"))
+        self.undo.setToolTip(_("Take the last change back (Ctrl+Z)"))
+        self.redo.setToolTip(_("Make it again (Ctrl+Shift+Z)"))
         self.problem = QLabel()
         self.problem.setProperty("role", "readout")
         self.problem.setProperty("level", "poor")
@@ -256,7 +257,7 @@ class EngineForm(QWidget):
         self._grid.setVerticalSpacing(2)
         signals = QGridLayout()
         signals.setVerticalSpacing(2)
-        for column, (name, combo) in enumerate((("Input", self.input), ("Output", self.output))):
+        for column, (name, combo) in enumerate(((_("Input"), self.input), (_("Output"), self.output))):
             label = QLabel(name)
             label.setProperty("role", "field")
             signals.addWidget(label, 0, column)
@@ -311,7 +312,7 @@ class _Change(QUndoCommand):
 
 def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
     combo = QComboBox()
-    combo.setAccessibleName(f"{name} of the model")
+    combo.setAccessibleName(_("{name} of the model").format(name=name))
     combo.setMinimumContentsLength(5)
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     for signal in offered:

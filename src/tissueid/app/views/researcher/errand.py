@@ -7,6 +7,7 @@ import threading
 from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QWidget
 
+from tissueid.app.language import _
 from tissueid.errors import CancelledError
 
 _LOOK_MS = 60
@@ -52,9 +53,9 @@ class ErrandStrip(QWidget):
         self._bar = QProgressBar()
         self._bar.setRange(0, _STEPS)
         self._bar.setTextVisible(False)
-        self._bar.setAccessibleName("Progress")
-        self.stop = QPushButton("Cancel")
-        self.stop.setAccessibleName("Cancel what is going on")
+        self._bar.setAccessibleName(_("Progress"))
+        self.stop = QPushButton(_("Cancel"))
+        self.stop.setAccessibleName(_("Cancel what is going on"))
         self.stop.clicked.connect(self.cancel)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
@@ -90,7 +91,7 @@ class ErrandStrip(QWidget):
         if self._errand is not None:
             self._errand.cancel()
             self.stop.setEnabled(False)
-            self._words.setText("Stopping…")
+            self._words.setText(_("Stopping…"))
 
     def _look(self) -> None:
         if self._errand is not None:

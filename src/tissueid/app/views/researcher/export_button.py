@@ -9,6 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import ErrandStrip
 from tissueid.app.views.researcher.exporting import EXPORTS, Export
@@ -21,15 +22,15 @@ class ExportButton(QPushButton):
     def __init__(
         self, desk: Desk, strip: ErrandStrip, chosen: Callable[[], Sequence[Chosen]], parent: QWidget | None = None
     ) -> None:
-        super().__init__("Export data", parent)
+        super().__init__(_("Export data"), parent)
         self._desk = desk
         self._strip = strip
         self._chosen = chosen
         self._busy = False
-        self.setToolTip("The selected tests as files for other programs, a folder a session")
+        self.setToolTip(_("The selected tests as files for other programs, a folder a session"))
         self.setMenu(QMenu(self))
         for kind, words in EXPORTS.items():
-            self.menu().addAction(f"{words}…", partial(self._choose, kind))
+            self.menu().addAction(f"{_(words)}…", partial(self._choose, kind))
         self.settle(busy=False)
 
     def settle(self, *, busy: bool) -> None:
@@ -45,7 +46,7 @@ class ExportButton(QPushButton):
         chosen = list(self._chosen())
         if not chosen:
             return
-        dialog = QFileDialog(self.window(), "Export into a new folder in", str(chosen[0].path.parent))
+        dialog = QFileDialog(self.window(), _("Export into a new folder in"), str(chosen[0].path.parent))
         dialog.setFileMode(QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -54,7 +55,7 @@ class ExportButton(QPushButton):
 
     def _export(self, chosen: Sequence[Chosen], kind: str, folder: str) -> None:
         if self._desk.busy:
-            self._desk.say("Nothing is exported: something else goes on. Try again.", problem=True)
+            self._desk.say(_("Nothing is exported: something else goes on. Try again."), problem=True)
             return
         export = Export(chosen, Path(folder), kind, self._desk.trail)
         self._strip.watch(export)

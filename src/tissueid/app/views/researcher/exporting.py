@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.words import in_words
@@ -14,14 +15,14 @@ from tissueid.errors import CancelledError, TissueIDError
 from tissueid.sessions import read_session_head, read_test
 from tissueid.sessions.imports import export_session
 
-EXPORTS = {"csv": "CSV tables", "mat": "MATLAB files", "parquet": "Parquet tables"}
+EXPORTS = {"csv": marked("CSV tables"), "mat": marked("MATLAB files"), "parquet": marked("Parquet tables")}
 
 
 class Export(Errand):
     """Writes a folder a session below ``folder``; a session that fails costs only itself."""
 
     def __init__(self, chosen: Sequence[Chosen], folder: Path, kind: str, trail: Trail) -> None:
-        super().__init__("Exporting")
+        super().__init__(_("Exporting"))
         self.written: list[Path] = []
         self.problems: list[str] = []
         self._folder = folder
@@ -52,11 +53,13 @@ class Export(Errand):
         count = len(self.written)
         said = []
         if count == 1:
-            said.append(f"Exported into {self.written[0]}.")
+            said.append(_("Exported into {path}.").format(path=self.written[0]))
         elif count:
-            said.append(f"Exported {count} sessions into folders in {self._folder}.")
+            said.append(
+                _("Exported {count} sessions into folders in {folder}.").format(count=count, folder=self._folder)
+            )
         if self.cancelled:
-            said.append("The export was stopped; the other sessions are not exported.")
+            said.append(_("The export was stopped; the other sessions are not exported."))
         return " ".join([*said, *dict.fromkeys(self.problems)])
 
     def _export(self, path: Path, numbers: Sequence[int]) -> None:

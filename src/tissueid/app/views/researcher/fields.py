@@ -15,6 +15,7 @@ from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
+from tissueid.app.language import _
 from tissueid.errors import UnusableInputError
 from tissueid.wording import named_unit, people_unit
 
@@ -56,7 +57,7 @@ class OptionField(QWidget):
         row.addWidget(self._control, 1)
         if self._optional:
             self._automatic = QCheckBox("automatic")
-            self._automatic.setAccessibleName(f"{label}, automatic")
+            self._automatic.setAccessibleName(_("{label}, automatic").format(label=label))
             self._automatic.toggled.connect(self._switch)
             row.addWidget(self._automatic)
         description = info.description or ""
@@ -197,7 +198,7 @@ class OptionField(QWidget):
                 return [float(f"{float(part) / self._scale:.12g}") for part in text.split(",") if part.strip()]
             except ValueError:
                 raise UnusableInputError(
-                    f"{self.label}: give numbers with commas between them, such as 1, 2.5, 4"
+                    _("{label}: give numbers with commas between them, such as 1, 2.5, 4").format(label=self.label)
                 ) from None
         try:
             return json.loads(text)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import Channel, Loaded
@@ -16,7 +17,7 @@ from tissueid.reports.style import drawing, frequency_axis, log_axis, new_figure
 from tissueid.whole_file import whole_file
 from tissueid.wording import people_unit
 
-FIGURES = {".png": "PNG picture (*.png)", ".svg": "SVG drawing (*.svg)"}
+FIGURES = {".png": marked("PNG picture (*.png)"), ".svg": marked("SVG drawing (*.svg)")}
 _WIDTH, _PANEL, _REST = 7.2, 1.7, 1.1
 """Inches."""
 _COLUMNS = 1200
@@ -41,7 +42,9 @@ class FigurePlan:
             OSError: the disk is full or not writable; nothing is left behind.
         """
         if path.suffix.lower() not in FIGURES:
-            raise UnusableInputError(f"{path.name}: figures are saved as {' or '.join(FIGURES)}")
+            raise UnusableInputError(
+                _("{name}: figures are saved as {kinds}").format(name=path.name, kinds=" or ".join(FIGURES))
+            )
         self._draw(path)
         return path
 
@@ -59,11 +62,15 @@ class FigurePlan:
                     times, values = track.outline(self.low_s, self.high_s, _COLUMNS)
                     axes.plot(times, scale * values, color=colour, linewidth=0.8, label=test.chosen.label)
             axes.set_xlim(self.low_s, self.high_s)
-        every[len(self.channels) - 1].set_xlabel("Time from the start of the test (s)")
+        every[len(self.channels) - 1].set_xlabel(_("Time from the start of the test (s)"))
         if self.spectrum is not None:
             unit, scale = people_unit(self.spectrum.unit)
             axes = every[-1]
-            axes.set_title(f"Power spectrum of {self.spectrum.title} ({unit}²/Hz)" if unit else "Power spectrum (1/Hz)")
+            axes.set_title(
+                _("Power spectrum of {title} ({unit}²/Hz)").format(title=self.spectrum.title, unit=unit)
+                if unit
+                else _("Power spectrum (1/Hz)")
+            )
             for test, colour in zip(self.loaded, colours, strict=False):
                 if (track := test.tracks.get(self.spectrum)) is not None:
                     frequency, density = track.spectrum(self.low_s, self.high_s)

@@ -8,6 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPixmap
 from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import Channel, Loaded
@@ -26,7 +27,7 @@ class FiguresTable(QTableWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 1, parent)
         self._theme: Theme | None = None
-        self.setAccessibleName("Mean and standard deviation of the brushed stretch")
+        self.setAccessibleName(_("Mean and standard deviation of the brushed stretch"))
         self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
         self.setTabKeyNavigation(False)
@@ -38,14 +39,14 @@ class FiguresTable(QTableWidget):
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setHighlightSections(False)
-        self.setToolTip("The selected test is drawn over the others")
+        self.setToolTip(_("The selected test is drawn over the others"))
 
     def show_stretch(self, loaded: Sequence[Loaded], channels: Sequence[Channel], low_s: float, high_s: float) -> None:
         """Fill it in for the stretch between two times."""
         self.setColumnCount(1 + len(channels))
         self.setRowCount(len(loaded))
         titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
-        self.setHorizontalHeaderLabels(["Mean ± SD", *titles])
+        self.setHorizontalHeaderLabels([_("Mean ± SD"), *titles])
         self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Fixed)
         self.horizontalHeader().resizeSection(0, _NAME_WIDTH)
         for row, test in enumerate(loaded):
@@ -81,8 +82,8 @@ def _figure(test: Loaded, channel: Channel, low_s: float, high_s: float) -> QTab
         return QTableWidgetItem(MISSING)
     stretch = track.stretch(low_s, high_s)
     item = QTableWidgetItem(plus_minus(Estimate(stretch.mean, stretch.std), people_unit(channel.unit)[1]))
-    lost = f", {stretch.lost} lost" if stretch.lost else ""
-    item.setToolTip(f"{stretch.samples} samples{lost}")
+    lost = _(", {lost} lost").format(lost=stretch.lost) if stretch.lost else ""
+    item.setToolTip(_("{samples} samples{lost}").format(samples=stretch.samples, lost=lost))
     return item
 
 

@@ -7,12 +7,13 @@ from collections.abc import Iterable
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.index import Entry
 from tissueid.app.views.researcher.tips import plain_tip
 from tissueid.wording import clean
 
-_NAMES = ("Subject", "Site", "Kind")
-_ANY = ("All subjects", "All sites", "All kinds")
+_NAMES = (marked("Subject"), marked("Site"), marked("Kind"))
+_ANY = (marked("All subjects"), marked("All sites"), marked("All kinds"))
 _LONGEST = 200
 _MOST_OFFERED = 2000
 
@@ -26,22 +27,22 @@ class FilterBar(QWidget):
         super().__init__(parent)
         self.words = QLineEdit()
         self.words.setMaxLength(_LONGEST)
-        self.words.setPlaceholderText("Search in all columns")
-        self.words.setAccessibleName("Search in all columns")
-        self.words.setToolTip("Rows that have every word (Ctrl+F)")
+        self.words.setPlaceholderText(_("Search in all columns"))
+        self.words.setAccessibleName(_("Search in all columns"))
+        self.words.setToolTip(_("Rows that have every word (Ctrl+F)"))
         self.words.setClearButtonEnabled(True)
-        self.choices = tuple(QComboBox() for _ in _NAMES)
+        self.choices = tuple(QComboBox() for _name in _NAMES)
         self.subject, self.site, self.kind = self.choices
-        self.clear = QPushButton("Clear")
-        self.clear.setAccessibleName("Clear search and filters")
+        self.clear = QPushButton(_("Clear"))
+        self.clear.setAccessibleName(_("Clear search and filters"))
         choices = QHBoxLayout()
         choices.setSpacing(6)
         for choice, name, anything in zip(self.choices, _NAMES, _ANY, strict=True):
-            choice.setAccessibleName(f"Filter by {name.lower()}")
+            choice.setAccessibleName(_("Filter by {column}").format(column=_(name).lower()))
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(4)
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
-            choice.addItem(anything, "")
+            choice.addItem(_(anything), "")
             choice.currentIndexChanged.connect(self._chosen)
             choices.addWidget(choice, 1)
         first = QHBoxLayout()

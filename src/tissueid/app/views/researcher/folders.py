@@ -9,6 +9,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.tips import plain_tip
 from tissueid.wording import clean
 
@@ -21,7 +22,7 @@ class FolderButton(QPushButton):
     changed = Signal()
 
     def __init__(self, paths: Sequence[Path], parent: QWidget | None = None) -> None:
-        super().__init__("Folders", parent)
+        super().__init__(_("Folders"), parent)
         self.paths = list(paths)
         self.setMenu(QMenu(self))
         self._fill()
@@ -44,19 +45,19 @@ class FolderButton(QPushButton):
     def _fill(self) -> None:
         menu = self.menu()
         menu.clear()
-        menu.addAction("Add a folder…", self._choose)
+        menu.addAction(_("Add a folder…"), self._choose)
         menu.addSeparator()
         for path in self.paths:
             text = clean(str(path))
             text = text if len(text) <= _LONGEST else f"…{text[-_LONGEST:]}"
-            menu.addAction(f"Remove {text}".replace("&", "&&"), partial(self.remove, path))
+            menu.addAction(_("Remove {path}").format(path=text).replace("&", "&&"), partial(self.remove, path))
         listed = "\n".join(clean(str(path)) for path in self.paths)
-        self.setToolTip(plain_tip(f"Sessions are looked for in these folders, and below them:\n{listed}"))
-        self.setAccessibleName(f"Folders that are looked through: {len(self.paths)}")
+        self.setToolTip(plain_tip(f"{_('Sessions are looked for in these folders, and below them:')}\n{listed}"))
+        self.setAccessibleName(_("Folders that are looked through: {count}").format(count=len(self.paths)))
 
     def _choose(self) -> None:
         where = str(self.paths[-1]) if self.paths else ""
-        dialog = QFileDialog(self.window(), "Look for sessions in", where)
+        dialog = QFileDialog(self.window(), _("Look for sessions in"), where)
         dialog.setFileMode(QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)

@@ -17,12 +17,19 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.history import MOST_ENTRIES, Entry
 from tissueid.app.views.researcher.task import Task
 from tissueid.identification import engine_names, get_engine
 from tissueid.wording import clean, engine_label, plain_text
 
-_COLUMNS = ("When", "Engine", "Tests", "Figures", "Options that differ from the defaults")
+_COLUMNS = (
+    marked("When"),
+    marked("Engine"),
+    marked("Tests"),
+    marked("Figures"),
+    marked("Options that differ from the defaults"),
+)
 _ROW = 22
 _LONGEST = 200
 
@@ -37,16 +44,16 @@ class HistoryList(QWidget):
         super().__init__(parent)
         self._entries: list[Entry] = []
         self._busy = False
-        self.run = QPushButton("Run again")
-        self.fill = QPushButton("Put into the form")
+        self.run = QPushButton(_("Run again"))
+        self.fill = QPushButton(_("Put into the form"))
         self.remark = QLabel()
         self.remark.setProperty("role", "muted")
         self.remark.setTextFormat(Qt.TextFormat.PlainText)
         self.remark.setWordWrap(True)
         self.remark.setMinimumWidth(1)
         self.table = QTableWidget(0, len(_COLUMNS))
-        self.table.setHorizontalHeaderLabels(list(_COLUMNS))
-        self.table.setAccessibleName("History of analyses")
+        self.table.setHorizontalHeaderLabels([_(name) for name in _COLUMNS])
+        self.table.setAccessibleName(_("History of analyses"))
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
@@ -78,7 +85,9 @@ class HistoryList(QWidget):
     def show_entries(self, entries: Sequence[Entry], bad: int = 0) -> None:
         """Show lines, newest first; ``bad`` is how many of the file could not be read."""
         self._entries = list(entries)[:MOST_ENTRIES]
-        self.remark.setText(f"{bad} lines of the history could not be read and are passed over." if bad else "")
+        self.remark.setText(
+            _("{count} lines of the history could not be read and are passed over.").format(count=bad) if bad else ""
+        )
         self.table.setRowCount(len(self._entries))
         for row, entry in enumerate(self._entries):
             for column, text in enumerate(_texts(entry)):
@@ -124,7 +133,7 @@ def _texts(entry: Entry) -> tuple[str, str, str, str, str]:
     task = entry.task
     when = entry.time.astimezone().strftime("%Y-%m-%d %H:%M:%S")
     names = ", ".join(engine_label(clean(name)) for name in task.engines)
-    what = f"{len(task.engines)} compared" if task.kind == "compare" else names
+    what = _("{count} compared").format(count=len(task.engines)) if task.kind == "compare" else names
     first = clean(task.tests[0].label or task.tests[0].path) if task.tests else "none"
     tests = first if len(task.tests) < 2 else f"{len(task.tests)}: {first} …"
     return when, what, tests, clean(entry.headline), names if task.kind == "compare" else _changed(task)
@@ -139,7 +148,7 @@ def _changed(task: Task) -> str:
         options = {option: value for option, value in options.items() if value != defaults.get(option, object())}
     words = [plain_text(options)] if options else []
     if (task.input_name, task.output_name) != ("force", "position"):
-        words.append(f"{clean(task.input_name)} to {clean(task.output_name)}")
+        words.append(_("{input} to {output}").format(input=clean(task.input_name), output=clean(task.output_name)))
     if task.together:
-        words.append("tests of a file together")
+        words.append(_("tests of a file together"))
     return "; ".join(words) or "defaults"

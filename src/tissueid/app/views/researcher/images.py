@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Image
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
@@ -27,7 +28,7 @@ def images_of(analysis: Analysis) -> tuple[Image, ...]:
         lags = _MS * model.lag_s[::step]
         values = out_scale / in_scale**2 * model.kernel2[::step, ::step]
         unit = f"{out}/({into}²·s²)"
-        return (Image("Second-order kernel", unit, lags, lags, values, "First lag (ms)", "Second lag (ms)"),)
+        return (Image(_("Second-order kernel"), unit, lags, lags, values, _("First lag (ms)"), _("Second lag (ms)")),)
     if isinstance(model, PartitionedModel) and len(model.operating_kernels):
         edges = model.breakpoints_m
         depth = np.linspace(edges[0], edges[-1], _DEPTHS)
@@ -35,5 +36,7 @@ def images_of(analysis: Analysis) -> tuple[Image, ...]:
         values = out_scale / in_scale * model.operating_kernels[rows].T  # (lags, depths)
         axis = f"{record.output_name.capitalize()} ({out})"
         unit = f"{out}/({into}·s)"
-        return (Image("Kernels against depth", unit, _MS * model.lag_s, out_scale * depth, values, "Lag (ms)", axis),)
+        return (
+            Image(_("Kernels against depth"), unit, _MS * model.lag_s, out_scale * depth, values, _("Lag (ms)"), axis),
+        )
     return ()

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, TissueIDError
@@ -102,7 +103,7 @@ class Search(Errand):
     """
 
     def __init__(self, folders: Sequence[Path], files: Sequence[Path], known: Mapping[Path, Entry]) -> None:
-        super().__init__("Looking for sessions")
+        super().__init__(_("Looking for sessions"))
         self.found: SimpleQueue[Entry] = SimpleQueue()
         self.remarks: list[str] = []
         self._folders = tuple(folders)
@@ -115,10 +116,10 @@ class Search(Errand):
             paths = list(dict.fromkeys([*self._listed(), *self._files]))
             for done, path in enumerate(paths):
                 self.tell(done / len(paths))
-                self.words = f"Reading {len(paths)} files"
+                self.words = _("Reading {count} files").format(count=len(paths))
                 self._look_at(path)
         except CancelledError:
-            self.remarks.append("The search was stopped: the list may lack sessions.")
+            self.remarks.append(_("The search was stopped: the list may lack sessions."))
         return self
 
     def _look_at(self, path: Path) -> None:
@@ -134,7 +135,7 @@ class Search(Errand):
         count = 0
         for folder in self._folders:
             if not folder.is_dir():
-                self.remarks.append(f"There is no folder {folder}.")
+                self.remarks.append(_("There is no folder {folder}.").format(folder=folder))
             for root, folders, files in os.walk(folder):
                 self.tell(0.0)
                 folders[:] = sorted(name for name in folders if not name.startswith("."))
@@ -143,7 +144,9 @@ class Search(Errand):
                         continue
                     count += 1
                     if count > MOST_FILES:
-                        self.remarks.append(f"There are more than {MOST_FILES} files; the others are not listed.")
+                        self.remarks.append(
+                            _("There are more than {most} files; the others are not listed.").format(most=MOST_FILES)
+                        )
                         return
                     yield Path(root, name)
 

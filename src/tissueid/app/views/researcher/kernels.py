@@ -10,12 +10,13 @@ from PySide6.QtCore import QRectF
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.drawn import Image
 from tissueid.app.views.researcher.outcome import Outcome
 
-_MISSING = "No result has a kernel to show: run Volterra, Depth or Direction."
+_MISSING = marked("No result has a kernel to show: run Volterra, Depth or Direction.")
 
 
 class KernelImage(QWidget):
@@ -24,9 +25,9 @@ class KernelImage(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.choice = QComboBox()
-        self.choice.setAccessibleName("Result whose kernel is shown")
+        self.choice.setAccessibleName(_("Result whose kernel is shown"))
         self.choice.currentIndexChanged.connect(self._show)
-        self.card = PlotCard("Kernel", " ", "")
+        self.card = PlotCard(_("Kernel"), " ", "")
         self.card.plot.getAxis("left").setWidth(66)
         self._item = pg.ImageItem()
         self.card.plot.addItem(self._item)
@@ -72,7 +73,7 @@ class KernelImage(QWidget):
 
     def _show(self) -> None:
         image = self.image
-        self.card.say_missing("" if image else _MISSING)
+        self.card.say_missing("" if image else _(_MISSING))
         if image is None:
             return
         # Cells are drawn about the points that they stand for.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tissueid.analysis import Analysis
+from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.curves import drawn
 from tissueid.app.views.researcher.drawn import Drawn
@@ -44,7 +45,7 @@ class Outcome:
 
     def bare(self) -> Outcome:
         """The same without its curves, where there are too many to keep."""
-        without = "The curves of so many tests are not kept: run this one by itself."
+        without = _("The curves of so many tests are not kept: run this one by itself.")
         pictures = Drawn({}, self.drawn.units, (), dict.fromkeys((*self.drawn.lines, *self.drawn.missing), without))
         return replace(self, drawn=pictures)
 
@@ -57,7 +58,11 @@ class Outcome:
     def test_label(self) -> str:
         """The tests, as the browser calls them."""
         first = clean(self.tests[0].label)
-        return first if len(self.tests) == 1 else f"{first} and {len(self.tests) - 1} more"
+        return (
+            first
+            if len(self.tests) == 1
+            else _("{first} and {count} more").format(first=first, count=len(self.tests) - 1)
+        )
 
     @property
     def label(self) -> str:

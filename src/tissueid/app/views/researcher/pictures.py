@@ -11,6 +11,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.drawn import Line, Panel
@@ -19,7 +20,7 @@ from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.views.researcher.results_table import SERIES
 
 _NOTHING = np.zeros(0)
-_KERNELS = "Kernel image"
+_KERNELS = marked("Kernel image")
 _LONGEST = 64
 _PLAIN, _LABELLED = 76, 104
 """Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
@@ -37,39 +38,47 @@ class _Look:
 
 _PANELS: dict[Panel, _Look] = {
     "impulse": _Look(
-        "Impulse response about the mean input",
-        "Lag (ms)",
-        band="Band: one standard deviation to either side, where the engine tells it",
+        marked("Impulse response about the mean input"),
+        marked("Lag (ms)"),
+        band=marked("Band: one standard deviation to either side, where the engine tells it"),
     ),
-    "magnitude": _Look("Magnitude", "", ("bottom", "left"), "Band: 95 % confidence, where it was measured"),
-    "phase": _Look("Phase", "", ("bottom",), "Band: 95 % confidence, where it was measured"),
-    "coherence": _Look("Coherence of the record", "Frequency (Hz)", ("bottom",)),
+    "magnitude": _Look(
+        marked("Magnitude"), "", ("bottom", "left"), marked("Band: 95 % confidence, where it was measured")
+    ),
+    "phase": _Look(marked("Phase"), "", ("bottom",), marked("Band: 95 % confidence, where it was measured")),
+    "coherence": _Look(marked("Coherence of the record"), marked("Frequency (Hz)"), ("bottom",)),
     "nonlinearity": _Look(
-        "Static nonlinearity",
-        "Input of the curve (N, or what the input is measured in)",
-        band="Band: Wiener, the standard deviation of what was measured about the curve; Hammerstein, 95 % confidence",
+        marked("Static nonlinearity"),
+        marked("Input of the curve (N, or what the input is measured in)"),
+        band=marked(
+            "Band: Wiener, the standard deviation of what was measured about the curve; Hammerstein, 95 % confidence"
+        ),
     ),
-    "mass": _Look("Mass", "", band="Band: one standard deviation to either side"),
-    "damping": _Look("Damping", "", band="Band: one standard deviation to either side"),
-    "stiffness": _Look("Stiffness", "Position (mm)", band="Band: one standard deviation to either side"),
+    "mass": _Look(marked("Mass"), "", band=marked("Band: one standard deviation to either side")),
+    "damping": _Look(marked("Damping"), "", band=marked("Band: one standard deviation to either side")),
+    "stiffness": _Look(
+        marked("Stiffness"), marked("Position (mm)"), band=marked("Band: one standard deviation to either side")
+    ),
     "autocorrelation": _Look(
-        "Autocorrelation of the held-out residual",
-        "Lag (ms)",
-        band="Band: what one lag exceeds one time in twenty, 1.96 over the root of the samples for a white residual",
+        marked("Autocorrelation of the held-out residual"),
+        marked("Lag (ms)"),
+        band=marked(
+            "Band: what one lag exceeds one time in twenty, 1.96 over the root of the samples for a white residual"
+        ),
     ),
     "cross": _Look(
-        "Input against the held-out residual",
-        "Lag (ms)",
-        band="Band: what one lag exceeds one time in twenty if the residual is unrelated to the input",
+        marked("Input against the held-out residual"),
+        marked("Lag (ms)"),
+        band=marked("Band: what one lag exceeds one time in twenty if the residual is unrelated to the input"),
     ),
 }
 
 PICTURES: Mapping[str, tuple[Panel, ...]] = {
-    "Impulse response": ("impulse",),
-    "Bode diagram": ("magnitude", "phase", "coherence"),
-    "Static nonlinearity": ("nonlinearity",),
-    "Against depth": ("mass", "damping", "stiffness"),
-    "Residual tests": ("autocorrelation", "cross"),
+    marked("Impulse response"): ("impulse",),
+    marked("Bode diagram"): ("magnitude", "phase", "coherence"),
+    marked("Static nonlinearity"): ("nonlinearity",),
+    marked("Against depth"): ("mass", "damping", "stiffness"),
+    marked("Residual tests"): ("autocorrelation", "cross"),
     _KERNELS: (),
 }
 
@@ -80,7 +89,7 @@ class Pictures(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.choice = QComboBox()
-        self.choice.setAccessibleName("Picture")
+        self.choice.setAccessibleName(_("Picture"))
         self._pages = QStackedWidget()
         self._cards: dict[Panel, PlotCard] = {}
         self._slots: dict[Panel, list[_Slot]] = {}
@@ -89,13 +98,13 @@ class Pictures(QWidget):
         self._left_out = 0
         self.kernel = KernelImage()
         for name, panels in PICTURES.items():
-            self.choice.addItem(name)
+            self.choice.addItem(_(name))
             self._pages.addWidget(QWidget() if panels else self.kernel)
         self.legend = QLabel()
         self.legend.setTextFormat(Qt.TextFormat.RichText)
         self.legend.setWordWrap(True)
         self.legend.setMinimumWidth(1)
-        self.legend.setAccessibleName("Key of the plots")
+        self.legend.setAccessibleName(_("Key of the plots"))
         self.choice.currentIndexChanged.connect(self._turn)
         self.canvas = QWidget()
         inside = QVBoxLayout(self.canvas)
@@ -146,8 +155,8 @@ class Pictures(QWidget):
         column.setSpacing(4)
         for panel in panels:
             look = _PANELS[panel]
-            card = PlotCard(look.title, look.x_label, "", log_axes=look.logs)
-            card.setToolTip(look.band)
+            card = PlotCard(_(look.title), _(look.x_label), "", log_axes=look.logs)
+            card.setToolTip(_(look.band))
             card.plot.getAxis("left").setWidth(52)
             card.plot.getAxis("left").enableAutoSIPrefix(False)
             self._cards[panel] = card
@@ -171,16 +180,18 @@ class Pictures(QWidget):
         for place, slot in enumerate(slots):
             slot.show(lines[place] if place < len(lines) else None)
         unit = self._drawn[0].drawn.units.get(panel, "") if self._drawn else ""
-        card.retitle(_PANELS[panel].title, unit)
+        card.retitle(_(_PANELS[panel].title), unit)
         if any(line is not None for line in lines):
             card.say_missing("")
             if panel in PICTURES["Against depth"]:
                 _hold_bands(card, [line for line in lines if line is not None])
             without = sum(line is None for line in lines)
-            card.remark(f"{without} of {len(lines)} have none" if without else "")
+            card.remark(
+                _("{without} of {count} have none").format(without=without, count=len(lines)) if without else ""
+            )
             return
         reasons = dict.fromkeys(o.drawn.missing.get(panel, "") for o in self._drawn)
-        card.say_missing(" ".join(filter(None, reasons)) or "Nothing to show yet: choose tests and run an engine.")
+        card.say_missing(" ".join(filter(None, reasons)) or _("Nothing to show yet: choose tests and run an engine."))
 
     def _paint(self, panel: Panel) -> None:
         if self._theme is not None:
@@ -206,12 +217,12 @@ class Pictures(QWidget):
         if self._pages.currentIndex() == list(PICTURES).index("Against depth") and any(
             line.out_x is not None for o in self._drawn for line in o.drawn.lines.values()
         ):
-            words.append("faint: on the way out")
+            words.append(_("faint: on the way out"))
         if self._left_out:
-            words.append(f"{self._left_out} more are not drawn: select which in the table")
+            words.append(_("{count} more are not drawn: select which in the table").format(count=self._left_out))
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
-        self.legend.setVisible(bool(entries) and self.choice.currentText() != _KERNELS)
+        self.legend.setVisible(bool(entries) and self.choice.currentText() != _(_KERNELS))
 
 
 def _hold_bands(card: PlotCard, lines: Sequence[Line]) -> None:

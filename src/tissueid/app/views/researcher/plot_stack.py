@@ -11,6 +11,7 @@ from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.colours import series
@@ -48,7 +49,7 @@ class PlotStack(QWidget):
         self._frame.setSingleShot(True)
         self._frame.setInterval(_FRAME_MS)
         self._frame.timeout.connect(self.draw)
-        self._axis = QLabel("Time from the start of the test (s)")
+        self._axis = QLabel(_("Time from the start of the test (s)"))
         self._axis.setProperty("role", "field")
         self._axis.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._column = QVBoxLayout(self)
@@ -203,8 +204,10 @@ class _Plot:
     """One signal of every test, over the times in ``view``."""
 
     def __init__(self, parent: QWidget) -> None:
-        self.card = PlotCard("Signal", "", "", parent=parent)
-        self.card.setToolTip("Drag over a stretch: the other plots look closer at it. A double click shows everything")
+        self.card = PlotCard(_("Signal"), "", "", parent=parent)
+        self.card.setToolTip(
+            _("Drag over a stretch: the other plots look closer at it. A double click shows everything")
+        )
         self.view = (0.0, 1.0)
         self._channel = Channel("", "")
         self._curves: list[pg.PlotDataItem] = []
@@ -239,7 +242,7 @@ class _Plot:
         self._preload.setVisible(len(ends) == 1)
         if len(ends) == 1:
             self._preload.setValue(ends.pop())
-            self._preload.setToolTip("The preload ends here")
+            self._preload.setToolTip(_("The preload ends here"))
         self._drawn = None
 
     def bring_forward(self, place: int) -> None:
@@ -273,7 +276,7 @@ class _Plot:
         if low <= high:
             room = _ROOM * (high - low) or 0.5 * abs(high) or 1.0
             box.setYRange(low - room, high + room, padding=0.0)
-        self.card.remark(f"{fixed(self.view[0], 3)} to {fixed(self.view[1], 3)} s")
+        self.card.remark(_("{low} to {high} s").format(low=fixed(self.view[0], 3), high=fixed(self.view[1], 3)))
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.views.researcher.track import Track
@@ -75,7 +76,9 @@ class Reading(Errand):
                 numbers += sum(track.values.size for track in loaded.tracks.values())
                 if self.loaded and numbers > _MOST_NUMBERS:
                     self.problems.append(
-                        f"These tests are too long to be shown together; {len(self.loaded)} are shown."
+                        _("These tests are too long to be shown together; {count} are shown.").format(
+                            count=len(self.loaded)
+                        )
                     )
                     break
                 self.loaded.append(loaded)

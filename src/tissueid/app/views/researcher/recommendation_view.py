@@ -21,12 +21,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.verdict import COLUMNS, Verdict
 from tissueid.identification import engine_names
 from tissueid.wording import engine_label
 
 _ROW = 22
-_NOTHING = (
+_NOTHING = marked(
     "No comparison yet. “Compare engines” fits every engine to the chosen tests and says which one they bear out."
 )
 
@@ -38,9 +39,9 @@ class RecommendationView(QWidget):
         super().__init__(parent)
         self._verdicts: dict[str, Verdict] = {}
         self.choice = QComboBox()
-        self.choice.setAccessibleName("Test whose comparison is shown")
+        self.choice.setAccessibleName(_("Test whose comparison is shown"))
         self.choice.currentIndexChanged.connect(self._show)
-        self.engines = QPushButton("En&gines compared")
+        self.engines = QPushButton(_("En&gines compared"))
         self._menu = QMenu(self.engines)
         self._actions: dict[str, QAction] = {}
         for name in engine_names():
@@ -58,10 +59,10 @@ class RecommendationView(QWidget):
         self.words = QPlainTextEdit()
         self.words.setReadOnly(True)
         self.words.setTabChangesFocus(True)
-        self.words.setAccessibleName("Reasons of the recommendation")
+        self.words.setAccessibleName(_("Reasons of the recommendation"))
         self.standings = QTableWidget(0, len(COLUMNS))
-        self.standings.setHorizontalHeaderLabels(list(COLUMNS))
-        self.standings.setAccessibleName("Engines by how well they do")
+        self.standings.setHorizontalHeaderLabels([_(name) for name in COLUMNS])
+        self.standings.setAccessibleName(_("Engines by how well they do"))
         self.standings.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.standings.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)
         self.standings.setTabKeyNavigation(False)
@@ -116,7 +117,9 @@ class RecommendationView(QWidget):
 
     def _count(self) -> None:
         some = len(self.compared)
-        self.engines.setText(f"En&gines compared: {'all' if some == len(self._actions) else some}")
+        self.engines.setText(
+            _("En&gines compared: {count}").format(count=_("all") if some == len(self._actions) else some)
+        )
 
     def _show(self) -> None:
         verdict = self._verdicts.get(self.choice.currentText())
@@ -125,13 +128,13 @@ class RecommendationView(QWidget):
         if verdict is None:
             self.headline.setText("")
             self.headline.hide()
-            self.words.setPlainText(_NOTHING)
+            self.words.setPlainText(_(_NOTHING))
             return
         self.headline.show()
         self.headline.setText(verdict.headline)
         parts = [verdict.judged_on, *verdict.reasons]
-        parts += ["", "Doubts", *verdict.doubts] if verdict.doubts else []
-        parts += ["", "To know more", *verdict.experiments] if verdict.experiments else []
+        parts += ["", _("Doubts"), *verdict.doubts] if verdict.doubts else []
+        parts += ["", _("To know more"), *verdict.experiments] if verdict.experiments else []
         self.words.setPlainText("\n".join(parts))
         self.standings.setRowCount(len(verdict.rows))
         for row, texts in enumerate(verdict.rows):

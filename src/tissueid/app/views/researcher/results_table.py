@@ -17,6 +17,7 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.wording import (
@@ -34,8 +35,8 @@ from tissueid.wording import (
 SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
 """Roles of the theme in which results are drawn; no more can be told apart."""
 
-_FIXED = ("Engine", "Test", "VAF fitted (%)", "VAF held out (%)")
-_LAST = ("Subject", "Site")
+_FIXED = (marked("Engine"), marked("Test"), marked("VAF fitted (%)"), marked("VAF held out (%)"))
+_LAST = (marked("Subject"), marked("Site"))
 _ROW = 22
 _LEAST = 96
 _SORT = Qt.ItemDataRole.UserRole
@@ -57,7 +58,7 @@ class ResultsTable(QTableView):
         self._sorted.setSourceModel(self._model)
         self._sorted.setSortRole(_SORT)
         self.setModel(self._sorted)
-        self.setAccessibleName("Results of the analyses")
+        self.setAccessibleName(_("Results of the analyses"))
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
@@ -183,9 +184,9 @@ class _Results(QAbstractTableModel):
         if orientation is not Qt.Orientation.Horizontal or role != Qt.ItemDataRole.DisplayRole:
             return None
         if section < len(_FIXED):
-            return _FIXED[section]
+            return _(_FIXED[section])
         if section >= len(_FIXED) + len(self.parameters):
-            return _LAST[section - len(_FIXED) - len(self.parameters)]
+            return _(_LAST[section - len(_FIXED) - len(self.parameters)])
         name = self.parameters[section - len(_FIXED)]
         return axis_label(name, people_unit(named_unit(name)[1])[0])
 
@@ -241,11 +242,14 @@ def _told(outcome: Outcome) -> str:
     """Options, findings and warnings, as plain lines: what is in angle brackets is text, and not markup."""
     lines = [outcome.refused] if outcome.refused else []
     if outcome.options:
-        lines.append(f"Options: {plain_text(outcome.options)}")
+        lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
     if outcome.report is not None:
-        lines += [f"VAF held out on {outcome.validated_on}"]
-        lines += [*outcome.report.findings, *(f"Warning: {warning}" for warning in outcome.report.warnings)]
-    lines += [f"Residual: {finding}" for finding in outcome.findings]
+        lines += [_("VAF held out on {data}").format(data=outcome.validated_on)]
+        lines += [
+            *outcome.report.findings,
+            *(_("Warning: {warning}").format(warning=warning) for warning in outcome.report.warnings),
+        ]
+    lines += [_("Residual: {finding}").format(finding=finding) for finding in outcome.findings]
     return "\n".join(clean(line).replace("<", "‹").replace(">", "›") for line in lines)
 
 

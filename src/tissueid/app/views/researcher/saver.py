@@ -9,10 +9,11 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QFileDialog, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.saving import picture_of, write_bytes, write_table
 from tissueid.app.views.view import Desk
 
-_PICTURES = "Portable network graphics (*.png);;Scalable vector graphics (*.svg)"
+_PICTURES = marked("Portable network graphics (*.png);;Scalable vector graphics (*.svg)")
 
 
 class Saver(QObject):
@@ -28,12 +29,12 @@ class Saver(QObject):
     def save_table(self, rows: Sequence[Sequence[str]]) -> None:
         """Ask for a file, and write rows into it as CSV."""
         self._rows = rows
-        self._ask("Save the table of results", "Comma-separated values (*.csv)", "csv", self._write_table)
+        self._ask(_("Save the table of results"), _("Comma-separated values (*.csv)"), "csv", self._write_table)
 
     def save_figure(self, figure: QWidget) -> None:
         """Ask for a file, and write a widget into it as it stands."""
         self._figure = figure
-        self._ask("Save the figure", _PICTURES, "png", self._write_figure)
+        self._ask(_("Save the figure"), _(_PICTURES), "png", self._write_figure)
 
     def _ask(self, title: str, kinds: str, suffix: str, then: Callable[[str], None]) -> None:
         dialog = QFileDialog(self._over, title, str(self._desk.around.folder), kinds)
@@ -54,7 +55,7 @@ class Saver(QObject):
             self._desk.jobs.do(work, self._written, self._failed)
 
     def _written(self, path: Path) -> None:
-        self._desk.say(f"Saved in {path}.")
+        self._desk.say(_("Saved in {path}.").format(path=path))
 
     def _failed(self, words: str) -> None:
         self._desk.say(words, problem=True)

@@ -10,12 +10,23 @@ from pathlib import Path
 from PySide6.QtCore import QAbstractItemModel, QModelIndex, QObject, QPersistentModelIndex, Qt
 from PySide6.QtGui import QColor
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.index import VERDICTS, Entry, TestEntry
 from tissueid.app.views.researcher.tips import plain_tip
 from tissueid.wording import MISSING, clean
 
-COLUMNS = ("Date", "Subject", "Site", "Quality", "Tests", "Kind", "Duration", "Configuration", "File")
+COLUMNS = (
+    marked("Date"),
+    marked("Subject"),
+    marked("Site"),
+    marked("Quality"),
+    marked("Tests"),
+    marked("Kind"),
+    marked("Duration"),
+    marked("Configuration"),
+    marked("File"),
+)
 DATE, SUBJECT, SITE, QUALITY, TESTS, KIND, DURATION, CONFIGURATION, FILE = range(len(COLUMNS))
 SORT = Qt.ItemDataRole.UserRole
 """What a column is sorted by."""
@@ -26,7 +37,7 @@ ITEM = Qt.ItemDataRole.UserRole + 2
 
 Index = QModelIndex | QPersistentModelIndex
 _ROOT = QModelIndex()
-_VERDICT_WORDS = {"": MISSING, "good": "Good", "look": "Look", "repeat": "Repeat"}
+_VERDICT_WORDS = {"": MISSING, "good": marked("Good"), "look": marked("Look"), "repeat": marked("Repeat")}
 _VERDICT_COLOURS = {"good": "good", "look": "check", "repeat": "poor"}
 _NUMBERS = (TESTS, DURATION)
 _MOST_NAMED = 3
@@ -121,7 +132,7 @@ class SessionModel(QAbstractItemModel):
     def headerData(self, section: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> object:  # noqa: N802
         """The headings."""
         if way == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole:
-            return COLUMNS[section]
+            return _(COLUMNS[section])
         if role == Qt.ItemDataRole.TextAlignmentRole:
             side = Qt.AlignmentFlag.AlignRight if section in _NUMBERS else Qt.AlignmentFlag.AlignLeft
             return side | Qt.AlignmentFlag.AlignVCenter
@@ -143,7 +154,7 @@ class SessionModel(QAbstractItemModel):
         if role == Qt.ItemDataRole.ToolTipRole:
             return plain_tip(row.hint or row.texts[column])
         if role == Qt.ItemDataRole.AccessibleTextRole:
-            return f"{COLUMNS[column]}: {row.texts[column]}"
+            return f"{_(COLUMNS[column])}: {row.texts[column]}"
         if role == Qt.ItemDataRole.TextAlignmentRole and column in _NUMBERS:
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
@@ -184,7 +195,7 @@ def _session_row(entry: Entry) -> _Row:
         _date(entry.when),
         clean(entry.pseudonym),
         _joined(test.site for test in entry.tests),
-        _VERDICT_WORDS[verdict],
+        _(_VERDICT_WORDS[verdict]),
         str(len(entry.tests)),
         _joined(test.kind for test in entry.tests),
         f"{seconds:.1f} s",
@@ -198,10 +209,10 @@ def _test_row(entry: Entry, test: TestEntry, session: _Row) -> _Row:
     ended = "" if test.status == "completed" else f", {test.status}"
     # The newest session comes first, and its first test too.
     texts = [
-        f"Test {test.number}{ended}",
+        _("Test {number}{site}").format(number=test.number, site=ended),
         "",
         clean(test.site),
-        _VERDICT_WORDS[test.verdict],
+        _(_VERDICT_WORDS[test.verdict]),
         "",
         test.kind,
         f"{test.seconds:.1f} s",

@@ -6,6 +6,7 @@ from PySide6.QtCore import QModelIndex, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import QAbstractItemView, QTreeView, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.views.researcher.session_filter import SessionFilter
 
 
@@ -19,8 +20,8 @@ class SessionTree(QTreeView):
         self._shown = shown
         self._empty = ""
         self.setModel(shown)
-        self.setAccessibleName("Sessions and their tests")
-        self.setToolTip("Return or a double click opens a session; Shift and Ctrl select several")
+        self.setAccessibleName(_("Sessions and their tests"))
+        self.setToolTip(_("Return or a double click opens a session; Shift and Ctrl select several"))
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)

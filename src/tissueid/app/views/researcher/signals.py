@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.channel_button import ChannelButton
 from tissueid.app.views.researcher.chosen import Chosen
@@ -34,8 +35,8 @@ _SIGNALS = "research/signals"
 _STEP_S = 0.1
 _FIGURES_MS = 40
 _HEIGHTS = (330, 170)
-NOTHING = "Select a test in the list to see its signals; select several to lay them over one another."
-WAITS = "The signals are read as soon as nothing else goes on."
+NOTHING = marked("Select a test in the list to see its signals; select several to lay them over one another.")
+WAITS = marked("The signals are read as soon as nothing else goes on.")
 
 
 class SignalsPanel(QWidget):
@@ -53,15 +54,15 @@ class SignalsPanel(QWidget):
         self.loaded: list[Loaded] = []
         self.channels = ChannelButton(kept_texts(desk.settings, _SIGNALS))
         self.low, self.high = QDoubleSpinBox(), QDoubleSpinBox()
-        self.whole = QPushButton("Whole test")
-        self.whole.setToolTip("Show everything again (a double click on a plot does the same)")
-        self.save = QPushButton("Save figure…")
-        self.save.setToolTip("What is shown, as PNG or SVG")
+        self.whole = QPushButton(_("Whole test"))
+        self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
+        self.save = QPushButton(_("Save figure…"))
+        self.save.setToolTip(_("What is shown, as PNG or SVG"))
         self.about = QLabel()
         self.stack = PlotStack()
         self.table = FiguresTable()
         self.spectrum = SpectrumCard()
-        self.empty = QLabel(NOTHING)
+        self.empty = QLabel(_(NOTHING))
         self._figures = QTimer(self)
         self._figures.setSingleShot(True)
         self._figures.setInterval(_FIGURES_MS)
@@ -89,7 +90,7 @@ class SignalsPanel(QWidget):
             self.loaded = []
             self._redraw()
             return
-        self._say_empty(WAITS)
+        self._say_empty(_(WAITS))
         self.work_waits.emit()
 
     def go_on(self) -> bool:
@@ -142,7 +143,7 @@ class SignalsPanel(QWidget):
         for test in self.loaded:
             found.update(dict.fromkeys(test.tracks))
         self.channels.offer(sorted(found, key=lambda channel: channel.rank))
-        self._say_empty("" if self.loaded else NOTHING)
+        self._say_empty("" if self.loaded else _(NOTHING))
         for field in (self.low, self.high, self.whole, self.channels):
             field.setEnabled(bool(self.loaded))
         self.save.setEnabled(bool(self.loaded) and not self._desk.busy)
@@ -183,11 +184,13 @@ class SignalsPanel(QWidget):
             self.about.setText("")
             return
         samples = max(last - first for test in self.loaded for first, last in [self._places(test, low, high)])
-        what = "Brushed" if self.stack.brush else "Whole"
-        words = f"{what}: {fixed(high - low, 3)} s, {grouped(samples)} samples"
+        what = _("Brushed") if self.stack.brush else _("Whole")
+        words = _("{what}: {seconds} s, {samples} samples").format(
+            what=what, seconds=fixed(high - low, 3), samples=grouped(samples)
+        )
         left_out = len(self._chosen) - len(self.loaded)
         if left_out:
-            words += f"; {len(self.loaded)} of {len(self._chosen)} tests shown"
+            words += _("; {shown} of {count} tests shown").format(shown=len(self.loaded), count=len(self._chosen))
         self.about.setText(words)
 
     @staticmethod
@@ -198,7 +201,9 @@ class SignalsPanel(QWidget):
 
     def _choose_figure(self) -> None:
         folder = self._chosen[0].path.parent if self._chosen else self._desk.around.folder
-        dialog = QFileDialog(self.window(), "Save figure", str(folder), ";;".join(FIGURES.values()))
+        dialog = QFileDialog(
+            self.window(), _("Save figure"), str(folder), ";;".join(_(kind) for kind in FIGURES.values())
+        )
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("png")
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -208,14 +213,14 @@ class SignalsPanel(QWidget):
 
     def _save_figure(self, name: str) -> None:
         if self._desk.busy or not self.loaded:
-            self._desk.say("The figure is not saved: something else goes on. Try again.", problem=True)
+            self._desk.say(_("The figure is not saved: something else goes on. Try again."), problem=True)
             return
         low, high = self.stack.stretch
         plan = FigurePlan(tuple(self.loaded), self.channels.drawn, low, high, self.spectrum.channel)
         self._desk.jobs.do(lambda: plan.save(Path(name)), self._saved, self._not_saved)
 
     def _saved(self, path: Path) -> None:
-        self._desk.say(f"The figure is saved in {path}.")
+        self._desk.say(_("The figure is saved in {path}.").format(path=path))
 
     def _not_saved(self, words: str) -> None:
         self._desk.say(words, problem=True)
@@ -223,14 +228,14 @@ class SignalsPanel(QWidget):
     # -- building -------------------------------------------------------------------------------------------
 
     def _arrange(self) -> None:
-        for field, name in ((self.low, "from"), (self.high, "to")):
-            field.setAccessibleName(f"Brushed {name}")
+        for field, name in ((self.low, _("from")), (self.high, _("to"))):
+            field.setAccessibleName(_("Brushed {name}").format(name=name))
             field.setPrefix(f"{name} ")
             field.setSuffix(" s")
             field.setDecimals(3)
             field.setSingleStep(_STEP_S)
             field.setKeyboardTracking(False)
-            field.setToolTip("What is brushed: the plots below look closer at it")
+            field.setToolTip(_("What is brushed: the plots below look closer at it"))
         for label in (self.about, self.empty):
             label.setProperty("role", "muted")
             label.setTextFormat(Qt.TextFormat.PlainText)

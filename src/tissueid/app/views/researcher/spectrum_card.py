@@ -9,6 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.colours import series
@@ -19,7 +20,7 @@ _NOTHING = np.zeros(0)
 _TICKS = 4
 _DECADES = 9.0
 """Below the greatest by so many decades nothing is shown: it is the rounding of the numbers."""
-TOO_SHORT = "Too few samples for a spectrum."
+TOO_SHORT = marked("Too few samples for a spectrum.")
 
 
 class SpectrumCard(QWidget):
@@ -28,10 +29,10 @@ class SpectrumCard(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.choice = QComboBox()
-        self.choice.setAccessibleName("Signal of the spectrum")
+        self.choice.setAccessibleName(_("Signal of the spectrum"))
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(10)
-        self.card = PlotCard("Power spectrum", "Frequency (Hz)", "", log_axes=("bottom", "left"))
+        self.card = PlotCard(_("Power spectrum"), _("Frequency (Hz)"), "", log_axes=("bottom", "left"))
         self._curves: list[pg.PlotDataItem] = []
         self._theme: Theme | None = None
         self._shown: tuple[Sequence[Loaded], tuple[float, float]] = ((), (0.0, 1.0))
@@ -53,7 +54,7 @@ class SpectrumCard(QWidget):
         """What there is a spectrum of; the one that was chosen stays, where it is there."""
         self.choice.clear()
         for channel in channels:
-            self.choice.addItem(f"Spectrum of {channel.title}", channel)
+            self.choice.addItem(_("Spectrum of {title}").format(title=channel.title), channel)
         names = [channel.name for channel in channels]
         self.choice.setCurrentIndex(names.index(self._wanted) if self._wanted in names else len(names) - 1)
 
@@ -78,7 +79,7 @@ class SpectrumCard(QWidget):
             curve.setData(x, y)
             low, last = min(low, float(x[0])), max(last, float(x[-1]))
             bottom, top = min(bottom, float(y.min())), max(top, float(y.max()))
-        self.card.say_missing("" if low < last else TOO_SHORT if loaded else "")
+        self.card.say_missing("" if low < last else _(TOO_SHORT) if loaded else "")
         if low < last:
             self.card.plot.setXRange(low, last, padding=0.02)
             self.card.plot.setYRange(bottom, top, padding=0.05)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tissueid.analysis import EngineComparison
+from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.words import sentence
 from tissueid.identification.recommendation import Standing
@@ -24,7 +25,15 @@ class Verdict:
     rows: tuple[tuple[str, ...], ...]
 
 
-COLUMNS = ("Engine", "Verdict", "VAF held out (%)", "VAF fitted (%)", "Behind the best (points)", "AICc", "Kind")
+COLUMNS = (
+    marked("Engine"),
+    marked("Verdict"),
+    marked("VAF held out (%)"),
+    marked("VAF fitted (%)"),
+    marked("Behind the best (points)"),
+    "AICc",
+    marked("Kind"),
+)
 
 
 def verdict_of(found: EngineComparison, tests: tuple[Chosen, ...]) -> Verdict:
@@ -33,19 +42,23 @@ def verdict_of(found: EngineComparison, tests: tuple[Chosen, ...]) -> Verdict:
     recommended = (said.engine, said.second_order)
     rows = [_row(one, (one.engine, one.second_order) == recommended) for one in said.standings]
     rows += [
-        (engine_label(entry.engine), "refused", MISSING, MISSING, MISSING, MISSING, sentence(entry.refused))
+        (engine_label(entry.engine), _("refused"), MISSING, MISSING, MISSING, MISSING, sentence(entry.refused))
         for entry in found.entries
         if entry.refused
     ]
     headline, *reasons = said.sentences
     ceiling = found.ceiling
     if ceiling is not None:
-        reasons.append(f"Repeats of the test allow {fixed(ceiling.vaf_percent.value, 2)} % at best.")
-    label = clean(tests[0].label) if len(tests) == 1 else f"{clean(tests[0].label)} and {len(tests) - 1} more"
+        reasons.append(_("Repeats of the test allow {vaf} % at best.").format(vaf=fixed(ceiling.vaf_percent.value, 2)))
+    label = (
+        clean(tests[0].label)
+        if len(tests) == 1
+        else _("{first} and {count} more").format(first=clean(tests[0].label), count=len(tests) - 1)
+    )
     return Verdict(
         label,
         sentence(headline),
-        sentence(f"judged on {said.judged_on}"),
+        sentence(_("judged on {data}").format(data=said.judged_on)),
         tuple(map(sentence, reasons)),
         tuple(map(sentence, said.doubts)),
         tuple(map(sentence, said.experiments)),
@@ -54,12 +67,12 @@ def verdict_of(found: EngineComparison, tests: tuple[Chosen, ...]) -> Verdict:
 
 
 def _row(one: Standing, recommended: bool) -> tuple[str, ...]:
-    name = engine_label(one.engine) + (", mass, damping and stiffness" if one.second_order else "")
+    name = engine_label(one.engine) + (_(", mass, damping and stiffness") if one.second_order else "")
     behind = one.behind
     how = f"{fixed(behind.points, 2)} ± {fixed(behind.std_points, 2)}"
     return (
         name,
-        "recommended" if recommended else "beaten" if one.beaten else "as good",
+        _("recommended") if recommended else _("beaten") if one.beaten else _("as good"),
         fixed(one.vaf_percent, 2),
         fixed(one.vaf_fitted_percent, 2),
         how,

@@ -7,6 +7,7 @@ from pathlib import Path
 from PySide6.QtCore import QByteArray, QTimer
 from PySide6.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.browser import Browser
@@ -39,11 +40,11 @@ class ResearchView(View):
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName("Signals and analysis")
+        self.tabs.tabBar().setAccessibleName(_("Signals and analysis"))
         self.strip.setMinimumWidth(_STRIP)
         self.tabs.setCornerWidget(self.strip)
-        self.tabs.addTab(self.signals, "Signals")
-        self.tabs.addTab(self.analysis, "Analysis")
+        self.tabs.addTab(self.signals, _("Signals"))
+        self.tabs.addTab(self.analysis, _("Analysis"))
         self.split = QSplitter()
         self.split.addWidget(self.browser)
         self.split.addWidget(self.tabs)

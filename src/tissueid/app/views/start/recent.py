@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.errands import unfinished
+from tissueid.app.language import _, marked
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Outline, read_outline
@@ -16,7 +17,7 @@ from tissueid.wording import MISSING, clean
 
 MOST_SHOWN = 10
 LONGEST_TEXT = 80
-NOT_JUDGED = "Not judged"
+NOT_JUDGED = marked("Not judged")
 _LEVELS = {"good": "good", "look": "check", "repeat": "poor"}
 _LONGEST_PROBLEM = 200
 
@@ -70,9 +71,9 @@ def _line(path: Path, changed: float) -> Recent:
         return Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, _short(sentence(words), _LONGEST_PROBLEM))
     tests = [item.test for item in outline.tests]
     sites = list(dict.fromkeys(clean(test.site).strip() for test in tests if test.site.strip()))
-    site = _short(", ".join(sites), LONGEST_TEXT) or "Site not recorded"
+    site = _short(", ".join(sites), LONGEST_TEXT) or _("Site not recorded")
     if len(tests) != 1:
-        site = f"{site} ({len(tests)} tests)"
+        site = _("{site} ({count} tests)").format(site=site, count=len(tests))
     verdict, level = _verdict(outline)
     return Recent(
         path,
@@ -89,9 +90,9 @@ def _verdict(outline: Outline) -> tuple[str, str]:
     tests = [item.test for item in outline.tests]
     judged = [quality for test in tests if (quality := quality_of(test)) is not None]
     if not tests:
-        return "No tests", ""
+        return _("No tests"), ""
     if not judged:
-        return NOT_JUDGED, ""
+        return _(NOT_JUDGED), ""
     worst = max(judged, key=_severity)
     return worst.headline, _LEVELS[worst.verdict]
 

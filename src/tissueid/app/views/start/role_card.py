@@ -7,6 +7,8 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.buttons import BigButton
+from tissueid.app.language import _
+from tissueid.app.roles import ROLE_NAMES
 from tissueid.app.theme import Theme
 from tissueid.audit import Role
 
@@ -19,7 +21,7 @@ class RoleCard(BigButton):
         self.role: Role = role
         self._sentence = sentence
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Minimum)
-        self._title = QLabel(role.capitalize())
+        self._title = QLabel(_(ROLE_NAMES[role]))
         self._title.setProperty("role", "headline")
         self._text = QLabel(sentence)
         self._text.setWordWrap(True)
@@ -37,7 +39,8 @@ class RoleCard(BigButton):
     def show_taken(self, taken: bool) -> None:
         """Whether this is the role of who sits there now."""
         self.setProperty("taken", taken)
-        self._title.setText(f"{self.role.capitalize()} · now" if taken else self.role.capitalize())
+        title = _(ROLE_NAMES[self.role])
+        self._title.setText(_("{role} · now").format(role=title) if taken else title)
         self.setAccessibleName(f"{self._title.text()}: {self._sentence}")
         self.style().unpolish(self)
         self.style().polish(self)

@@ -13,7 +13,10 @@ from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_state import CalibrationState
+from tissueid.app.language import _, marked, plural
+from tissueid.app.layout import RESEARCH_USE
 from tissueid.app.theme import Theme
+from tissueid.app.views.start.language_chooser import LanguageChooser
 from tissueid.app.views.start.parts import brief, cells, heading, under_heading, words
 from tissueid.app.views.start.recent import FolderLook, look_into
 from tissueid.app.views.start.role_card import RoleCard
@@ -24,14 +27,20 @@ from tissueid.audit import Role
 from tissueid.wording import clean
 
 WHAT_ROLES_DO: dict[Role, str] = {
-    "clinician": "Run a guided test: where to hold the probe, a green light if the test is good, and the tissue's "
-    "mass, damping and stiffness.",
-    "researcher": "Reopen sessions, fit and compare every model of the tissue, and see where a simulation of the "
-    "same test would have been wrong.",
-    "technician": "Look after the instrument: what it is and how it stands, calibrate its coil and its sensors.",
+    "clinician": marked(
+        "Run a guided test: where to hold the probe, a green light if the test is good, and the tissue's "
+        "mass, damping and stiffness."
+    ),
+    "researcher": marked(
+        "Reopen sessions, fit and compare every model of the tissue, and see where a simulation of the "
+        "same test would have been wrong."
+    ),
+    "technician": marked(
+        "Look after the instrument: what it is and how it stands, calibrate its coil and its sensors."
+    ),
 }
-HINT = "No instrument? simulated://forearm plays one."
-TYPED = "Typed address: tried when the test starts."
+HINT = marked("No instrument? simulated://forearm plays one.")
+TYPED = marked("Typed address: tried when the test starts.")
 _MOST_NAMES = 3
 
 
@@ -59,23 +68,24 @@ class StartView(View):
         self._soon.setSingleShot(True)
         self._soon.setInterval(0)
         self._soon.timeout.connect(self._go_on)
-        self.cards = {role: RoleCard(role, sentence) for role, sentence in WHAT_ROLES_DO.items()}
-        self.recent = Rows("Recent sessions", ("Date", "Site", "Subject", "Quality gate"), (1, 3))
-        self.instruments = Rows("Instruments", ("Instrument", "Health", "Calibration"), (1, 2))
+        self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
+        self.recent = Rows(_("Recent sessions"), (_("Date"), _("Site"), _("Subject"), _("Quality gate")), (1, 3))
+        self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (1, 2))
         self.about_recent, self.about_instruments = words(), words()
-        self.open = QPushButton("Open")
-        self.open.setAccessibleName("Open the selected session")
-        self.stop_reading = QPushButton("Cancel")
-        self.stop_reading.setAccessibleName("Stop reading the folder of sessions")
-        self.use = QPushButton("Use")
-        self.use.setAccessibleName("Use the selected instrument for the next test")
-        self.seek = QPushButton("Fin&d")
-        self.seek.setAccessibleName("Find instruments: ask every port")
+        self.open = QPushButton(_("Open"))
+        self.open.setAccessibleName(_("Open the selected session"))
+        self.stop_reading = QPushButton(_("Cancel"))
+        self.stop_reading.setAccessibleName(_("Stop reading the folder of sessions"))
+        self.use = QPushButton(_("Use"))
+        self.use.setAccessibleName(_("Use the selected instrument for the next test"))
+        self.seek = QPushButton(_("Fin&d"))
+        self.seek.setAccessibleName(_("Find instruments: ask every port"))
         self.unfinished = words()
-        self.recover = QPushButton("Recover")
-        self.recover.setAccessibleName("Recover all unfinished tests")
-        self.folder = QPushButton("Show folder")
-        self.folder.setAccessibleName("Show the folder of sessions")
+        self.recover = QPushButton(_("Recover"))
+        self.recover.setAccessibleName(_("Recover all unfinished tests"))
+        self.language = LanguageChooser(desk.settings)
+        self.folder = QPushButton(_("Show folder"))
+        self.folder.setAccessibleName(_("Show the folder of sessions"))
         self._arrange()
         self._connect()
         self.take_role(desk.role())
@@ -111,9 +121,11 @@ class StartView(View):
             urls.insert(0, chosen)
         lines = []
         for url in urls:
-            health, state = known.get(url, (TYPED, CalibrationState()))
-            level = "good" if health.startswith("Ready") else "poor" if health.startswith("Does not") else ""
-            calibration = state.words.removeprefix("Calibration: ").capitalize()
+            health, state = known.get(url, (_(TYPED), CalibrationState()))
+            level = (
+                "good" if health.startswith(_("Ready")) else "poor" if health.startswith(_("Does not answer")) else ""
+            )
+            calibration = _calibration(state)
             mark = "✓ " if url == chosen else ""
             lines.append(
                 ((f"{mark}{clean(url)}", ""), (brief(clean(health)), level), (clean(calibration), state.level))
@@ -121,9 +133,11 @@ class StartView(View):
         self._urls = urls
         self.instruments.fill(lines)
         for row, url in enumerate(urls):
-            health, state = known.get(url, (TYPED, CalibrationState()))
-            self.instruments.explain(row, "\n".join([health, state.words, *state.warnings]))
-        self.about_instruments.setText(f"The next test is with {clean(chosen)}." if chosen else "None is chosen.")
+            health, state = known.get(url, (_(TYPED), CalibrationState()))
+            self.instruments.explain(row, "\n".join([health, _(state.words), *state.warnings]))
+        self.about_instruments.setText(
+            _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
+        )
         self._enable_choices()
 
     def paint_with(self, theme: Theme) -> None:
@@ -176,8 +190,9 @@ class StartView(View):
         self.about_recent.setText(self._words_of(look))
         count = len(look.unfinished)
         names = ", ".join(clean(path.name.removesuffix(".journal")) for path in look.unfinished[:_MOST_NAMES])
-        what = "One test was not finished" if count == 1 else f"{count} tests were not finished"
-        self.unfinished.setText(f"{what}: {names}{' …' if count > _MOST_NAMES else ''}. What was recorded is kept.")
+        names += " …" if count > _MOST_NAMES else ""
+        what = plural("One test was not finished", "{count} tests were not finished", count).format(count=count)
+        self.unfinished.setText(_("{what}: {names}. What was recorded is kept.").format(what=what, names=names))
         self._strip.setVisible(count > 0)
         self._enable_choices()
 
@@ -185,10 +200,16 @@ class StartView(View):
         if look.problem:
             return look.problem
         if self._cancelled.is_set():
-            return f"Cancelled: {len(look.sessions)} of {look.count} sessions were read."
+            return _("Cancelled: {read} of {count} sessions were read.").format(
+                read=len(look.sessions), count=look.count
+            )
         if not look.count:
-            return "No session is here yet: the first test makes one."
-        return f"The newest {len(look.sessions)} of {look.count}." if look.count > len(look.sessions) else ""
+            return _("No session is here yet: the first test makes one.")
+        return (
+            _("The newest {shown} of {count}.").format(shown=len(look.sessions), count=look.count)
+            if look.count > len(look.sessions)
+            else ""
+        )
 
     def _looking_failed(self, words: str) -> None:
         self._reading = False
@@ -230,9 +251,9 @@ class StartView(View):
     def _show_folder(self) -> None:
         folder = self.desk.around.folder
         if not folder.is_dir():
-            self.desk.say(f"{folder} is made with the first test.")
+            self.desk.say(_("{folder} is made with the first test.").format(folder=folder))
         elif not self.desk.around.show_file(folder):
-            self.desk.say(f"Sessions are kept in {folder}.")
+            self.desk.say(_("Sessions are kept in {folder}.").format(folder=folder))
 
     def _enable_choices(self) -> None:
         self.open.setEnabled(self.recent.isEnabled() and self.recent.chosen >= 0)
@@ -253,13 +274,14 @@ class StartView(View):
         self.seek.clicked.connect(self._find)
         self.recover.clicked.connect(self._recover)
         self.folder.clicked.connect(self._show_folder)
+        self.language.changed.connect(self.desk.say)
 
     def _arrange(self) -> None:
         page = QWidget()
         rows = QVBoxLayout(page)
         rows.setContentsMargins(16, 10, 16, 10)
         rows.setSpacing(8)
-        rows.addWidget(heading("Who works?"))
+        rows.addWidget(heading(_("Who works?")))
         cards = QHBoxLayout()
         cards.setSpacing(10)
         for card in self.cards.values():
@@ -269,10 +291,10 @@ class StartView(View):
         columns = QHBoxLayout()
         columns.setSpacing(16)
         columns.addLayout(
-            under_heading("Recent sessions", self.about_recent, self.recent, self.stop_reading, self.open), 1
+            under_heading(_("Recent sessions"), self.about_recent, self.recent, self.stop_reading, self.open), 1
         )
         columns.addLayout(
-            under_heading("Instruments", self.about_instruments, self.instruments, self.use, self.seek), 1
+            under_heading(_("Instruments"), self.about_instruments, self.instruments, self.use, self.seek), 1
         )
         rows.addLayout(columns, 1)
         rows.addWidget(self._make_foot())
@@ -286,7 +308,7 @@ class StartView(View):
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(scroll)
         order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
-        order += [self.instruments, self.use, self.seek, self.folder]
+        order += [self.instruments, self.use, self.seek, self.folder, self.language.choice]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
@@ -308,7 +330,7 @@ class StartView(View):
         grid.setHorizontalSpacing(14)
         grid.setVerticalSpacing(2)
         said = words()
-        said.setText(f"Research use only. Not a medical device. Nothing leaves this computer. {HINT}")
+        said.setText(f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
         for place, (what, where) in enumerate(whereabouts(self.desk.around, self.desk.settings)):
@@ -319,6 +341,15 @@ class StartView(View):
             path.setToolTip(clean(where))
             grid.addWidget(label, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
+        grid.addWidget(self.language, 3, 2, 1, 3)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot
+
+
+def _calibration(state: CalibrationState) -> str:
+    """Its state without the word that stands above the column already."""
+    said = _(state.words)
+    for word in ("Calibration", _("Calibration")):
+        said = said.removeprefix(f"{word}: ")
+    return said.capitalize()

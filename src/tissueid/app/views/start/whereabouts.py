@@ -5,6 +5,7 @@ from __future__ import annotations
 from platformdirs import user_data_path, user_log_path
 from PySide6.QtCore import QSettings
 
+from tissueid.app.language import _
 from tissueid.app.surroundings import Surroundings
 from tissueid.app.words import in_words
 from tissueid.calibration.store import LOCAL, calibration_folder
@@ -18,9 +19,9 @@ def whereabouts(around: Surroundings, settings: QSettings) -> list[tuple[str, st
     except TissueIDError as error:
         calibrations = in_words(error)
     return [
-        ("Sessions", str(around.folder)),
-        ("Calibrations", calibrations),
-        ("Audit log", str(around.audit.path)),
-        ("Settings of this window", settings.fileName()),
-        ("Details of defects", str(user_log_path("tissueid", appauthor=False) / "last-defect.txt")),
+        (_("Sessions"), str(around.folder)),
+        (_("Calibrations"), calibrations),
+        (_("Audit log"), str(around.audit.path)),
+        (_("Settings of this window"), settings.fileName()),
+        (_("Details of defects"), str(user_log_path("tissueid", appauthor=False) / "last-defect.txt")),
     ]

@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import moment
@@ -21,10 +22,12 @@ from tissueid.audit import ROLES, Line, Verification, verify
 from tissueid.errors import UnusableInputError
 from tissueid.wording import clean, grouped
 
-_ALL_ROLES, _ALL_ACTS = "All roles", "All acts"
+_ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
 _MOST_ACTS = 60
-_BLIND = "Lines cut off at its end are seen only against a session or a calibration: 'tissueid audit verify FILE'."
+_BLIND = marked(
+    "Lines cut off at its end are seen only against a session or a calibration: 'tissueid audit verify FILE'."
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,9 @@ def check(path: Path, cancelled: Callable[[], None]) -> Verification:
         OSError: it cannot be read.
     """
     if not path.is_file():
-        raise UnusableInputError(f"there is no audit log {path}: nothing has been logged yet, or it was moved")
+        raise UnusableInputError(
+            _("there is no audit log {path}: nothing has been logged yet, or it was moved").format(path=path)
+        )
     return verify(path, cancelled=cancelled)
 
 
@@ -74,38 +79,40 @@ class AuditTab(Tab):
         self._read = Read(LogPage(), (), ())
         self._csv: Path | None = None
         self.role = QComboBox()
-        self.role.setAccessibleName("Role whose lines are shown")
-        self.role.addItems([_ALL_ROLES, *ROLES])
+        self.role.setAccessibleName(_("Role whose lines are shown"))
+        self.role.addItems([_(_ALL_ROLES), *ROLES])
         self.role.setCurrentIndex(max(0, self.role.findText(str(desk.settings.value(_ROLE, _ALL_ROLES)))))
         self.act = QComboBox()
-        self.act.setAccessibleName("Which acts are shown")
-        self.act.addItem(_ALL_ACTS)
+        self.act.setAccessibleName(_("Which acts are shown"))
+        self.act.addItem(_(_ALL_ACTS))
         self.act.setMinimumContentsLength(20)
         self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText("Search (Ctrl+F)")
-        self.search.setAccessibleName("Search the audit log")
+        self.search.setPlaceholderText(_("Search (Ctrl+F)"))
+        self.search.setAccessibleName(_("Search the audit log"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton("Read again")
-        self.again.setAccessibleName("Read the audit log again")
+        self.again = QPushButton(_("Read again"))
+        self.again.setAccessibleName(_("Read the audit log again"))
         self.again.clicked.connect(self.load)
-        self.verify = QPushButton("Verify")
-        self.verify.setToolTip("Goes through the log from its first line: is every one as it was written?")
+        self.verify = QPushButton(_("Verify"))
+        self.verify.setToolTip(_("Goes through the log from its first line: is every one as it was written?"))
         self.verify.clicked.connect(self.begin_verifying)
-        self.export = QPushButton("Export CSV…")
-        self.export.setToolTip("Writes the lines that are shown, for a spreadsheet")
+        self.export = QPushButton(_("Export CSV…"))
+        self.export.setToolTip(_("Writes the lines that are shown, for a spreadsheet"))
         self.export.clicked.connect(self._choose_csv)
         self.verdict = QFrame()
         self.verdict.setProperty("role", "verdict")
-        self.words = plain_label("Not verified yet: press Verify to see whether every line is as it was written.")
+        self.words = plain_label(_("Not verified yet: press Verify to see whether every line is as it was written."))
         inside = QHBoxLayout(self.verdict)
         inside.setContentsMargins(12, 6, 10, 6)
         inside.addWidget(self.words)
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
-            ("Line", "Time (UTC)", "Role", "Who", "What", "About", "Old", "New"), _cell, right=(0,)
+            (_("Line"), _("Time (UTC)"), _("Role"), _("Who"), _("What"), _("About"), _("Old"), _("New")),
+            _cell,
+            right=(0,),
         )
-        self.list = table_of(self.model, "Audit log", (60, 138, 82, 80, 150, 190, 100))
+        self.list = table_of(self.model, _("Audit log"), (60, 138, 82, 80, 150, 190, 100))
         self.full = plain_label()
         self.full.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.list.selectionModel().selectionChanged.connect(self._show_full)
@@ -131,7 +138,7 @@ class AuditTab(Tab):
     def load(self) -> None:
         """Read the log."""
         work = functools.partial(read, self.desk.around.audit.path)
-        if self.errands.start("Reading the audit log…", work, self._loaded, self.complain):
+        if self.errands.start(_("Reading the audit log…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, found: Read) -> None:
@@ -139,7 +146,7 @@ class AuditTab(Tab):
         kept = self.act.currentText()
         self.act.blockSignals(True)
         self.act.clear()
-        self.act.addItem(_ALL_ACTS)
+        self.act.addItem(_(_ALL_ACTS))
         self.act.addItems([clean(act)[:60] for act in found.acts])
         self.act.setCurrentIndex(max(0, self.act.findText(kept)))
         self.act.blockSignals(False)
@@ -148,26 +155,30 @@ class AuditTab(Tab):
     def begin_verifying(self) -> None:
         """Verify the log, in a job."""
         work = functools.partial(check, self.desk.around.audit.path)
-        if self.errands.start("Verifying the audit log…", work, self._verified, self.complain):
-            self._tell("", "Verifying…")
+        if self.errands.start(_("Verifying the audit log…"), work, self._verified, self.complain):
+            self._tell("", _("Verifying…"))
 
     def complain(self, words: str) -> None:
         """Nothing is known of the log then."""
-        if self.words.text() == "Verifying…":
-            self._tell("", "Not verified.")
+        if self.words.text() == _("Verifying…"):
+            self._tell("", _("Not verified."))
         super().complain(words)
 
     def _verified(self, found: Verification) -> None:
         remarks = " ".join(f"{line[:1].upper()}{line[1:]}." for line in found.remarks[:3])
         if found.broken is not None:
-            where = f"Line {grouped(found.broken.place)} of the file"
-            words = f"The log is not as it was written. {where}: {found.broken.words} ({found.broken.damage.value})."
+            where = _("Line {place} of the file").format(place=grouped(found.broken.place))
+            words = _("The log is not as it was written. {where}: {words} ({damage}).").format(
+                where=where, words=found.broken.words, damage=found.broken.damage.value
+            )
             self._tell("poor", f"{words} {remarks}".strip())
         elif not found.lines:
-            self._tell("check", f"The log holds no whole line: nothing has been logged yet. {remarks}".strip())
+            self._tell("check", f"{_('The log holds no whole line: nothing has been logged yet.')} {remarks}".strip())
         else:
-            words = f"Whole: {grouped(found.lines)} lines, all as they were written. Head {found.head[:22]}…"
-            self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _BLIND])))
+            words = _("Whole: {lines} lines, all as they were written. Head {head}…").format(
+                lines=grouped(found.lines), head=found.head[:22]
+            )
+            self._tell("check" if found.remarks else "good", " ".join(filter(None, [words, remarks, _(_BLIND)])))
 
     def _tell(self, level: str, words: str) -> None:
         mark_level(self.verdict, level)
@@ -177,7 +188,7 @@ class AuditTab(Tab):
     def _choose_csv(self) -> None:
         if self.desk.busy:
             return
-        dialog = QFileDialog(self, "Export the audit log", str(Path.home() / "audit.csv"), "Spreadsheets (*.csv)")
+        dialog = QFileDialog(self, _("Export the audit log"), str(Path.home() / "audit.csv"), _("Spreadsheets (*.csv)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setDefaultSuffix("csv")
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -188,10 +199,14 @@ class AuditTab(Tab):
         """Write the lines that are shown to a file, in a job."""
         self._csv = Path(path)
         work = functools.partial(write_csv, self._csv, self.desk.around.audit.path, tuple(self.model.rows))
-        self.errands.start("Writing the audit log…", work, self._exported, self.complain)
+        self.errands.start(_("Writing the audit log…"), work, self._exported, self.complain)
 
     def _exported(self, lines: int) -> None:
-        self.desk.say(f"{grouped(lines)} lines of the audit log are saved in {clean(str(self._csv))}.")
+        self.desk.say(
+            _("{lines} lines of the audit log are saved in {path}.").format(
+                lines=grouped(lines), path=clean(str(self._csv))
+            )
+        )
 
     # -- showing ------------------------------------------------------------------------------------------
 
@@ -217,7 +232,9 @@ class AuditTab(Tab):
         else:
             found = list(lines)
         self.model.show_rows(found)
-        said = f"{grouped(len(found))} of {grouped(len(lines))} lines, newest first, in {self.desk.around.audit.path}."
+        said = _("{shown} of {count} lines, newest first, in {path}.").format(
+            shown=grouped(len(found)), count=grouped(len(lines)), path=self.desk.around.audit.path
+        )
         self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
         self.export.setEnabled(bool(found) and not self.desk.busy)
         self._show_full()
@@ -229,10 +246,16 @@ class AuditTab(Tab):
             self.full.hide()
             return
         line = self.model.rows[rows[-1]]
-        parts = [f"Line {shown(line.number)}, {moment(line.time)} UTC, {shown(line.role)} {shown(line.who)}"]
+        parts = [
+            _("Line {number}, {time} UTC, {role} {who}").format(
+                number=shown(line.number), time=moment(line.time), role=shown(line.role), who=shown(line.who)
+            )
+        ]
         parts += [f"{shown(line.what)} {shown(line.subject)}".strip()]
         parts += [
-            f"{name}: {shown(value)}" for name, value in (("old", line.old), ("new", line.new)) if value is not None
+            f"{name}: {shown(value)}"
+            for name, value in ((_("old"), line.old), (_("new"), line.new))
+            if value is not None
         ]
         self.full.setText(" · ".join(parts))
         self.full.show()

@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.errand import Errands
@@ -24,12 +25,14 @@ from tissueid.calibration.store import Stored, calibration_folder, stored_calibr
 from tissueid.device import DeviceDescription
 from tissueid.wording import clean
 
-_HINT = (
+_HINT = marked(
     "Select a calibration to see its figures. Select two or more sweeps, with Ctrl or Shift, to lay them over each "
     "other and see what has drifted."
 )
-_TO_MEASURE = "Press “Begin static calibration” or “Begin dynamic sweep” on the tab Calibration; the coil will move."
-_ROLE = "Only a technician can calibrate: choose the role Technician at the top, then press this button again."
+_TO_MEASURE = marked(
+    "Press “Begin static calibration” or “Begin dynamic sweep” on the tab Calibration; the coil will move."
+)
+_ROLE = marked("Only a technician can calibrate: choose the role Technician at the top, then press this button again.")
 _MOST_WHY = 4
 _SPLIT = "instrument/calibrations/split"
 
@@ -51,18 +54,18 @@ class CalibrationsTab(Tab):
         super().__init__(desk, errands, parent)
         self._stored: tuple[Stored, ...] = ()
         self._nominal: DeviceDescription | None = None
-        self.calibrate = QPushButton("Calibrate…")
-        self.calibrate.setToolTip("Shows the page Measure, where calibrations are made")
+        self.calibrate = QPushButton(_("Calibrate…"))
+        self.calibrate.setToolTip(_("Shows the page Measure, where calibrations are made"))
         self.calibrate.clicked.connect(self._go)
-        self.again = QPushButton("Read again")
-        self.again.setAccessibleName("Read the folder of calibrations again")
+        self.again = QPushButton(_("Read again"))
+        self.again.setAccessibleName(_("Read the folder of calibrations again"))
         self.again.clicked.connect(self.load)
         self.about = plain_label(role="muted")
-        self.model = PiecesModel(HEADERS, Row.cell, level=lambda row: row.level, marked=4)
-        self.list = table_of(self.model, "Calibrations", (82, 50, 58, 64, 190))
+        self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
+        self.list = table_of(self.model, _("Calibrations"), (82, 50, 58, 64, 190))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
         self.why = plain_label(role="muted")
-        self.hint = plain_label(_HINT, "muted")
+        self.hint = plain_label(_(_HINT), "muted")
         self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.sweeps = SweepsPanel()
         self.statics = StaticsPanel()
@@ -101,7 +104,7 @@ class CalibrationsTab(Tab):
     def load(self) -> None:
         """Read the folder."""
         work = functools.partial(read_stored, self.desk.around.calibrations)
-        if self.errands.start("Reading the calibrations…", work, self._loaded, self.complain):
+        if self.errands.start(_("Reading the calibrations…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, stored: tuple[Stored, ...]) -> None:
@@ -117,10 +120,10 @@ class CalibrationsTab(Tab):
         """To where calibrations are made; nothing is begun."""
         technician = self.desk.role() == "technician"
         if not technician:
-            self.desk.say(_ROLE, problem=True)
+            self.desk.say(_(_ROLE), problem=True)
             return
         self.desk.go(MEASURE)
-        self.desk.say(_TO_MEASURE)
+        self.desk.say(_(_TO_MEASURE))
 
     # -- showing ------------------------------------------------------------------------------------------
 
@@ -150,11 +153,13 @@ class CalibrationsTab(Tab):
                     self.model.index(number, 0), selection.SelectionFlag.Select | selection.SelectionFlag.Rows
                 )
         if not rows:
-            self.about.setText("There is no calibration yet: the nominal figures are used.")
+            self.about.setText(_("There is no calibration yet: the nominal figures are used."))
         elif self._nominal is None:
-            self.about.setText("Ask the instrument under Health to see which of them are in force.")
+            self.about.setText(_("Ask the instrument under Health to see which of them are in force."))
         else:
-            self.about.setText(f"In force or not for {clean(self._nominal.serial_number)[:60]}.")
+            self.about.setText(
+                _("In force or not for {serial}.").format(serial=clean(self._nominal.serial_number)[:60])
+            )
         self._show_selected()
 
     def _show_selected(self) -> None:
@@ -172,7 +177,7 @@ class CalibrationsTab(Tab):
             self.statics.show_statics(statics, readable)
             self.detail.setCurrentWidget(self.statics)
         else:
-            self.hint.setText("\n".join(row.force for row in rows[:_MOST_WHY]) or _HINT)
+            self.hint.setText("\n".join(row.force for row in rows[:_MOST_WHY]) or _(_HINT))
             self.detail.setCurrentWidget(self.hint)
 
     def paint_with(self, theme: Theme) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
+from tissueid.app.language import _, marked
 from tissueid.app.views.technician.events import Event, read_events
 from tissueid.app.views.technician.log_reading import LogPage, read_log
 from tissueid.app.words import sentence
@@ -104,8 +105,8 @@ class Light:
 
 NOT_ASKED = Light(
     "",
-    "The instrument has not been asked yet",
-    ("Press “Ask the instrument”. It is opened, listened to for a second and closed; the coil stays free.",),
+    marked("The instrument has not been asked yet"),
+    (marked("Press “Ask the instrument”. It is opened, listened to for a second and closed; the coil stays free."),),
 )
 
 
@@ -177,22 +178,26 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
     ``problem`` is why it could not be asked; ``fault`` how its newest test ended, where that was with a fault.
     """
     if problem:
-        return Light("poor", "Do not measure with this instrument", (problem,))
+        return Light("poor", _("Do not measure with this instrument"), (problem,))
     if checkup is None:
         return NOT_ASKED
     poor, check = _concerns(checkup)
     if fault is not None:
-        check.append(f"The newest test, of {fault.time}, ended with a fault: {fault.reason}")
+        check.append(
+            _("The newest test, of {time}, ended with a fault: {reason}").format(time=fault.time, reason=fault.reason)
+        )
     if poor:
-        return Light("poor", "Do not measure with this instrument", tuple(poor + check))
+        return Light("poor", _("Do not measure with this instrument"), tuple(poor + check))
     if check:
-        return Light("check", "It can be used, but look at this", tuple(check))
-    temperature = f"the coil is at {fixed(checkup.temperature_c, 0)} °C"
+        return Light("check", _("It can be used, but look at this"), tuple(check))
+    temperature = _("the coil is at {temperature} °C").format(temperature=fixed(checkup.temperature_c, 0))
     words = (
-        f"It answers, {temperature}, nothing was lost on the way, and its calibration is in force. "
-        "Whether the coil pushes as it should only a test or a calibration can tell.",
+        _(
+            "It answers, {temperature}, nothing was lost on the way, and its calibration is in force. "
+            "Whether the coil pushes as it should only a test or a calibration can tell."
+        ).format(temperature=temperature),
     )
-    return Light("good", "Nothing speaks against this instrument", words)
+    return Light("good", _("Nothing speaks against this instrument"), words)
 
 
 def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
@@ -202,33 +207,48 @@ def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
     hottest = min(limits.max_temperature_c for limits in checkup.limits.values())
     temperature = checkup.temperature_c
     if not checkup.samples:
-        poor.append("It sends no samples: check the cable, and ask again.")
+        poor.append(_("It sends no samples: check the cable, and ask again."))
     elif not PLAUSIBLE_C[0] <= temperature <= PLAUSIBLE_C[1]:
-        poor.append("The coil's temperature sensor gives no usable reading: check its plug and cable.")
+        poor.append(_("The coil's temperature sensor gives no usable reading: check its plug and cable."))
     elif temperature > hottest:
-        poor.append(f"The coil is at {fixed(temperature, 0)} °C; the limit is {hottest:g} °C: let it cool.")
+        poor.append(
+            _("The coil is at {temperature} °C; the limit is {hottest:g} °C: let it cool.").format(
+                temperature=fixed(temperature, 0), hottest=hottest
+            )
+        )
     elif temperature > WARM_C:
-        check.append(f"The coil is warm, {fixed(temperature, 0)} °C: let it cool before a calibration.")
+        check.append(
+            _("The coil is warm, {temperature} °C: let it cool before a calibration.").format(
+                temperature=fixed(temperature, 0)
+            )
+        )
     if abs(checkup.resting_a) > RESTING_A:
         poor.append(
-            f"The current reads {fixed(checkup.resting_a, 2)} A although the coil is free: check the current channel."
+            _("The current reads {current} A although the coil is free: check the current channel.").format(
+                current=fixed(checkup.resting_a, 2)
+            )
         )
     if checkup.faults:
-        poor.append(sentence(f"a fault stays: {checkup.faults}"))
+        poor.append(sentence(_("a fault stays: {faults}").format(faults=checkup.faults)))
     if checkup.lost > LOST_SHARE * checkup.samples:
         check.append(
-            f"{grouped(checkup.lost)} of {grouped(checkup.samples)} samples did not arrive: check the cable, and close "
-            "other programs."
+            _("{lost} of {samples} samples did not arrive: check the cable, and close other programs.").format(
+                lost=grouped(checkup.lost), samples=grouped(checkup.samples)
+            )
         )
     link = checkup.link
     if link is not None and link.damaged > DAMAGED_SHARE * max(1, link.frames):
         check.append(
-            f"{grouped(link.damaged)} frames were damaged on the way, {grouped(link.frames)} were not: check the cable."
+            _("{damaged} frames were damaged on the way, {frames} were not: check the cable.").format(
+                damaged=grouped(link.damaged), frames=grouped(link.frames)
+            )
         )
     if link is not None and link.repeated:
-        check.append(f"{grouped(link.repeated)} requests had to be sent again: check the cable.")
+        check.append(
+            _("{repeated} requests had to be sent again: check the cable.").format(repeated=grouped(link.repeated))
+        )
     if checkup.calibration.level != "good":
-        check.append(sentence(checkup.calibration.words))
+        check.append(sentence(_(checkup.calibration.words)))
     check += [line for line in checkup.calibration.warnings if line not in check]
     return poor, check
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from tissueid.app.language import _, marked
 from tissueid.app.views.technician.log_reading import LogPage
 from tissueid.app.words import sentence
 from tissueid.audit import Line
@@ -19,8 +20,14 @@ from tissueid.wording import clean, plain_text
 MOST_FILES = 2000
 """So many of the newest sessions are looked through."""
 _LONGEST = 400
-FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = "Fault", "Broken off", "Stopped", "Recovered", "Completed"
-FAILED, UNREADABLE = "Calibration failed", "Unreadable file"
+FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = (
+    marked("Fault"),
+    marked("Broken off"),
+    marked("Stopped"),
+    marked("Recovered"),
+    marked("Completed"),
+)
+FAILED, UNREADABLE = marked("Calibration failed"), marked("Unreadable file")
 KINDS = (FAULT, BROKEN, STOPPED, RECOVERED, FAILED, UNREADABLE, COMPLETED)
 LEVELS = {FAULT: "poor", BROKEN: "check", RECOVERED: "check", FAILED: "poor", UNREADABLE: "check"}
 """The level of a colour by kind; what a person stopped and what was completed has none."""
@@ -38,17 +45,19 @@ _LOGGED = {
 _ENDS_OF_TESTS = ("test.fault", "test.aborted", "test.stopped")
 _BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
 _BY_KIND = {
-    STOPPED: "Nothing to mend: a person stopped it. What was recorded is kept.",
-    RECOVERED: "The computer or the program died while it ran. What was recorded is kept; find out why it died.",
-    FAILED: "See its problems under Calibrations, mend them, and calibrate again.",
-    UNREADABLE: "Fetch a copy of the file from where it was kept, or take it away.",
+    STOPPED: marked("Nothing to mend: a person stopped it. What was recorded is kept."),
+    RECOVERED: marked(
+        "The computer or the program died while it ran. What was recorded is kept; find out why it died."
+    ),
+    FAILED: marked("See its problems under Calibrations, mend them, and calibrate again."),
+    UNREADABLE: marked("Fetch a copy of the file from where it was kept, or take it away."),
 }
 _ADVICE = (
-    ("the force reached", "Choose a weaker stimulus, and see that nothing pulls at the probe."),
-    ("end of its stroke", "Place the probe nearer to the middle of its stroke."),
-    ("restarted by itself", "Check the power supply and its plug; connect again."),
-    ("went silent", "Check the cable and the power, and connect again."),
-    ("the connection to", "Check the cable, and connect again."),
+    ("the force reached", marked("Choose a weaker stimulus, and see that nothing pulls at the probe.")),
+    ("end of its stroke", marked("Place the probe nearer to the middle of its stroke.")),
+    ("restarted by itself", marked("Check the power supply and its plug; connect again.")),
+    ("went silent", marked("Check the cable and the power, and connect again.")),
+    ("the connection to", marked("Check the cable, and connect again.")),
 )
 
 
@@ -72,7 +81,7 @@ class Event:
     def text(self) -> str:
         """What is searched."""
         name = self.path.name if self.path else ""
-        return f"{self.time} {self.kind} {self.subject} {self.reason} {self.advice} {name}".casefold()
+        return f"{self.time} {self.kind} {_(self.kind)} {self.subject} {self.reason} {self.advice} {name}".casefold()
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,11 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], None]) 
             by_subject[subject] = event if logged is None else replace(logged, path=path, subject=event.subject)
     remarks = [*log.remarks]
     if len(files) > MOST_FILES:
-        remarks.append(f"Only the newest {MOST_FILES} of {len(files)} sessions were looked through.")
+        remarks.append(
+            _("Only the newest {most} of {count} sessions were looked through.").format(
+                most=MOST_FILES, count=len(files)
+            )
+        )
     found = sorted(by_subject.values(), key=lambda event: event.time, reverse=True)
     return Events(tuple(found), tuple(remarks))
 
@@ -125,7 +138,10 @@ def _of_line(line: Line) -> Event | None:
     new = line.new if isinstance(line.new, dict) else {}
     reason = new.get("reason", line.new if isinstance(line.new, str) else "")
     if what == "calibration.made" and new.get("verdict") == "failed":
-        kind, reason = FAILED, f"{new.get('kind', '')} calibration, {new.get('file', '')}"
+        kind, reason = (
+            FAILED,
+            _("{kind} calibration, {file}").format(kind=_(str(new.get("kind", ""))), file=new.get("file", "")),
+        )
     if kind is None:
         return None
     subject = _short(line.subject)
@@ -137,8 +153,8 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         outline = read_outline(path)
     except (TissueIDError, OSError) as error:
         when = datetime.fromtimestamp(_changed(path), UTC).isoformat()
-        reason = _said(str(error).replace(f"{path}:", "").replace(str(path), "The file"))
-        yield str(path), Event(moment(when), UNREADABLE, path.name, reason, _BY_KIND[UNREADABLE], path)
+        reason = _said(str(error).replace(f"{path}:", "").replace(str(path), _("The file")))
+        yield str(path), Event(moment(when), UNREADABLE, path.name, reason, _(_BY_KIND[UNREADABLE]), path)
         return
     head = outline.head
     for item in outline.tests:
@@ -148,7 +164,7 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         if kind is BROKEN and "released the coil" in reason:
             kind = FAULT
         site = f", {clean(test.site)[:60]}" if test.site else ""
-        subject = f"Test {test.number}{site}"
+        subject = _("Test {number}{site}").format(number=test.number, site=site)
         yield (
             f"{head.session_id} test {test.number}",
             Event(moment(head.created), kind, subject, _said(reason), advice(kind, reason), path),
@@ -165,19 +181,19 @@ def _changed(path: Path) -> float:
 def advice(kind: str, reason: str) -> str:
     """What to do about an end of this kind for this reason: in the words of the error, where it has some."""
     if kind in _BY_KIND:
-        return _BY_KIND[kind]
+        return _(_BY_KIND[kind])
     if kind == COMPLETED:
         return ""
     lowered = reason.casefold()
     for fault in Fault:
-        condition, _, remedy = describe_faults(fault).partition(": ")
+        condition, _colon, remedy = describe_faults(fault).partition(": ")
         if remedy and condition in lowered:
             return sentence(remedy)
     for sign, words in _ADVICE:
         if sign in lowered:
-            return words
-    _, colon, remedy = reason.rpartition(": ")
-    return sentence(clean(remedy)[:_LONGEST]) if colon else "Measure again; if it happens again, ask the instrument."
+            return _(words)
+    _cause, colon, remedy = reason.rpartition(": ")
+    return sentence(clean(remedy)[:_LONGEST]) if colon else _("Measure again; if it happens again, ask the instrument.")
 
 
 def moment(time: object) -> str:

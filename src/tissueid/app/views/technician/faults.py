@@ -8,6 +8,7 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import newest_first
 from tissueid.app.views.technician.errand import Errands
@@ -18,7 +19,7 @@ from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
 from tissueid.app.views.view import Desk
 from tissueid.wording import clean, grouped
 
-_CONCERNS, _ALL = "Needs a look", "All ends of tests"
+_CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")
 _FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
 
 
@@ -32,7 +33,7 @@ def gather(folder: Path, log: Path, cancelled: Callable[[], None]) -> Events:
 
 
 def _cell(event: Event, column: int) -> str:
-    return (event.time, event.kind, event.subject, event.reason)[column]
+    return (event.time, _(event.kind), event.subject, event.reason)[column]
 
 
 class FaultsTab(Tab):
@@ -42,26 +43,26 @@ class FaultsTab(Tab):
         super().__init__(desk, errands, parent)
         self.events = Events(())
         self.kind = QComboBox()
-        self.kind.setAccessibleName("Which events are shown")
+        self.kind.setAccessibleName(_("Which events are shown"))
         for name in (_CONCERNS, _ALL, *KINDS):
-            self.kind.addItem(name, name)
+            self.kind.addItem(_(name), name)
         self.kind.setCurrentIndex(max(0, self.kind.findData(str(desk.settings.value(_FILTER, _CONCERNS)))))
         self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText("Search (Ctrl+F)")
-        self.search.setAccessibleName("Search the events")
+        self.search.setPlaceholderText(_("Search (Ctrl+F)"))
+        self.search.setAccessibleName(_("Search the events"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
-        self.again = QPushButton("Read again")
-        self.again.setAccessibleName("Read the events again")
+        self.again = QPushButton(_("Read again"))
+        self.again.setAccessibleName(_("Read the events again"))
         self.again.clicked.connect(self.load)
         self.count = plain_label(role="muted")
         self.model = PiecesModel(
-            ("Time (UTC)", "Kind", "About", "Why"), _cell, level=lambda event: event.level, marked=1
+            (_("Time (UTC)"), _("Kind"), _("About"), _("Why")), _cell, level=lambda event: event.level, marked=1
         )
-        self.list = table_of(self.model, "Faults and events", (140, 120, 260))
+        self.list = table_of(self.model, _("Faults and events"), (140, 120, 260))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
-        self.open = QPushButton("Open session")
-        self.open.setToolTip("Analyses the session of the selected event on the page Measure")
+        self.open = QPushButton(_("Open session"))
+        self.open.setToolTip(_("Analyses the session of the selected event on the page Measure"))
         self.open.clicked.connect(self._open)
         self.title = plain_label(role="headline")
         self.reason = plain_label()
@@ -101,7 +102,7 @@ class FaultsTab(Tab):
         """Read the log and the sessions."""
         around = self.desk.around
         work = functools.partial(gather, around.folder, around.audit.path)
-        if self.errands.start("Reading faults and events…", work, self._loaded, self.complain):
+        if self.errands.start(_("Reading faults and events…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, events: Events) -> None:
@@ -133,8 +134,8 @@ class FaultsTab(Tab):
         ]
         self.model.show_rows(found)
         total = sum(event.kind != COMPLETED for event in self.events.found)
-        said = (
-            f"{grouped(len(found))} shown; {grouped(total)} of {grouped(len(self.events.found))} are not completions."
+        said = _("{shown} shown; {concerns} of {count} are not completions.").format(
+            shown=grouped(len(found)), concerns=grouped(total), count=grouped(len(self.events.found))
         )
         self.count.setText(" ".join([said, *(clean(line) for line in self.events.remarks)]))
         self._show_selected()
@@ -146,9 +147,9 @@ class FaultsTab(Tab):
         if event is None:
             return
         mark_level(self.detail, event.level)
-        self.title.setText(f"{event.kind}, {event.time} UTC")
-        self.reason.setText(event.reason or "No reason was recorded.")
-        self.advice.setText(f"What to do: {event.advice}" if event.advice else "")
+        self.title.setText(f"{_(event.kind)}, {event.time} UTC")
+        self.reason.setText(event.reason or _("No reason was recorded."))
+        self.advice.setText(_("What to do: {advice}").format(advice=event.advice) if event.advice else "")
         self.advice.setVisible(bool(event.advice))
         self.where.setText(clean(str(event.path)) if event.path else event.subject)
         self.detail.setAccessibleName(" ".join([self.title.text(), event.reason, event.advice]))

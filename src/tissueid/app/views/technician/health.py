@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
@@ -35,14 +36,14 @@ class HealthTab(Tab):
         self.headline = plain_label(role="headline")
         self.reasons = plain_label()
         self.chosen = plain_label(role="muted")
-        self.ask = QPushButton("Ask the instrument")
-        self.ask.setToolTip("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)")
+        self.ask = QPushButton(_("Ask the instrument"))
+        self.ask.setToolTip(_("Opens the chosen instrument, listens for a second, closes it; the coil stays free (F5)"))
         self.ask.clicked.connect(self.begin_asking)
-        self.identity = FactsCard("Instrument")
-        self.state = FactsCard("Calibration in force")
-        self.link = FactsCard("Cable and samples")
+        self.identity = FactsCard(_("Instrument"))
+        self.state = FactsCard(_("Calibration in force"))
+        self.link = FactsCard(_("Cable and samples"))
         self.trend = PlotCard(
-            "Force constant by date", "Days from today", "N/A", key={"static": "measured", "sweep": "model"}
+            _("Force constant by date"), _("Days from today"), "N/A", key={_("static"): "measured", _("sweep"): "model"}
         )
         self._static = self.trend.dots("measured", 7)
         self._sweep = self.trend.dots("model", 7)
@@ -85,7 +86,7 @@ class HealthTab(Tab):
         """Read the newest test and the calibrations."""
         around = self.desk.around
         work = functools.partial(background, around.folder, around.calibrations, around.audit.path)
-        if self.errands.start("Reading calibrations and the newest test…", work, self._loaded, self.complain):
+        if self.errands.start(_("Reading calibrations and the newest test…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, known: Background) -> None:
@@ -99,11 +100,11 @@ class HealthTab(Tab):
             return
         url = self.desk.instrument()
         if not url:
-            self.desk.say("Choose an instrument on the page Measure first.", problem=True)
+            self.desk.say(_("Choose an instrument on the page Measure first."), problem=True)
             return
         around = self.desk.around
         work = functools.partial(ask, url, around.opener, around.calibrate)
-        self.errands.start(f"Asking {clean(url)[:60]}…", work, self._answered, self._unanswered)
+        self.errands.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
 
     def _answered(self, checkup: Checkup) -> None:
         self.checkup, self._problem = checkup, ""
@@ -125,9 +126,13 @@ class HealthTab(Tab):
 
     def _show_chosen(self) -> None:
         url = clean(self.desk.instrument())[:120]
-        words = f"Chosen on the page Measure: {url}" if url else "No instrument is chosen on the page Measure."
+        words = (
+            _("Chosen on the page Measure: {url}").format(url=url)
+            if url
+            else _("No instrument is chosen on the page Measure.")
+        )
         if self.checkup is not None and self.checkup.url != self.desk.instrument():
-            words += f" – what stands here is of {clean(self.checkup.url)[:120]}; ask again."
+            words += _(" – what stands here is of {url}; ask again.").format(url=clean(self.checkup.url)[:120])
         self.chosen.setText(words)
 
     @property
@@ -138,12 +143,13 @@ class HealthTab(Tab):
     def _show(self) -> None:
         found = self.light
         self.lamps.show_level(found.level)
-        self.headline.setText(found.headline)
-        more = len(found.reasons) - _MOST_REASONS
-        lines = [*found.reasons[:_MOST_REASONS], *([f"… and {more} more."] if more > 0 else [])]
+        self.headline.setText(_(found.headline))
+        reasons = [_(reason) for reason in found.reasons]
+        more = len(reasons) - _MOST_REASONS
+        lines = [*reasons[:_MOST_REASONS], *([_("… and {count} more.").format(count=more)] if more > 0 else [])]
         self.reasons.setText("\n".join(clean(line) for line in lines))
-        self.reasons.setToolTip(tip("\n".join(clean(line) for line in found.reasons[:40])))
-        self.verdict.setAccessibleName(" ".join([found.headline, *found.reasons]))
+        self.reasons.setToolTip(tip("\n".join(clean(line) for line in reasons[:40])))
+        self.verdict.setAccessibleName(" ".join([_(found.headline), *reasons]))
         for widget in (self.verdict, self.headline):
             mark_level(widget, found.level)
         self._show_chosen()
@@ -157,11 +163,13 @@ class HealthTab(Tab):
         passed = [item for item in passed if item.verdict == "passed" and _FORCE in item.quantities]
         serial = self.checkup.device.serial_number if self.checkup else passed[0].serial_number if passed else ""
         mine = [item for item in passed if item.serial_number == serial]
-        whose = f" of {clean(serial)[:40]}" if serial else ""
+        whose = _(" of {serial}").format(serial=clean(serial)[:40]) if serial else ""
         self.trend.remark(clean(serial)[:40])
         if not mine:
             self.trend.say_missing(
-                f"No calibration{whose} holds a force constant yet. The button under Calibrations leads to one."
+                _(
+                    "No calibration{whose} holds a force constant yet. The button under Calibrations leads to one."
+                ).format(whose=whose)
             )
             return
         self.trend.say_missing("")
@@ -187,65 +195,77 @@ def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, 
 
 def _identity(checkup: Checkup | None) -> dict[str, str]:
     if checkup is None:
-        return {"Model": "not asked"}
+        return {_("Model"): _("not asked")}
     device = checkup.device
     clinical, research = checkup.limits["clinical"], checkup.limits["research"]
     return {
-        "Model": clean(device.model)[:80],
-        "Serial number": clean(device.serial_number)[:60],
-        "Firmware": clean(device.firmware_version)[:40] or "not told",
-        "Protocol": clean(device.protocol_version)[:20] or "none, it is in this program",
-        "Temperature": f"{fixed(checkup.temperature_c, 1)} °C",
-        "Force limit": f"{number(clinical.max_force_n)} N clinical, {number(research.max_force_n)} N research",
-        "Position limits": f"{fixed(1e3 * clinical.min_position_m, 1)} to {fixed(1e3 * clinical.max_position_m, 1)} mm",
-        "Heat, time limit": f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",
+        _("Model"): clean(device.model)[:80],
+        _("Serial number"): clean(device.serial_number)[:60],
+        _("Firmware"): clean(device.firmware_version)[:40] or _("not told"),
+        _("Protocol"): clean(device.protocol_version)[:20] or _("none, it is in this program"),
+        _("Temperature"): f"{fixed(checkup.temperature_c, 1)} °C",
+        _("Force limit"): _("{clinical} N clinical, {research} N research").format(
+            clinical=number(clinical.max_force_n), research=number(research.max_force_n)
+        ),
+        _("Position limits"): _("{low} to {high} mm").format(
+            low=fixed(1e3 * clinical.min_position_m, 1), high=fixed(1e3 * clinical.max_position_m, 1)
+        ),
+        _("Heat, time limit"): f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",
     }
 
 
 def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
     facts: dict[str, str] = {}
     if known.problem:
-        facts["Folder"] = known.problem
+        facts[_("Folder")] = known.problem
     else:
-        facts["In the folder"] = f"{grouped(len(known.stored))} calibrations"
+        facts[_("In the folder")] = _("{count} calibrations").format(count=grouped(len(known.stored)))
     if checkup is None:
-        return {"State": "not asked"} | facts
+        return {_("State"): _("not asked")} | facts
     device = checkup.device
     held = device.calibration
-    facts = {"State": checkup.calibration.words} | facts
-    for name, label in (("static", "Static"), ("sweep", "Sweep")):
+    facts = {_("State"): _(checkup.calibration.words)} | facts
+    for name, label in (("static", _("Static")), ("sweep", _("Sweep"))):
         if held.get(f"{name}_file"):
             facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
-    facts["Force constant"] = f"{number(device.force_constant_n_per_a)} N/A"
-    facts["Resistance"] = f"{number(device.coil_resistance_ohm)} Ω"
-    facts["Moving mass"] = f"{number(1e3 * device.moving_mass_kg)} g"
-    facts["Uncertainty of force"] = f"{number(100.0 * device.calibration_relative_uncertainty, 2)} %"
+    facts[_("Force constant")] = f"{number(device.force_constant_n_per_a)} N/A"
+    facts[_("Resistance")] = f"{number(device.coil_resistance_ohm)} Ω"
+    facts[_("Moving mass")] = f"{number(1e3 * device.moving_mass_kg)} g"
+    facts[_("Uncertainty of force")] = f"{number(100.0 * device.calibration_relative_uncertainty, 2)} %"
     return facts
 
 
 def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
     facts: dict[str, str] = {}
     if checkup is None:
-        facts["Now"] = "not asked"
+        facts[_("Now")] = _("not asked")
     else:
-        facts["Samples"] = f"{grouped(checkup.samples)}, {grouped(checkup.lost)} of them lost"
-        facts["Coil free reads"] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
+        facts[_("Samples")] = _("{samples}, {lost} of them lost").format(
+            samples=grouped(checkup.samples), lost=grouped(checkup.lost)
+        )
+        facts[_("Coil free reads")] = f"{fixed(1e3 * checkup.resting_a, 1)} mA"
         facts |= _cable(checkup.link)
     if last is None:
-        return facts | {"Newest test": "none in the folder of sessions"}
+        return facts | {_("Newest test"): _("none in the folder of sessions")}
     share = f" ({fixed(100.0 * last.lost / last.samples, 2)} %)" if last.samples and last.lost else ""
-    facts["Newest test"] = f"{moment(last.created)} UTC, {last.status}"
-    facts["– its samples"] = f"{grouped(last.samples)}, {grouped(last.lost)} lost{share}"
-    facts["– its set-points"] = f"{grouped(last.late_blocks)} blocks late, {grouped(last.held_samples)} samples held"
+    facts[_("Newest test")] = f"{moment(last.created)} UTC, {last.status}"
+    facts[_("– its samples")] = _("{samples}, {lost} lost{share}").format(
+        samples=grouped(last.samples), lost=grouped(last.lost), share=share
+    )
+    facts[_("– its set-points")] = _("{late} blocks late, {held} samples held").format(
+        late=grouped(last.late_blocks), held=grouped(last.held_samples)
+    )
     return facts
 
 
 def _cable(link: Link | None) -> dict[str, str]:
     if link is None:
-        return {"Cable": "none: it is a simulation in this program"}
-    trip = "not measured" if link.round_trip_s is None else f"{fixed(1e3 * link.round_trip_s, 1)} ms"
+        return {_("Cable"): _("none: it is a simulation in this program")}
+    trip = _("not measured") if link.round_trip_s is None else f"{fixed(1e3 * link.round_trip_s, 1)} ms"
     return {
-        "Frames": f"{grouped(link.frames)}, {grouped(link.damaged)} damaged",
-        "Round trip": trip,
-        "Requests repeated": grouped(link.repeated),
+        _("Frames"): _("{frames}, {damaged} damaged").format(
+            frames=grouped(link.frames), damaged=grouped(link.damaged)
+        ),
+        _("Round trip"): trip,
+        _("Requests repeated"): grouped(link.repeated),
     }

@@ -6,10 +6,11 @@ from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme, faint
 
 _LEVELS = ("poor", "check", "good")
-_WORDS = {"poor": "red", "check": "yellow", "good": "green", "": "dark"}
+_WORDS = {"poor": marked("red"), "check": marked("yellow"), "good": marked("green"), "": marked("dark")}
 _RADIUS = 12.0
 _STEP = 32.0
 
@@ -32,8 +33,8 @@ class Lamps(QWidget):
     def show_level(self, level: str) -> None:
         """Light a lamp, or none."""
         self._level = level
-        self.setAccessibleName(f"Traffic light: {_WORDS[level]}")
-        self.setToolTip(f"Traffic light: {_WORDS[level]}")
+        self.setAccessibleName(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
+        self.setToolTip(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
         self.update()
 
     def paint_with(self, theme: Theme) -> None:

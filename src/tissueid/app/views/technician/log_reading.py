@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tissueid.app.language import _, plural
 from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
@@ -40,9 +41,13 @@ def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_B
         OSError: it cannot be read.
     """
     if not path.exists():
-        return LogPage((), (f"There is no audit log {path}: nothing has been logged yet, or it was moved.",))
+        return LogPage(
+            (), (_("There is no audit log {path}: nothing has been logged yet, or it was moved.").format(path=path),)
+        )
     if not path.is_file():
-        raise UnusableInputError(f"the audit log {path} is not a file: name another with TISSUEID_AUDIT")
+        raise UnusableInputError(
+            _("the audit log {path} is not a file: name another with TISSUEID_AUDIT").format(path=path)
+        )
     size = path.stat().st_size
     kept: deque[Line] = deque(maxlen=MOST_LINES)
     whole = damaged = 0
@@ -60,10 +65,18 @@ def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_B
                 kept.append(line)
     remarks = []
     if size > most_bytes or whole > MOST_LINES:
-        remarks.append(f"Only the newest {grouped(len(kept))} lines are shown; 'tissueid audit show' has the others.")
+        remarks.append(
+            _("Only the newest {count} lines are shown; 'tissueid audit show' has the others.").format(
+                count=grouped(len(kept))
+            )
+        )
     if damaged:
-        are = "piece is no whole line" if damaged == 1 else "pieces are no whole lines"
-        remarks.append(f"{grouped(damaged)} {are} and left out: Verify tells more.")
+        said = plural(
+            "{count} piece is no whole line and left out: Verify tells more.",
+            "{count} pieces are no whole lines and left out: Verify tells more.",
+            damaged,
+        )
+        remarks.append(said.format(count=grouped(damaged)))
     return LogPage(tuple(reversed(kept)), tuple(remarks))
 
 
@@ -90,9 +103,9 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
         UnusableInputError: it cannot be written there, or that is the log itself.
     """
     if path.exists() and log.exists() and path.samefile(log):
-        raise UnusableInputError(f"{path} is the audit log itself: name another file")
+        raise UnusableInputError(_("{path} is the audit log itself: name another file").format(path=path))
     if path.is_dir() or not path.parent.is_dir():
-        raise UnusableInputError(f"{path} is a folder, or there is none for it: name a file")
+        raise UnusableInputError(_("{path} is a folder, or there is none for it: name a file").format(path=path))
     try:
         with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file)
@@ -103,7 +116,9 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
                 fields = fields_of(line)
                 table.writerow([_cell(fields[name]) for name in COLUMNS])
     except OSError as error:
-        raise UnusableInputError(f"cannot write {path}: {error.strerror or error}") from error
+        raise UnusableInputError(
+            _("cannot write {path}: {problem}").format(path=path, problem=error.strerror or error)
+        ) from error
     return len(lines)
 
 

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
@@ -45,26 +46,26 @@ class StaticsPanel(QWidget):
         self.headline = plain_label(role="headline")
         self.said = plain_label(role="muted")
         self.model = PiecesModel(
-            ("Figure", "Value", "Unit"),
+            (_("Figure"), _("Value"), _("Unit")),
             lambda row, column: readable(*row)[column],
             right=(1,),
         )
-        self.figures = table_of(self.model, "Figures of the static calibration", (250, 175))
+        self.figures = table_of(self.model, _("Figures of the static calibration"), (250, 175))
         self.line = QComboBox()
-        self.line.setAccessibleName("Which line's residuals")
-        self.line.setToolTip("Which line's residuals are shown")
+        self.line.setAccessibleName(_("Which line's residuals"))
+        self.line.setToolTip(_("Which line's residuals are shown"))
         self.line.currentIndexChanged.connect(self._show_residuals)
         self.figure = QComboBox()
-        self.figure.setAccessibleName("Figure whose trend is shown")
-        self.figure.setToolTip("Figure whose trend over the dates is shown")
+        self.figure.setAccessibleName(_("Figure whose trend is shown"))
+        self.figure.setToolTip(_("Figure whose trend over the dates is shown"))
         self.figure.currentIndexChanged.connect(self._show_trend)
         for choice in (self.line, self.figure):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(16)
-        self.off = ResidualsCard("Residuals", "Reading (V)", "mA")
+        self.off = ResidualsCard(_("Residuals"), _("Reading (V)"), "mA")
         self._dots = self.off.dots("measured", 6)
         self._zero = self.off.mark(upright=False)
-        self.over_dates = PlotCard("Trend", "Days from today", "")
+        self.over_dates = PlotCard(_("Trend"), _("Days from today"), "")
         self._trend = self.over_dates.line("measured", width=1, alpha=140)
         self._dated = self.over_dates.dots("measured", 7)
         self._doubt = self.over_dates.band("measured", alpha=45)
@@ -127,14 +128,14 @@ class StaticsPanel(QWidget):
     def _show_residuals(self) -> None:
         number = self.line.currentIndex()
         if not 0 <= number < len(self._residuals):
-            self.off.say_missing("This calibration keeps no line with residuals.")
+            self.off.say_missing(_("This calibration keeps no line with residuals."))
             return
         found = self._residuals[number]
         self.off.say_missing("")
         x_unit, x_scale = people_unit(found.x_unit)
         y_unit, y_scale = _SMALL[found.y_unit]
         self.off.retitle(found.label, y_unit)
-        self.off.set_x_label(f"{'Position' if found.x_unit == 'm' else 'Reading'} ({x_unit})")
+        self.off.set_x_label(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
         x, y = x_scale * found.x, y_scale * found.y
         self._dots.setData(x, y)
         self._zero.show()
@@ -146,13 +147,13 @@ class StaticsPanel(QWidget):
     def _show_trend(self) -> None:
         name = self.figure.currentData()
         if not name:
-            self.over_dates.say_missing("No calibration of this instrument that passed holds a figure.")
+            self.over_dates.say_missing(_("No calibration of this instrument that passed holds a figure."))
             self.drift.setText("")
             return
         found = trend(self._all, name)
         self.over_dates.say_missing("")
         unit, scale = _unit_of(found)
-        self.over_dates.retitle(f"{label_of(name)} by date", unmarked(unit))
+        self.over_dates.retitle(_("{name} by date").format(name=label_of(name)), unmarked(unit))
         days = np.array([(made - datetime.now(UTC)).total_seconds() / 86400.0 for made in found.dates])
         value, std = scale * found.value, np.nan_to_num(scale * found.std)
         self._trend.setData(days, value)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from tissueid.app.language import _, marked
 from tissueid.app.words import sentence
 from tissueid.calibration.in_force import put_in_force
 from tissueid.calibration.judging import age_of, judged
@@ -14,8 +15,10 @@ from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
 from tissueid.wording import MISSING, clean
 
-HEADERS = ("Date", "Kind", "Verdict", "Age", "In force", "File")
+HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("In force"), marked("File"))
 _LONGEST = 300
+_IN_FILES = (marked("static"), marked("sweep"), marked("passed"), marked("failed"))
+"""What calibrations say of themselves."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Row:
     def cell(self, column: int) -> str:
         """What stands in a column."""
         name = clean(self.item.path.name)[:120]
-        return (self.date, self.kind, self.verdict, self.age, self.force, name)[column]
+        return (self.date, _(self.kind), _(self.verdict), self.age, self.force, name)[column]
 
 
 def rows_of(stored: Sequence[Stored], nominal: DeviceDescription | None, now: datetime) -> tuple[Row, ...]:
@@ -51,9 +54,11 @@ def _row(
 ) -> Row:
     calibration = item.calibration
     if calibration is None:
-        return Row(item, MISSING, MISSING, MISSING, MISSING, _said(f"no: {item.problem}"), "poor")
+        return Row(
+            item, MISSING, MISSING, MISSING, MISSING, _said(_("no: {problem}").format(problem=item.problem)), "poor"
+        )
     days = calibration.age_days(now)
-    age = "in the future" if days < -1.0 else "today" if days < 1.0 else f"{days:.0f} days"
+    age = _("in the future") if days < -1.0 else _("today") if days < 1.0 else _("{days:.0f} days").format(days=days)
     date = calibration.date[:10]
     if nominal is None:
         found = age_of(item, now)
@@ -62,13 +67,17 @@ def _row(
         state, reason = judged(item, nominal, now)
         usable = state in ("valid", "stale")
         if usable and item.path.name in named:
-            force, level = ("Yes", "good") if state == "valid" else (_said(f"yes, but {reason}"), "check")
+            force, level = (
+                (_("Yes"), "good")
+                if state == "valid"
+                else (_said(_("yes, but {reason}").format(reason=reason)), "check")
+            )
         elif usable and item.path in sources:
-            force, level = "In part, beside another one", "good"
+            force, level = _("In part, beside another one"), "good"
         elif usable:
-            force, level = "No: a newer one is", ""
+            force, level = _("No: a newer one is"), ""
         else:
-            force, level = _said(f"no: {reason}"), "" if state == "foreign" else "poor"
+            force, level = _said(_("no: {reason}").format(reason=reason)), "" if state == "foreign" else "poor"
     if calibration.verdict == "failed":
         level = "poor"
     return Row(item, date, calibration.kind, calibration.verdict, age, force, level)
@@ -84,7 +93,7 @@ def _sources(stored: Sequence[Stored], nominal: DeviceDescription, now: datetime
     ]
     statics.sort(key=lambda entry: (not entry[0], entry[2].made, entry[1].path.name), reverse=True)
     source: dict[str, Path] = {}
-    for _, item, calibration in statics:
+    for _stale, item, calibration in statics:
         for name in calibration.quantities:
             source.setdefault(name, item.path)
     known = put_in_force(nominal, stored, now).calibration

@@ -10,6 +10,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
@@ -31,18 +32,18 @@ MOST = 4
 """So many sweeps can be told apart by their colours."""
 ROLES = ("measured", "model", "good", "poor")
 _CARDS = (
-    ("force_constant", "Force constant", "N/A", 1.0),
-    ("mass", "Mass M", "g", 1e3),
-    ("damping", "Damping B", "N·s/m", 1.0),
-    ("stiffness", "Stiffness K", "N/m", 1.0),
-    ("vaf", "Variance accounted for", "%", 1.0),
+    ("force_constant", marked("Force constant"), "N/A", 1.0),
+    ("mass", marked("Mass M"), "g", 1e3),
+    ("damping", marked("Damping B"), "N·s/m", 1.0),
+    ("stiffness", marked("Stiffness K"), "N/m", 1.0),
+    ("vaf", marked("Variance accounted for"), "%", 1.0),
 )
 _MM = 1e3
 _SAID = {
-    "noise": "within the noise",
-    "uncertainty": "within the uncertainty",
-    "beyond": "beyond the uncertainty",
-    "unknown": "no uncertainty known",
+    "noise": marked("within the noise"),
+    "uncertainty": marked("within the uncertainty"),
+    "beyond": marked("beyond the uncertainty"),
+    "unknown": marked("no uncertainty known"),
 }
 
 
@@ -50,7 +51,7 @@ class AlongCard(PlotCard):
     """One figure along the stroke of several sweeps, over their linear regions."""
 
     def __init__(self, name: str, title: str, unit: str, scale: float, parent: QWidget | None = None) -> None:
-        super().__init__(title, "Position (mm)", unit, parent=parent)
+        super().__init__(_(title), _("Position (mm)"), unit, parent=parent)
         self._name, self._scale = name, scale
         self._dotted = name != "force_constant"
         self._regions = [self.band(role, alpha=22) for role in ROLES]
@@ -76,7 +77,7 @@ class AlongCard(PlotCard):
                 _set_band(self._doubts[number], x, y - spread, y + spread)
             tops.append(y)
             places.append(x)
-        self.say_missing("" if tops else "None of these sweeps holds it.")
+        self.say_missing("" if tops else _("None of these sweeps holds it."))
         if not tops:
             return
         low, high = (float(edge(np.concatenate(tops))) for edge in (np.min, np.max))
@@ -118,24 +119,26 @@ class SweepsPanel(QWidget):
         self.words = plain_label(role="headline")
         self.remarks = plain_label(role="muted")
         self.against = QComboBox()
-        self.against.setAccessibleName("Compare the newest sweep with")
-        self.against.setToolTip("Compare the newest of the selected sweeps with")
+        self.against.setAccessibleName(_("Compare the newest sweep with"))
+        self.against.setToolTip(_("Compare the newest of the selected sweeps with"))
         self.against.currentIndexChanged.connect(self._compare)
         self.cards = [AlongCard(*figures) for figures in _CARDS]
         self.model = PiecesModel(
-            ("Figure", "Difference", "±2 std", "Which is", "Before", "Now", "Unit"),
+            (_("Figure"), _("Difference"), _("±2 std"), _("Which is"), _("Before"), _("Now"), _("Unit")),
             _cell,
             level=lambda row: "check" if isinstance(row, Difference) and row.verdict == "beyond" else "",
             marked=3,
             right=(1, 2, 4, 5),
         )
-        self.figures = table_of(self.model, "Figures of the sweeps and their differences", (178, 75, 60, 165, 130, 130))
+        self.figures = table_of(
+            self.model, _("Figures of the sweeps and their differences"), (178, 75, 60, 165, 130, 130)
+        )
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName("Sweeps: along the stroke, or figures")
-        self.tabs.addTab(self._make_plots(), "Along the stroke")
-        self.tabs.addTab(self.figures, "Figures")
+        self.tabs.tabBar().setAccessibleName(_("Sweeps: along the stroke, or figures"))
+        self.tabs.addTab(self._make_plots(), _("Along the stroke"))
+        self.tabs.addTab(self.figures, _("Figures"))
         top = QHBoxLayout()
         top.addWidget(self.words, 1)
         top.addWidget(self.against, 0, Qt.AlignmentFlag.AlignTop)
@@ -156,7 +159,7 @@ class SweepsPanel(QWidget):
         card.setProperty("role", "card")
         inside = QVBoxLayout(card)
         inside.setContentsMargins(12, 8, 12, 8)
-        inside.addWidget(plain_label("Key", "heading"))
+        inside.addWidget(plain_label(_("Key"), "heading"))
         inside.addWidget(self.key)
         inside.addStretch(1)
         page = QWidget()
@@ -177,7 +180,9 @@ class SweepsPanel(QWidget):
         self.against.blockSignals(True)
         self.against.clear()
         for sweep in self._sweeps[1:]:
-            self.against.addItem(f"against {sweep.date[:10]}, {clean(sweep.serial_number)[:30]}")
+            self.against.addItem(
+                _("against {date}, {serial}").format(date=sweep.date[:10], serial=clean(sweep.serial_number)[:30])
+            )
         self.against.blockSignals(False)
         self.against.setVisible(len(self._sweeps) > 2)
         for card in self.cards:
@@ -191,7 +196,9 @@ class SweepsPanel(QWidget):
         newest, *others = self._sweeps
         if not others:
             self.comparison = None
-            self.words.setText(f"Sweep of {newest.date[:10]}: select another with Ctrl to compare the two.")
+            self.words.setText(
+                _("Sweep of {date}: select another with Ctrl to compare the two.").format(date=newest.date[:10])
+            )
             mark_level(self.words, "")
             self.remarks.setText(_region_words(newest))
             self.model.show_rows(list(newest.quantities.items()))
@@ -212,10 +219,10 @@ class SweepsPanel(QWidget):
         lines = [
             f'<span style="color:{getattr(theme, role)}">■</span> '
             f"{html.escape(sweep.made.strftime('%Y-%m-%d %H:%M'))}, {html.escape(clean(sweep.serial_number)[:30])}, "
-            f"{html.escape(sweep.verdict)}"
+            f"{html.escape(_(sweep.verdict))}"
             for role, sweep in zip(ROLES, self._sweeps, strict=False)
         ]
-        note = "Shaded upright: the linear region of each. Shaded along a curve: ± one standard deviation."
+        note = _("Shaded upright: the linear region of each. Shaded along a curve: ± one standard deviation.")
         lines.append(f'<span style="color:{theme.muted}">{note}</span>')
         self.key.setText("<br>".join(lines))
 
@@ -231,19 +238,21 @@ class SweepsPanel(QWidget):
 def _region_words(sweep: Calibration) -> str:
     region = linear_region(sweep)
     if region is None:
-        return "It does not say where the coil is linear."
-    return f"Linear from {fixed(_MM * region[0], 1)} to {fixed(_MM * region[1], 1)} mm."
+        return _("It does not say where the coil is linear.")
+    return _("Linear from {low} to {high} mm.").format(low=fixed(_MM * region[0], 1), high=fixed(_MM * region[1], 1))
 
 
 def _profile_words(found: Comparison) -> str:
     if found.common_m is None:
-        return "Their linear regions do not overlap."
+        return _("Their linear regions do not overlap.")
     low, high = (fixed(_MM * end, 1) for end in found.common_m)
     if not np.isfinite(found.profile):
-        return f"Both are linear from {low} to {high} mm."
+        return _("Both are linear from {low} to {high} mm.").format(low=low, high=high)
     mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (found.profile, found.largest))
     where = fixed(_MM * found.largest_at_m, 1)
-    return f"Over {low} to {high} mm, where both are linear: mean {mean}, largest {largest}, at {where} mm."
+    return _("Over {low} to {high} mm, where both are linear: mean {mean}, largest {largest}, at {where} mm.").format(
+        low=low, high=high, mean=mean, largest=largest, where=where
+    )
 
 
 def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
@@ -254,7 +263,7 @@ def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
     if column in (4, 5):
         held = row.before if column == 4 else row.now
         return plus_minus(Estimate(held.value, held.std), scale)
-    return (label_of(row.name), *_sizes(row, scale), _SAID[row.verdict], "", "", unit)[column]
+    return (label_of(row.name), *_sizes(row, scale), _(_SAID[row.verdict]), "", "", unit)[column]
 
 
 def _sizes(row: Difference, scale: float) -> tuple[str, str]:

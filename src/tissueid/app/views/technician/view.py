@@ -8,6 +8,7 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.audit_table import AuditTab
 from tissueid.app.views.technician.calibrations import CalibrationsTab
@@ -18,7 +19,7 @@ from tissueid.app.views.technician.tab import Tab
 from tissueid.app.views.view import Desk, View
 
 _TAB = "instrument/tab"
-_TITLES = ("Health", "Calibrations", "Faults and events", "Audit log")
+_TITLES = (marked("Health"), marked("Calibrations"), marked("Faults and events"), marked("Audit log"))
 
 
 class InstrumentView(View):
@@ -38,15 +39,15 @@ class InstrumentView(View):
         self.doing = QLabel()
         self.doing.setProperty("role", "muted")
         self.doing.setTextFormat(Qt.TextFormat.PlainText)
-        self.give_up = QPushButton("Cancel")
-        self.give_up.setToolTip("Ends what is being read or asked")
+        self.give_up = QPushButton(_("Cancel"))
+        self.give_up.setToolTip(_("Ends what is being read or asked"))
         self.give_up.clicked.connect(self.errands.cancel)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
-        self.tabs.tabBar().setAccessibleName("Parts of the page Instrument")
+        self.tabs.tabBar().setAccessibleName(_("Parts of the page Instrument"))
         for tab, title in zip(self.all, _TITLES, strict=True):
-            self.tabs.addTab(tab, title)
+            self.tabs.addTab(tab, _(title))
         self.tabs.setCornerWidget(self._make_corner(), Qt.Corner.TopRightCorner)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(12, 8, 12, 10)

@@ -1,0 +1,39 @@
+"""Choosing the language of the window: it is taken on at the next start."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QSettings, Signal
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+
+from tissueid.app.language import LANGUAGES, _, spoken
+from tissueid.app.language_choice import SETTING
+
+
+class LanguageChooser(QWidget):
+    """A small chooser that keeps what is chosen in the settings; ``changed`` carries what is to be said about it."""
+
+    changed = Signal(str)
+
+    def __init__(self, settings: QSettings, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._settings = settings
+        self.choice = QComboBox()
+        for code, name in LANGUAGES.items():
+            self.choice.addItem(name, code)
+        kept = self.choice.findData(settings.value(SETTING, ""))
+        self.choice.setCurrentIndex(kept if kept >= 0 else self.choice.findData(spoken()))
+        self.choice.setAccessibleName(_("Language"))
+        self.choice.setToolTip(_("The language of the window, from its next start on"))
+        label = QLabel(_("Language"))
+        label.setProperty("role", "field")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(14)
+        row.addWidget(label)
+        row.addWidget(self.choice)
+        row.addStretch(1)
+        self.choice.currentIndexChanged.connect(self._keep)
+
+    def _keep(self) -> None:
+        self._settings.setValue(SETTING, self.choice.currentData())
+        self.changed.emit(_("{language} is taken on at the next start.").format(language=self.choice.currentText()))
