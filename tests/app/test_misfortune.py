@@ -34,9 +34,9 @@ RECORDED = 4000
 """Samples of the test that are recorded when it befalls: its preload and some of its stimulus, which has 6000."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def device():
-    """A device that outlives what befalls the window's end."""
+    """A device that outlives what befalls the window's end; a new one each time, whose coil is cold."""
     with firmware_process("--tcp=0", *SPEED) as (url, _):
         yield url
 

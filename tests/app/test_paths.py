@@ -142,6 +142,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
     low, high = view.signals.stack.brush
     assert (low, high) == (pytest.approx(0.5, abs=0.02), pytest.approx(1.5, abs=0.02))
     table = view.signals.table
+    qtbot.waitUntil(lambda: table.rowCount() == 1, timeout=WAIT_MS)
     heads = [table.horizontalHeaderItem(place).text() for place in range(table.columnCount())]
     stretch = slice(*(int(np.ceil(round(2000.0 * moment, 3))) for moment in (low, high)))
     mean, _, _ = table.item(0, heads.index("Force (N)")).text().partition(" ± ")
