@@ -29,10 +29,10 @@ SAMPLES = 3000
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three candidates are enough here, and quick."""
-    everything = shelf.library()
+    everything = shelf.all_effects()
     few = {name: everything[name] for name in FEW}
-    monkeypatch.setattr("tissueid.gap.search.library", lambda: few)
-    monkeypatch.setattr("tissueid.gap.blind_check.library", lambda: few)
+    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: few)
+    monkeypatch.setattr("tissueid.gap.blind_check.all_effects", lambda: few)
 
 
 def spoilt(**change: Callable[[np.ndarray], np.ndarray]) -> Session:

@@ -17,7 +17,7 @@ from tissueid.gap.scoring import gap, judged
 from tissueid.gap.search import applicable
 from tissueid.gap.workers import Alone
 from tissueid.sessions import Session, Test
-from tissueid.twin.catalogue import effect, library
+from tissueid.twin.catalogue import all_effects, effect
 
 RATE = 2000.0
 DEVICE = DeviceDescription()
@@ -83,7 +83,7 @@ def test_the_chain_begins_with_what_was_recorded_and_fits_to_the_noise(kept, dri
     # Measured upstream signals carry noise of their own, which no model can take away.
     assert gap(found.checked_by) < 0.006
     assert np.log(found.checked_by[-1].ratio) < 1.0
-    stages = {effect(name).stage for name, item in library().items() if applicable(observed, item)}
+    stages = {effect(name).stage for name, item in all_effects().items() if applicable(observed, item)}
     assert ("drive" in stages) == (driven_by == "command")
     assert ("coil" in stages) == (driven_by != "current")
 
@@ -142,7 +142,7 @@ def test_the_scale_of_a_bare_record_does_not_matter():
 
 def test_a_bare_record_leaves_out_what_it_cannot_show():
     observed = observe(bare(duffing(0.0, seconds=4.0)))
-    stages = {item.stage for item in library().values() if applicable(observed, item)}
+    stages = {item.stage for item in all_effects().values() if applicable(observed, item)}
     assert stages == {"mechanics", "tissue", "sensing"}
 
 

@@ -13,7 +13,7 @@ from tissueid.gap.observing import observe
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import Found, Progress, Search, applicable
 from tissueid.gap.workers import Alone
-from tissueid.twin.catalogue import effect, library
+from tissueid.twin.catalogue import all_effects, effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag")
 SAMPLES = 3000
@@ -92,7 +92,7 @@ def test_cancelled(after):
 
 def test_what_was_not_recorded_rules_effects_out():
     everything = observed()
-    assert all(applicable(everything, item) for item in library().values())
+    assert all(applicable(everything, item) for item in all_effects().values())
     no_voltage = observe(changed(recorded(), voltage=None))
     assert no_voltage.channels == ("current", "position")
     assert not applicable(no_voltage, effect("amplifier_deadband"))

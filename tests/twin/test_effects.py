@@ -8,7 +8,7 @@ import pytest
 
 from tissueid.errors import UnusableInputError
 from tissueid.twin import bus, figures, simulation
-from tissueid.twin.catalogue import effect, library
+from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.effect import STAGES, Effect
 
 RATE = 2000.0
@@ -25,7 +25,7 @@ NAMES = {
     "sensing": "sensor_nonlinearity sensor_lag sensor_backlash clock_skew quantization dropped_samples",
     "environment": "mains_hum physiological_motion",
 }
-EVERY = pytest.mark.parametrize("one", library().values(), ids=lambda one: one.name)
+EVERY = pytest.mark.parametrize("one", all_effects().values(), ids=lambda one: one.name)
 
 
 def commands(size=800):
@@ -61,7 +61,7 @@ def in_noises(one, other):
 
 
 def test_every_name_of_the_contract_is_in_the_library_at_its_stage():
-    found = {stage: {name for name, one in library().items() if one.stage == stage} for stage in STAGES}
+    found = {stage: {name for name, one in all_effects().items() if one.stage == stage} for stage in STAGES}
     assert found == {stage: set(names.split()) for stage, names in NAMES.items()}
 
 

@@ -8,7 +8,7 @@ from scipy import signal
 from scipy.interpolate import CubicHermiteSpline
 
 from tissueid.twin import figures, simulation
-from tissueid.twin.catalogue import library
+from tissueid.twin.catalogue import all_effects
 
 RATE = 2000.0
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
@@ -26,7 +26,7 @@ def commands(size=1200, mean=14.0, seed=3):
 
 def play(name=None, values=(), command=None, instrument=PLAIN, met=TISSUE, rate=RATE, **more):
     command = commands() if command is None else command
-    acting = [] if name is None else [simulation.Acting(library()[name], np.array(values, float))]
+    acting = [] if name is None else [simulation.Acting(all_effects()[name], np.array(values, float))]
     start = simulation.Start(command[0] / instrument.resistance_ohm, met.surface_m)
     return simulation.simulate(command, rate, instrument, met, start, acting, **more).readings
 
@@ -46,7 +46,7 @@ def settled(name, values, volts, stiffness=1000.0):
 
 @pytest.mark.parametrize("name", DRIVE)
 def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
-    start = library()[name].starts[-1]
+    start = all_effects()[name].starts[-1]
     faulty, plain = play(name, start), play()
     assert rms(faulty.voltage - plain.voltage) > 5 * NOISE["voltage"]
     given = simulation.Given(voltage=faulty.voltage)
@@ -112,7 +112,7 @@ def test_a_delay_held_anew_weights_two_commands():
 
 
 def test_a_delay_is_found_in_the_record_and_none_where_there_is_none():
-    found = library()["latency"].starts_from
+    found = all_effects()["latency"].starts_from
     command = commands(4000)
     noise = np.random.default_rng(1).normal(0.0, 2e-3, command.size)
     for samples in (0.0, 0.6, 7.0, 23.3):
@@ -281,10 +281,10 @@ def test_curves_along_the_stroke_begin_where_the_probe_went():
     position = np.linspace(0.009, 0.015, 2001)
     tests = [{"position": np.append(position, np.nan), "command": np.arange(2002.0)}, {"position": position + 1.0}]
     for name in ("force_constant_position", "inductance_position", "sensor_nonlinearity"):
-        start = library()[name].starts_from(tests, RATE)[0] if name != "sensor_nonlinearity" else None
+        start = all_effects()[name].starts_from(tests, RATE)[0] if name != "sensor_nonlinearity" else None
         if start is not None:
             assert start[:2] == pytest.approx((0.009, 0.015), abs=2e-5)
-        assert library()[name].starts_from([{"position": np.full(9, np.nan), "command": np.zeros(9)}], RATE) == ()
+        assert all_effects()[name].starts_from([{"position": np.full(9, np.nan), "command": np.zeros(9)}], RATE) == ()
 
 
 def test_flux_saturates_by_current_and_by_its_sign():

@@ -19,7 +19,7 @@ from tissueid.gap.scoring import ChannelError, gap, quiet_tests
 from tissueid.gap.sealed import Answered, Label, Score
 from tissueid.gap.workers import Alone, Crew
 from tissueid.sessions import Session
-from tissueid.twin.catalogue import library
+from tissueid.twin.catalogue import all_effects
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Piece:
         ``in_sample`` is the effect that fits the fitted samples best: what a search without held-out data would name.
         """
         observed = observe(read_scenario(self.folder, self.name))
-        names = [name for name in library() if name not in self.without] if self.without else None
+        names = [name for name in all_effects() if name not in self.without] if self.without else None
         found = diagnose(observed, Alone(), candidates=names)
         singles = found.found.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)

@@ -14,7 +14,7 @@ from tissueid.gap.scoring import Candidate, judged
 from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
 from tissueid.twin.bus import MOST_EFFECTS
-from tissueid.twin.catalogue import effect, library
+from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.effect import Effect
 
 T = TypeVar("T")
@@ -126,7 +126,9 @@ class Search:
         self._observed = observed
         self._crew = crew
         self._names = [
-            name for name, item in library().items() if (names is None or name in names) and applicable(observed, item)
+            name
+            for name, item in all_effects().items()
+            if (names is None or name in names) and applicable(observed, item)
         ]
         self._progress = progress
         self._cancelled = cancelled

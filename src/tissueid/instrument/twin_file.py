@@ -15,7 +15,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.options import reason
 from tissueid.twin.bus import MOST_EFFECTS
-from tissueid.twin.catalogue import library
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.figures import Instrument, Tissue
 from tissueid.twin.named import NamedTwin
 from tissueid.twin.player import SUBSTEPS
@@ -73,7 +73,7 @@ class EffectPart(_Part):
 
     @model_validator(mode="after")
     def _is_known(self) -> EffectPart:
-        known = library().get(self.name)
+        known = all_effects().get(self.name)
         if known is None:
             raise ValueError(f"there is no effect {self.name!r}")
         values_by_name(known, self.parameters)
@@ -158,7 +158,7 @@ def _complete(what: str, figures: dict[str, float], wanted: set[str]) -> None:
 
 
 def _acting(part: EffectPart) -> Acting:
-    known = library()[part.name]
+    known = all_effects()[part.name]
     values = values_by_name(known, part.parameters)
     low, high = (np.array([getattr(item, end) for item in known.parameters]) for end in ("low", "high"))
     return Acting(known, np.clip(values, low, high))

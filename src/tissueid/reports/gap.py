@@ -14,7 +14,7 @@ from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
 from tissueid.reports.tables import Table
-from tissueid.twin.catalogue import library
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES
 from tissueid.wording import fixed, named_value, number
 
@@ -72,7 +72,7 @@ def write_gap_report(found: Diagnosis, path: Path, title: str = "Simulated and r
 
 def effect_words(name: str) -> str:
     """What an effect is, as it stands in a sentence."""
-    known = library().get(name)
+    known = all_effects().get(name)
     return name.replace("_", " ") if known is None else known.title[:1].lower() + known.title[1:]
 
 
@@ -206,7 +206,7 @@ def next_steps_of(found: Diagnosis) -> Iterator[str]:
     if found.verdict == "no_gap":
         yield "Nothing needs to be done: the twin may be used as it is."
         return
-    known = library()
+    known = all_effects()
     for name in found.combination:
         if name in known and known[name].remedy:
             yield known[name].remedy

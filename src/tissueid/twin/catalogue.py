@@ -16,7 +16,7 @@ GROUP = "tissueid.effects"
 
 
 @lru_cache(maxsize=1)
-def library() -> dict[str, Effect]:
+def all_effects() -> dict[str, Effect]:
     """Every effect by its name, in the order of the chain and then of the alphabet.
 
     A plug-in that fails to load, or takes a name that exists, is left out with a warning.
@@ -45,7 +45,7 @@ def effect(name: str) -> Effect:
     Raises:
         UnusableInputError: there is none; the line lists those that there are.
     """
-    known = library()
+    known = all_effects()
     if name not in known:
         raise UnusableInputError(f"there is no effect {name!r}: choose one of {', '.join(known)}")
     return known[name]

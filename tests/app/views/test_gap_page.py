@@ -26,8 +26,8 @@ SAMPLES = 3000
 
 @pytest.fixture(autouse=True)
 def _few_effects(monkeypatch):
-    everything = shelf.library()
-    monkeypatch.setattr("tissueid.gap.search.library", lambda: {name: everything[name] for name in FEW})
+    everything = shelf.all_effects()
+    monkeypatch.setattr("tissueid.gap.search.all_effects", lambda: {name: everything[name] for name in FEW})
 
 
 def press(qtbot, widget):

@@ -21,7 +21,7 @@ from tissueid.gap.regions import Profile, Spectrum
 from tissueid.records import Estimate
 from tissueid.reports.gap import effect_words, headline_of, next_steps_of, sentences_of
 from tissueid.sessions import Session
-from tissueid.twin.catalogue import library
+from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
 from tissueid.wording import clean, fixed, number, people_unit, plus_minus, with_unit
 
@@ -142,7 +142,7 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     lines += [
         _("The effect that explains the gap belongs here: {name}.").format(name=effect_words(name))
         for name in found.combination
-        if name in library() and library()[name].stage == stage
+        if name in all_effects() and all_effects()[name].stage == stage
     ]
     if not lines and stage in where.evidence.nearest:
         times = where.evidence.nearest[stage]
@@ -176,7 +176,7 @@ def _profile(found: Profile, scale: float) -> ProfileStory:
 
 
 def _rival(found: Diagnosis, item: Ranked) -> Rival:
-    known = library().get(item.effect)
+    known = all_effects().get(item.effect)
     low, high = item.closed_ci
     interval = (
         _(" ({low} to {high} %)").format(low=_percent(low), high=_percent(high))
@@ -204,7 +204,7 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[tuple[str, str], ...]:
             stds = twin_of(found.best, "").stds
         except UnusableInputError:
             stds = {}
-    known = library().get(item.effect)
+    known = all_effects().get(item.effect)
     about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
     rows = []
     for name, value in values.items():
