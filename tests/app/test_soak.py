@@ -89,5 +89,5 @@ def test_two_hundred_windows_with_every_page_leave_nothing_behind(qtbot, tmp_pat
     assert objects[-1] - objects[WARM] < 2 * windows
     assert resident[-1] - resident[WARM] < 0.05 * windows
     if sys.version_info < (3, 12):  # later on None is immortal, and its count means nothing
-        # pyqtgraph keeps two or three references to None for every plot and line that it makes, and never more.
+        # pyqtgraph keeps two or three references to None for every plot and line that it makes.
         assert abs(nones[-1] - nones[WARM]) < 300 * windows

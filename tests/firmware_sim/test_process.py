@@ -36,7 +36,7 @@ def stream(instrument, samples):
     return lost
 
 
-@pytest.mark.parametrize("cable", [CABLES[0], pytest.param(CABLES[-1], marks=pytest.mark.soak)])
+@pytest.mark.parametrize("cable", CABLES)
 def test_a_minute_of_streaming_loses_nothing(cable):
     with firmware_process(cable, "--speed", "20") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
         assert stream(instrument, 120_000) == 0

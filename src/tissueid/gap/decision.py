@@ -1,7 +1,7 @@
 """From scores to words: is there a gap, does a candidate explain it, and how sure is that.
 
-The thresholds were set with eighty scenarios of the simulated laboratory in view, of other draws than those on which
-the sealed check scores them; docs/gap.md has the figures.
+The thresholds were set with eighty scenarios of the simulated laboratory in view, of other draws than the one that
+docs/gap.md reports.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ class Thresholds:
     nearly_all: float = 0.985
     """Where a single effect closes this share of the gap no second one is looked for."""
     temperature: float = 0.06
-    """Differences in score below this are no evidence for one rival against another."""
+    """Differences in score below this are no evidence for one rival against another ..."""
+    temperature_share: float = 0.1
+    """... nor below this share of what the best leaves: its form is that far from the recording's."""
     complexity: float = 0.01
     """What every further coordinate costs ..."""
     most_counted: int = 5
@@ -69,7 +71,7 @@ def probabilities(
         return []
     costs = np.array([cost(item, thresholds) for item in candidates])
     unlisted = max(thresholds.explained_share * baseline.score, thresholds.least_score)
-    temperature = thresholds.temperature + 0.1 * float(min(costs.min(), unlisted))
+    temperature = thresholds.temperature + thresholds.temperature_share * float(min(costs.min(), unlisted))
     weights = np.exp(-(np.append(costs, unlisted) - min(costs.min(), unlisted)) / temperature)
     return [float(value) for value in weights[:-1] / weights.sum()]
 

@@ -25,6 +25,8 @@ FloatArray = NDArray[np.float64]
 _UNITS = {"voltage": ("V", 1.0), "current": ("mA", 1e3), "position": ("µm", 1e6)}
 _SIGNALS = {"voltage": ("Voltage (V)", 1.0), "current": ("Current (A)", 1.0), "position": ("Position (mm)", 1e3)}
 _OVERLAY_S = 0.25
+_UNSEEN = 0.95
+"""A stretch that no fit has seen is held out to this share: its ends may lie a sample or two off."""
 _LISTED = 8
 
 
@@ -309,7 +311,7 @@ def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, i
         ]
         for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):
             inside = held[start : start + size] & np.isfinite(error[start : start + size])
-            if inside.mean() < 0.4:
+            if held[start : start + size].mean() < _UNSEEN or not inside.any():
                 continue
             worth = float(np.sqrt(np.mean(error[start : start + size][inside] ** 2)))
             if best is None or worth > best[0]:
