@@ -277,3 +277,12 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
 def test_a_check_cannot_go_on_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "folder of --keep" in refused(capsys, "gap", "blind-check", "--resume")
     assert "leave --resume out" in refused(capsys, "gap", "blind-check", "--resume", "--keep", tmp_path)
+
+
+def test_an_accepted_effect_becomes_part_of_a_twin_and_a_line_of_the_log(tmp_path: Path, audit_file: Path) -> None:
+    session, twin = stored(tmp_path, recorded("dry_friction", samples=SAMPLES)), tmp_path / "bench.toml"
+    assert main(["gap", "accept", str(session), "--out", str(twin), "--workers", "1"]) == 0
+    assert "dry_friction" in twin.read_text()
+    line = json.loads(audit_file.read_text().splitlines()[-1])
+    assert (line["what"], line["new"]["effects"]) == ("twin.accepted", ["dry_friction"])
+    assert (line["new"]["name"], line["new"]["version"]) == ("bench", 1)

@@ -80,6 +80,9 @@ def test_equal_candidates_are_equally_likely_and_the_simpler_is_likelier():
 
 
 def test_a_second_effect_must_be_worth_it():
-    assert better_pair(candidate(2.0, 1), candidate(0.1, 2))
-    assert not better_pair(candidate(2.0, 1), candidate(1.9, 2))
-    assert not better_pair(candidate(0.1, 1), candidate(0.0, 2))
+    assert better_pair(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
+    assert not better_pair(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
+    assert not better_pair(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
+    # Its form may be at fault where the gap is hardly smaller than with one effect.
+    assert not better_pair(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
+    assert not better_pair(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))

@@ -151,6 +151,12 @@ def test_noise_is_right_in_a_full_session():
         assert level == pytest.approx(TRUE_NOISE[channel], rel=0.1)
 
 
+def test_a_repeat_was_played_alike():
+    seen = observed(full=True).tests
+    repeats = [test.played for test in seen if test.kind == "stochastic"]
+    assert repeats[0] == repeats[1] != repeats[2]
+
+
 def test_noise_is_right_where_samples_slip():
     # Every slip spoils the relation to the command: the voltage, which has little noise, is the hardest.
     noise = observed("dropped_samples", 4, 9000).noise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -57,3 +58,12 @@ def test_a_second_start_is_tried_where_it_is_nearly_as_good():
 
     found = contenders([one("a", 0.1), one("b", 0.5), one("a", 0.7), one("b", 0.45)])
     assert [(item.effect, item.alignment) for item in found] == [("a", 0.7), ("b", 0.5), ("b", 0.45)]
+
+
+def test_a_resonance_between_the_declared_starts_is_found_on_the_grid():
+    hidden = replace(effect("mount_resonance"), starts=((190.0, 0.05, 20.0),))
+    grid = screen("mount_resonance").signatures(hidden)
+    assert len(grid) == 2
+    away, near = grid
+    assert near.start in hidden.scan
+    assert near.alignment > 3.0 * away.alignment

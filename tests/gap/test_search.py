@@ -118,3 +118,23 @@ def test_a_leader_that_fills_the_chain_has_no_partners():
 def test_candidates_that_do_not_exist_find_nothing():
     search = Search(observed("dry_friction", samples=SAMPLES), Alone(), ("no_such_effect",))
     assert search.singles(search.baseline()).candidates == ()
+
+
+def test_a_special_case_begins_where_its_general_form_ended():
+    general = ("directional_friction", "dry_friction")
+    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), general)
+    told = search.singles(search.baseline())
+    by_name = {item.effects[-1]: item for item in told.candidates}
+    assert set(by_name) == set(general)
+    # What is a special case fits no better than the general form, and here nearly as well.
+    assert by_name["dry_friction"].score == pytest.approx(by_name["directional_friction"].score, abs=0.05)
+
+
+def test_a_second_round_loses_nothing_of_the_first():
+    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), ("sensor_lag", "tissue_stiffening"))
+    first = search.singles(search.baseline())
+    then = search.further(first)
+    before = {item.effects: item.score for item in first.candidates}
+    after = {item.effects: item.score for item in then.candidates}
+    assert set(after) >= set(before)
+    assert all(after[effects] <= score for effects, score in before.items())

@@ -232,18 +232,18 @@ def test_drag_is_a_power_of_speed():
 
 def test_the_end_stop_carries_what_presses_and_never_holds_on():
     volts = np.full(3000, 20.0)
-    rest = play("end_stop", (0.011, 10.0, 1.0, 5.0), volts).readings.position[-1]
+    rest = play("end_stop", (0.011, 10.0, 1.0, 5.0, 1.0), volts).readings.position[-1]
     pressed = 3.0 * 20.0 / 12.0 + 0.2 - 400.0 * math.exp(250.0 * (rest - SURFACE)) * (rest - SURFACE)
     assert rest - 0.011 == pytest.approx(pressed / 1e5, abs=1e-8)
     wave = -1e-4 * np.cos(2 * np.pi * 20 * np.arange(0.0, 0.1, 1e-4))
     velocity = np.gradient(wave, 1e-4)
     for side in (1.0, -1.0):
-        told = moved("end_stop", (0.011, 10.0, 1.5, 100.0), 0.011 + side * wave, 1e-4, side * velocity)
+        told = moved("end_stop", (0.011, 10.0, 1.5, 100.0, side), 0.011 + side * wave, 1e-4, side * velocity)
         assert (side * told[:, bus.FORCE]).max() < 1e-3
         assert (side * told[:, bus.FORCE]).min() < -5.0
         assert np.sum(told[:, bus.FORCE] * side * velocity) < 0.0
     # Out of reach it is not there.
-    assert change("end_stop", (0.020, 10.0, 1.0, 5.0)) == 0.0
+    assert change("end_stop", (0.020, 10.0, 1.0, 5.0, 1.0)) == 0.0
 
 
 def test_starts_for_the_stop_are_read_from_the_record():

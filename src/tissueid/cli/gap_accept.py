@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from tissueid.cli.logged import noted
 from tissueid.cli.output import check_different, check_json, progress_bars
 from tissueid.cli.twin_tables import tell
 from tissueid.errors import UnusableInputError
@@ -49,6 +50,9 @@ def run_accept(
             found = run_diagnose(session, fit, check, workers, show, twin=saved)
             content = accepted(found, called, read_session(session).session_id, saved)
         write_twin(out, content)
+    made = {"file": out.name, "name": content.name, "version": content.version}
+    made |= {"effects": [item.name for item in content.effects]}
+    noted("researcher", "twin.accepted", subject=content.source.session_id, new=made)
     tell(out, content, json_file)
 
 

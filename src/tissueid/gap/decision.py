@@ -36,10 +36,10 @@ class Thresholds:
     """That a rival comes near: it costs less than this more, nats."""
     explained_share: float = 0.55
     """... and the share of the score that it may leave at most."""
-    pair_gain: float = 0.25
+    pair_gain: float = 0.5
     """What a second effect must lower the score by, in nats ..."""
-    pair_share: float = 0.5
-    """... and as a share of what the first one left."""
+    pair_leaves: float = 0.36
+    """... and the share of the gap left by the first one that it may leave at most."""
     nearly_all: float = 0.985
     """Where a single effect closes this share of the gap no second one is looked for."""
     temperature: float = 0.06
@@ -110,7 +110,17 @@ def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds
     return min(others, default=np.inf) - cost(best, thresholds)
 
 
-def better_pair(single: Candidate, pair: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Whether a second effect is worth naming."""
+def better_pair(
+    single: Candidate, pair: Candidate, closed: float, closed_by_pair: float, thresholds: Thresholds = THRESHOLDS
+) -> bool:
+    """Whether a second effect is worth naming.
+
+    Args:
+        single: the best single effect.
+        pair: the best pair.
+        closed: share of the gap that the single effect closes.
+        closed_by_pair: share that the pair closes.
+        thresholds: where words change.
+    """
     gained = cost(single, thresholds) - cost(pair, thresholds)
-    return gained >= thresholds.pair_gain and gained >= thresholds.pair_share * single.score
+    return gained >= thresholds.pair_gain and 1.0 - closed_by_pair <= thresholds.pair_leaves * (1.0 - closed)

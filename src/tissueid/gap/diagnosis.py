@@ -103,6 +103,9 @@ def diagnose(
     observed = baseline.fit.parameters.observed
     found = search.singles(baseline)
     best = min(found.candidates, key=cost, default=None)
+    if best is not None and is_gap(baseline, best) and not _settled(baseline, best):
+        found = search.further(found)
+        best = min(found.candidates, key=cost)
     there_is = is_gap(baseline, best)
     if there_is and best is not None:
         found, best = _with_partners(search, found, best)
@@ -157,15 +160,22 @@ def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where
     return found if found.stage in stages else replace(found, stage=stages[0])
 
 
+def _settled(baseline: Candidate, best: Candidate) -> bool:
+    # Nothing is left that would be worth a longer search.
+    return best.score <= THRESHOLDS.at_the_floor or announced(baseline, best) >= THRESHOLDS.nearly_all
+
+
 def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found, Candidate]:
     # A second effect beside the best ones; no third is looked for.
     leaders = sorted(found.candidates, key=cost)[:LEADERS]
-    if best.score <= THRESHOLDS.at_the_floor or announced(found.baseline, best) >= THRESHOLDS.nearly_all:
+    if _settled(found.baseline, best):
         return found, best
     pairs = search.partners(leaders, found.signatures)
     candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
     pair = min(pairs, key=cost, default=None)
-    if pair is not None and better_pair(best, pair):
+    if pair is None:
+        return found, best
+    if better_pair(best, pair, announced(found.baseline, best), announced(found.baseline, pair)):
         best = pair
     return Found(found.baseline, found.signatures, candidates), best
 

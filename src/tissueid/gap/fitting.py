@@ -87,10 +87,12 @@ def fit(
     return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
 
 
-def differences(baseline: Fit, effect: Effect, start: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+def differences(
+    baseline: Fit, effect: Effect, start: Sequence[float], *, slopes: bool = True
+) -> tuple[FloatArray, FloatArray]:
     """By how much an effect at a starting point changes the residuals of a fit, shape as ``Fit.residuals``.
 
-    And its derivatives there by the effect's own coordinates, shape (residuals, coordinates).
+    And its derivatives there by the effect's own coordinates, shape (residuals, coordinates); none without ``slopes``.
     """
     before = baseline.parameters
     effects = [*before.effects, effect]
@@ -101,7 +103,7 @@ def differences(baseline: Fit, effect: Effect, start: Sequence[float]) -> tuple[
         theta[parameters.index[name]] = baseline.theta[k]
     search = _Search(parameters, parameters.array("low"), parameters.array("high"), lambda: False, before)
     residuals = search.residuals(theta)[0]
-    new = [k for k, item in enumerate(parameters.coordinates) if item.name not in before.index]
+    new = [k for k, item in enumerate(parameters.coordinates) if slopes and item.name not in before.index]
     return residuals - baseline.residuals, search.slopes(theta, residuals, new)
 
 

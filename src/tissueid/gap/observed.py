@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
+from hashlib import blake2b
 from typing import Literal
 
 import numpy as np
@@ -60,6 +62,11 @@ class ObservedTest:
     def channels(self) -> tuple[str, ...]:
         """Recorded signals downstream of what drives the test: those that the chain predicts."""
         return tuple(name for name in CHANNELS if name in self.signals and name not in UPSTREAM[self.driven_by])
+
+    @cached_property
+    def played(self) -> tuple[float, bytes]:
+        """Sample rate and fingerprint of what was played: alike for a test and its repeats."""
+        return self.sample_rate_hz, blake2b(self.command.tobytes(), digest_size=16).digest()
 
     @property
     def quiet(self) -> bool:

@@ -97,7 +97,9 @@ class _Motions:
     ) -> Readings:
         """What the sensors meet in a test, simulated if it is not among those that are kept."""
         effects = tuple((item.effect.name, item.values.tobytes()) for item in hooked)
-        key = (id(test), id(given), instrument, met, effects, substeps)
+        start, on_tissue = starting_point(test, instrument.resistance_ohm), test.fixture == "tissue"
+        # A repeat is the same motion: what was played counts, not which test it was.
+        key = (test.played, start, on_tissue, id(given), instrument, met, effects, substeps)
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key][1]
@@ -106,20 +108,20 @@ class _Motions:
             test.sample_rate_hz,
             instrument,
             met,
-            starting_point(test, instrument.resistance_ohm),
+            start,
             hooked,
             given=given,
-            on_tissue=test.fixture == "tissue",
+            on_tissue=on_tissue,
             substeps=substeps,
         ).readings
-        # The test and what was given are kept as well: their identities must not be another's meanwhile.
-        self._kept[key] = ((test, given), found)
+        # What was given is kept as well: its identity must not be another's meanwhile.
+        self._kept[key] = (given, found)
         if len(self._kept) > self._most:
             self._kept.popitem(last=False)
         return found
 
 
-_MOTIONS = _Motions(16)
+_MOTIONS = _Motions(96)
 
 
 def _equivalent(parameters: Parametrisation, theta: FloatArray, test: ObservedTest) -> Readings:

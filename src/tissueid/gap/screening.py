@@ -49,6 +49,7 @@ class Screen:
         """The signature of an effect at each starting point; at all that it has where None are given."""
         if starts is None:
             starts = starts_of(self._baseline.parameters.observed, effect, self._baseline.predictions)
+            starts = (*starts, *self._shows_best(effect))
         found = []
         for start in starts:
             added, slopes = differences(self._baseline, effect, start)
@@ -63,6 +64,13 @@ class Screen:
             along = float(surviving @ surviving) / self._size if self._size > 0.0 else 0.0
             found.append(Signature(effect.name, start, surviving, along))
         return found
+
+    def _shows_best(self, effect: Effect) -> list[tuple[float, ...]]:
+        # Where on its grid what the effect adds, whatever its size, comes nearest to what the baseline leaves.
+        def seen(start: tuple[float, ...]) -> float:
+            return cosine(self.surviving(differences(self._baseline, effect, start, slopes=False)[0]), self._left)
+
+        return [max(effect.scan, key=seen)] if effect.scan else []
 
     def surviving(self, values: FloatArray) -> FloatArray:
         """What is left of a change of the residuals once everything else was refitted, shape (residuals,)."""

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit
 from tissueid.gap.impulses import without_impulses_in_the_floor
-from tissueid.gap.observed import Observed
+from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, judged
 from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
@@ -23,9 +23,24 @@ R = TypeVar("R")
 SINGLES = 12
 """So many starting points are tried, the best aligned ones; the others' signatures explain too little to win."""
 LEAST_ALIGNMENT = 0.02
+FIRST = 4
+"""So many of the starting points are tried first ..."""
+CLEAR = 0.12
+"""... and where one of them leaves less than this (nats), only near rivals are tried and followed: ..."""
+RIVAL_ALIGNMENT = 0.5
+"""... those aligned by this share of the best, ..."""
+RIVAL_SCORE = 1.5
+"""... and then those that leave no more than this."""
 HEAT = 6
 """Steps of the search that every candidate gets; the best of them go on to the end."""
+HEAT_OF_MANY = 10
+"""The same where several tests are fitted together: their valleys are narrower."""
 FINAL = 4
+FINAL_BY_FIT = 2
+"""So many of the candidates that fit best go on as well, whatever they predict so far."""
+FURTHER = 12
+FURTHER_FINAL = 8
+"""A second round tries so many more starting points and follows so many candidates to the end."""
 PARTNERS = 4
 """So many partners of each leading candidate are tried."""
 FINAL_PAIRS = 2
@@ -130,6 +145,8 @@ class Search:
             for name, item in all_effects().items()
             if (names is None or name in names) and applicable(observed, item)
         ]
+        several = sum(bool(test.serving(Purpose.FIT).any()) for test in observed.tests) > 1
+        self._heat = HEAT_OF_MANY if several else HEAT
         self._progress = progress
         self._cancelled = cancelled
 
@@ -152,9 +169,49 @@ class Search:
     def singles(self, baseline: Candidate) -> Found:
         """Every candidate alone."""
         signatures = self._screened(baseline.fit, {})
-        heats = self._heats("candidates", baseline, signatures, SINGLES)
+        worth = contenders(signatures)[:SINGLES]
+        heats = self._heats("likeliest candidates", baseline, worth[:FIRST])
+        if heats and min(item.score for item in heats) <= CLEAR:
+            # Nothing is left: only what shows much the same can be a rival.
+            worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
+        heats += self._heats("candidates", baseline, worth[FIRST:])
         candidates = self._finals("leading candidates", heats, FINAL)
-        return Found(baseline, tuple(signatures), candidates)
+        return Found(baseline, tuple(signatures), self._with_special_cases(baseline, candidates))
+
+    def further(self, found: Found) -> Found:
+        """The same from more starting points, and with more of its candidates followed to the end.
+
+        For where the best of the first round leaves much: a narrow valley may have been passed by.
+        """
+        tried = contenders(found.signatures)[:SINGLES]
+        others = [item for item in found.signatures if all(item is not other for other in tried)]
+        others.sort(key=lambda item: -item.alignment)
+        heats = self._heats("further starting points", found.baseline, others[:FURTHER])
+        on_the_way = [item for item in found.candidates if item.fit.steps == self._heat]
+        finished = [item for item in found.candidates if item.fit.steps != self._heat]
+        finals = self._finals("further candidates", [*heats, *on_the_way], FURTHER_FINAL)
+        candidates = _best_of_each([*finished, *finals])
+        return Found(found.baseline, found.signatures, self._with_special_cases(found.baseline, candidates))
+
+    def _with_special_cases(self, baseline: Candidate, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        # The special cases of the leader once more, from where the leader lies.
+        if not candidates:
+            return ()
+        leader = candidates[0]
+        general = leader.fit.parameters.effects[-1]
+        values = leader.fit.parameters.effect_values(leader.fit.theta, general, 0)
+        by_name = {item.name: float(value) for item, value in zip(general.parameters, values, strict=True)}
+        before = [held.starts[0] for held in baseline.fit.parameters.effects]
+        tasks = []
+        for name in self._names:
+            case = effect(name)
+            if case.special_case_of == general.name:
+                start = tuple(
+                    by_name.get(item.name, at) for item, at in zip(case.parameters, case.starts[0], strict=True)
+                )
+                names = (*baseline.effects, name)
+                tasks.append(Task(self._observed, names, (*before, start), leader.fit, MOST_STEPS))
+        return _best_of_each([*candidates, *self._tell("special cases", refit, tasks)])
 
     def partners(self, leaders: Sequence[Candidate], signatures: Sequence[Signature] = ()) -> tuple[Candidate, ...]:
         """The leading candidates with one more effect each, best first.
@@ -167,24 +224,29 @@ class Search:
             pair
             for leader in leaders
             if len(leader.effects) < MOST_EFFECTS
-            for pair in self._heats("pairs", leader, self._screened(leader.fit, starts), PARTNERS)
+            for pair in self._heats("pairs", leader, contenders(self._screened(leader.fit, starts))[:PARTNERS])
         ]
         return self._finals("leading pairs", heats, FINAL_PAIRS)
 
-    def _heats(self, what: str, near: Candidate, signatures: Sequence[Signature], count: int) -> list[Candidate]:
-        worth = [item for item in contenders(signatures) if item.alignment >= LEAST_ALIGNMENT][:count]
+    def _heats(self, what: str, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
+        worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
         tasks = [
-            Task(self._observed, (*near.effects, item.effect), (*before, item.start), near.fit, HEAT) for item in worth
+            Task(self._observed, (*near.effects, item.effect), (*before, item.start), near.fit, self._heat)
+            for item in worth
         ]
         return self._tell(what, refit, tasks)
 
     def _finals(self, what: str, heats: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
-        best: dict[frozenset[str], Candidate] = {}
-        for item in sorted(heats, key=lambda item: item.score):
-            best.setdefault(frozenset(item.effects), item)
-        ranked = list(best.values())
-        going_on = [item for item in ranked[:count] if item.fit.steps >= HEAT]
+        ranked = _best_of_each(heats)
+        if ranked and ranked[0].score <= CLEAR:
+            count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
+        fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(FINAL_BY_FIT, count)]
+        going_on = [
+            item
+            for place, item in enumerate(ranked)
+            if (place < count or any(item is other for other in fitting)) and item.fit.steps >= self._heat
+        ]
         tasks = [Task(self._observed, item.effects, (), item.fit, MOST_STEPS) for item in going_on]
         finished = self._tell(what, refit, tasks)
         others = [item for item in ranked if all(item is not other for other in going_on)]
@@ -206,3 +268,11 @@ class Search:
 
         self._progress(Progress(what, 0, len(things)))
         return self._crew.do(work, things, self._cancelled, done)
+
+
+def _best_of_each(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    # The best fit of every set of effects, best first.
+    best: dict[frozenset[str], Candidate] = {}
+    for item in sorted(candidates, key=lambda item: item.score):
+        best.setdefault(frozenset(item.effects), item)
+    return tuple(best.values())

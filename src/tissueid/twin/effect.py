@@ -103,6 +103,10 @@ class Effect:
     """Further starts, found in the signals of all tests (as ``from_test`` has them) and their sample rate.
 
     What lies in narrow valleys (a period, a step) is read from the record so; none is found where there is nothing."""
+    scan: tuple[tuple[float, ...], ...] = ()
+    """Points on a fine grid where the valleys are narrow (a resonance): the one that shows best becomes a start."""
+    special_case_of: str = ""
+    """The effect that this one is a special case of; parameters of the same name mean the same in both."""
     irreducible: Callable[[FloatArray], Mapping[str, float]] | None = None
     """What stays unexplained however well the effect is known: a standard deviation by signal, from the parameters.
 
@@ -119,7 +123,7 @@ class Effect:
             raise ValueError(f"effect {self.name}: there is no stage {self.stage!r}")
         if self.hook is not None and len(self.parameters) > bus.MOST_PARAMETERS:
             raise ValueError(f"effect {self.name}: a hook takes at most {bus.MOST_PARAMETERS} parameters")
-        if not self.starts or any(len(start) != len(self.parameters) for start in self.starts):
+        if not self.starts or any(len(start) != len(self.parameters) for start in (*self.starts, *self.scan)):
             raise ValueError(f"effect {self.name}: a start gives every parameter a value")
         if (self.hook is None) != (not self.places):
             raise ValueError(f"effect {self.name}: a hook needs the places that call it, and they a hook")

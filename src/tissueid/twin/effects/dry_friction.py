@@ -40,5 +40,6 @@ EFFECT = Effect(
     mistaken_for=("directional_friction", "tissue_hysteresis", "sensor_backlash"),
     places=(bus.MECHANICS,),
     hook=hook,
+    special_case_of="directional_friction",
     remedy="Clean and realign the bearing; measure again in free air.",
 )

@@ -12,17 +12,14 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 CORNER_M = 1e-5
 """Half the width over which contact sets in: what a rubber or a burr has, and what keeps the fit smooth."""
 REFERENCE_M = 1e-4
-_SIDE = 0
+INNER, OUTER = 1.0, -1.0
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A stop that pushes back and dissipates; it never holds on. ``s[0]`` is the side on which the test started."""
+    """A stop that pushes back and dissipates; it never holds on, and a test may begin pressed against it."""
     stop, force, exponent, loss = p[0], p[1], p[2], p[3]
-    past = b[bus.POSITION] - stop
-    if s[_SIDE] == 0.0:
-        s[_SIDE] = 1.0 if past < 0.0 else -1.0
-    side = s[_SIDE]
-    past *= side
+    side = 1.0 if p[4] > 0.0 else -1.0
+    past = (b[bus.POSITION] - stop) * side
     if past <= -CORNER_M:
         return
     # The corner is a parabola: nothing before it, nothing lost after it.
@@ -44,10 +41,10 @@ def ends_met(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -
     deepest = float(np.max(everything))
     if deepest > begun:
         inner = float(np.percentile(everything[everything > begun], 97.0))
-        found += [(deepest - 5e-5, 5.0, 1.25, 10.0), (inner, 0.3, 1.25, 3.0)]
+        found += [(deepest - 5e-5, 5.0, 1.25, 10.0, INNER), (inner, 0.3, 1.25, 3.0, INNER)]
     least = float(np.min(everything))
     if least < begun:
-        found.append((least + 5e-5, 5.0, 1.25, 10.0))
+        found.append((least + 5e-5, 5.0, 1.25, 10.0, OUTER))
     low, high = EFFECT.parameters[0].low, EFFECT.parameters[0].high
     return tuple(start for start in found if low < start[0] < high)
 
@@ -56,8 +53,8 @@ EFFECT = Effect(
     name="end_stop",
     stage="mechanics",
     title="Contact with the end of the stroke",
-    equation="F = -F1 (u / 0.1 mm)^n (1 + c du/dt), not below 0, u = how far x is past the stop, from the side "
-    "where the test started; vanishes with F1 = 0 and with the stop out of reach",
+    equation="F = -F1 (u / 0.1 mm)^n (1 + c du/dt), not below 0, u = how far x is past the stop, towards "
+    "greater depth (side 1) or outward (side -1); vanishes with F1 = 0 and with the stop out of reach",
     signature="position cut off at one value, the same in every test, with short impacts; nothing away from it; "
     "current shows the impacts by back-EMF",
     source="Hunt & Crossley, J. Applied Mechanics 42 (1975) 440-445",
@@ -66,8 +63,14 @@ EFFECT = Effect(
         Parameter("force_n", "N", 0.0, 1e-4, 100.0, True, meaning="force 0.1 mm past the stop, slowly"),
         Parameter("exponent", "1", None, 1.0, 2.0, prior=1.25, prior_std=0.25, meaning="1 spring, 1.5 rounded contact"),
         Parameter("loss_s_per_m", "s/m", None, 0.1, 300.0, True, meaning="force more by speed of penetration"),
+        Parameter("side", "1", None, -2.0, 2.0, fixed=True, meaning="1: the inner end of the stroke; -1: the outer"),
     ),
-    starts=((0.0130, 2.0, 1.2, 5.0), (0.0143, 2.0, 1.2, 5.0), (0.0157, 2.0, 1.2, 5.0), (0.0085, 2.0, 1.2, 5.0)),
+    starts=(
+        (0.0115, 2.0, 1.2, 5.0, INNER),
+        (0.0130, 2.0, 1.2, 5.0, INNER),
+        (0.0143, 2.0, 1.2, 5.0, INNER),
+        (0.0085, 2.0, 1.2, 5.0, OUTER),
+    ),
     mistaken_for=("tissue_stiffening", "sensor_nonlinearity", "amplifier_clipping"),
     places=(bus.MECHANICS,),
     hook=hook,

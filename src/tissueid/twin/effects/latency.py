@@ -113,7 +113,7 @@ EFFECT = Effect(
         Parameter("delay_s", "s", 0.0, 2e-7, 0.02, True, meaning="time by which the command comes late"),
         Parameter("held_share", "1", None, 0.0, 1.0, meaning="share that is held anew at the sample's own edges"),
     ),
-    starts=((2e-4, 0.5), (1.2e-3, 0.5), (3.5e-3, 0.5)),
+    starts=((2e-4, 0.5), (2.5e-4, 0.02), (1.2e-3, 0.5), (3.5e-3, 0.5)),
     mistaken_for=("amplifier_lag", "clock_skew", "dropped_samples"),
     places=(bus.AMPLIFIER,),
     hook=hook,

@@ -7,6 +7,9 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
+_FREQUENCIES_HZ = tuple(5.0 * 1.18**k for k in range(20))
+"""From 5 to 116 Hz, near enough for a narrow resonance not to lie between two of them."""
+
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Moves the frame on by the reaction; ``s[0]`` and ``s[1]`` are where it is (m) and how fast (m/s)."""
@@ -43,6 +46,7 @@ EFFECT = Effect(
         Parameter("frame_kg", "kg", math.inf, 0.05, 3000.0, True, meaning="mass of the frame"),
     ),
     starts=((8.0, 0.05, 2.0), (20.0, 0.05, 1.0), (45.0, 0.05, 1.0), (100.0, 0.05, 0.5)),
+    scan=tuple((frequency, 0.05, 20.0) for frequency in _FREQUENCIES_HZ),
     mistaken_for=("viscoelasticity", "sensor_lag", "physiological_motion", "reflex"),
     places=(bus.SURFACE, bus.MECHANICS),
     hook=hook,
