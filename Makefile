@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint bench soak run clean
+.PHONY: help env demo test lint compiled bench soak run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -24,7 +24,8 @@ $(STAMP): pyproject.toml constraints.txt tools/build_env.sh
 demo: env ## run one guided test on a simulated forearm; leaves demo/report.html
 	@$(BIN)/tissueid demo --out demo
 
-test: lint ## every check and test
+test: env ## every check and test
+	@$(MAKE) --no-print-directory --jobs 2 lint compiled
 	@echo "== tests"
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
@@ -32,6 +33,9 @@ lint: env
 	@echo "== ruff"; $(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@echo "== mypy"; $(BIN)/mypy
 	@echo "== layers"; $(BIN)/lint-imports --no-cache
+
+compiled: env # what the tests compile on first use: once, on the processor that the checkers leave free
+	@$(BIN)/python tests/compiled_first.py
 
 bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks

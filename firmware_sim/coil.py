@@ -7,11 +7,13 @@ multiplied by the force constant of the plant's figures, which is thereby that o
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
-from scipy.special import erfc
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 COILS = ("ideal", "finite")
 LINEAR_SHARE = 0.05
@@ -46,6 +48,8 @@ class CoilProfile:
             raise ValueError("the positions of a coil profile must rise in equal steps")
         if not (np.all(np.isfinite(values)) and values.min() > 0):
             raise ValueError("the force constant must be positive all along the stroke")
+        from scipy.interpolate import CubicSpline  # an ideal coil, as most are, starts without it
+
         object.__setattr__(self, "_spline", CubicSpline(at, values))
 
     def at(self, position_m: float) -> float:
@@ -79,6 +83,8 @@ def finite_coil(stroke_m: float) -> CoilProfile:
     thesis prints no figures: 0.80 of the plateau at zero, 0.62 at the far end, and 5 % lost some 4 and 27 mm from the
     stroke's beginning, for its "region of about 20 to 25 mm". The median over the middle half is 1.
     """
+    from scipy.special import erfc
+
     near, near_width = 0.595, 7.4e-3  # erfc(0.595) / 2 = 0.20
     far, far_width = 0.216, 5.3e-3  # erfc(0.216) / 2 = 0.38
 

@@ -224,13 +224,20 @@ def _derivative(state: Array, rate: Array, volts: float, plant: Array, tissue: A
 
 
 @njit
+def _copy(source: Array, target: Array) -> None:
+    # Number by number: with a slice, numba compiles the words of an error that cannot happen, for seconds.
+    for j in range(STATE_SIZE):
+        target[j] = source[j]
+
+
+@njit
 def _runge_kutta(
     state: Array, after: Array, step: float, volts: float, plant: Array, tissue: Array, work: Array
 ) -> None:
     # work has shape (5, STATE_SIZE): four slopes and a stage.
     stage = work[4]
-    after[:] = state
-    stage[:] = state
+    _copy(state, after)
+    _copy(state, stage)
     _derivative(stage, work[0], volts, plant, tissue)
     for k in range(3):
         fraction = step if k == 2 else 0.5 * step
@@ -275,7 +282,7 @@ def _step(state: Array, step: float, volts: float, plant: Array, tissue: Array, 
             _runge_kutta(state, after, remaining, volts, plant, tissue, work)
             high = _overdue(after, plant, tissue)
             if high <= 0.0:
-                state[:] = after
+                _copy(after, state)
                 return
             low = min(_overdue(state, plant, tissue), 0.0)
             left, right = 0.0, remaining
@@ -290,13 +297,13 @@ def _step(state: Array, step: float, volts: float, plant: Array, tissue: Array, 
                 if right - left < 1e-7 * step or value == 0.0:
                     break
             _runge_kutta(state, after, right, volts, plant, tissue, work)
-            state[:] = after
+            _copy(after, state)
             _switch_contact(state, plant, tissue)
             remaining -= right
             if remaining <= 0.0:
                 return
     _runge_kutta(state, after, remaining, volts, plant, tissue, work)
-    state[:] = after
+    _copy(after, state)
 
 
 @njit(cache=True)

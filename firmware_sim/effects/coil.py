@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numba import njit
-from scipy.special import erf
 
 from firmware_sim import kernel
 from firmware_sim.effects import base
@@ -102,6 +101,8 @@ class ForceConstantPosition(Effect):
         at = TABLE_FIRST_M + TABLE_SPACING_M * np.arange(TABLE_NODES)
         along = (at - self.middle_m) / self.width_m
         if self.course == "fall":
+            from scipy.special import erf  # slow to import, and seldom asked for
+
             lost = 0.5 * self.level * (1.0 + erf(along))
         elif self.course == "bell":
             lost = self.level * np.tanh(along**2)

@@ -83,8 +83,10 @@ def _build(sources: int) -> Advance:
                 halfway = current if part == 0 else current + 0.5 * (current - clock[2])
                 clock[2] = current
                 volts = min(max(drive.drive(told, t, step, first, figures, memory, rings), -limit), limit)
-                plant[:_PLANT_FIGURES] = plant_figures[:_PLANT_FIGURES]
-                law[:] = tissue_figures
+                for k in range(_PLANT_FIGURES):
+                    plant[k] = plant_figures[k]
+                for k in range(law.size):
+                    law[k] = tissue_figures[k]
                 left = coil.coil(volts, halfway, position, velocity, step, plant, figures, memory)
                 force = mechanics.mechanics(position, velocity, plant[kernel.BEARING_DAMPING], step, figures, memory)
                 raised, rising = 0.0, 0.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from firmware_sim_process import firmware_process
 
+from firmware_sim.__main__ import main
 from firmware_sim.bench import Bench
 from firmware_sim.faults import PlannedFault
 from firmware_sim.firmware import Firmware
@@ -281,11 +282,18 @@ def test_presets_are_listed():
         (None, "cannot read the scenario"),
     ],
 )
-def test_a_bad_scenario_is_one_line_and_status_2(tmp_path, content, words):
+def test_a_bad_scenario_is_one_line_and_status_2(tmp_path, capsys, content, words):
     path = tmp_path / "scenario.toml"
     if content is not None:
         path.write_text(content)
-    answer = run_simulator("--scenario", str(path))
+    assert main(["--scenario", str(path)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert words in printed.err
+    assert printed.err.count("\n") == 1
+
+
+def test_the_status_is_that_of_the_process(tmp_path):
+    answer = run_simulator("--scenario", str(tmp_path / "nothing.toml"))
     assert answer.returncode == 2
-    assert words in answer.stderr
     assert answer.stderr.count("\n") == 1

@@ -10,10 +10,13 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from platformdirs import user_log_path
+from typer.core import TyperGroup
 from typer.exceptions import Abort, TyperException
+from typer.main import get_group
 
 from tissueid.cli.commands import app
 from tissueid.errors import CancelledError, TissueIDError
@@ -32,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(variable, "1")
     try:
         with _endings_as_interrupts(to_the_end=arguments is None):
-            status = app(
+            status = _commands()(
                 args=None if arguments is None else list(arguments), prog_name="tissueid", standalone_mode=False
             )
     except CancelledError as error:
@@ -51,6 +54,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if status == INTERRUPTED:  # typer turns some interrupts into this status by itself
         return _complain("interrupted; what was recorded is kept, nothing is left half-written", INTERRUPTED)
     return status if isinstance(status, int) else 0
+
+
+@cache
+def _commands() -> TyperGroup:
+    # Typer works the options out of the signatures anew at every call, which takes longer than many a command.
+    return get_group(app)
 
 
 @contextmanager

@@ -1,0 +1,30 @@
+"""Compile what numba compiles on first use, once and beside the other checks: else each worker and firmware would."""
+
+from __future__ import annotations
+
+import numpy as np
+from identification import simulated
+
+from firmware_sim.bench import Bench
+from firmware_sim.effects import read_effects
+from tissueid.identification import engine_names, get_engine
+from tissueid.twin.catalogue import all_effects
+from tissueid.twin.figures import Instrument, spring
+from tissueid.twin.simulation import Start, compiled, simulate
+
+
+def main() -> None:
+    """Use once what many tests use; what a few files use alone is compiled there."""
+    Bench().warm_up()
+    Bench(effects=read_effects({"dry_friction": {"level": 0.5}})).warm_up()
+    simulate(np.zeros(10), 2000.0, Instrument(), spring(0.012, 1000.0, 0.005, 0.4), Start(0.0, 0.012))
+    for effect in all_effects().values():
+        if effect.hook is not None:
+            compiled(effect.hook)
+    record = simulated.wiener_record(1)
+    for name in set(engine_names()) - {"cascade", "depth", "localized"}:
+        get_engine(name).from_options({}).fit(record)
+
+
+if __name__ == "__main__":
+    main()
