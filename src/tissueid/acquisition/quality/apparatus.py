@@ -145,7 +145,7 @@ def at_the_end(evidence: Evidence) -> Iterator[QualityFinding]:
         "repeat" if room <= 0.0 else "look",
         f"The probe came within {fixed(1e3 * max(room, 0.0), 2)} mm of the {'inner' if inner else 'outer'} end of its "
         "stroke.",
-        "Place the instrument so that the surface lies near the middle of the stroke, and run the test again.",
+        evidence.setting.to_centre,
         room,
     )
 

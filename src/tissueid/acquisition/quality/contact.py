@@ -46,8 +46,10 @@ _CREEP_S = 0.15
 
 def lifted(evidence: Evidence) -> Iterator[QualityFinding]:
     """Contact lost: nothing presses the probe onto the tissue, or it stands above the surface that was found."""
-    test = evidence.test
+    test, setting = evidence.test, evidence.setting
     if not evidence.mechanical or test.configuration != "indentation" or test.kind == "free_air":
+        return
+    if test.kind == "spring" and _pulled(evidence):
         return
     share = _share_without_force(evidence)
     above = 0.0
@@ -57,15 +59,20 @@ def lifted(evidence: Evidence) -> Iterator[QualityFinding]:
     worst = max(share, above)
     if worst <= LOST_SHARE:
         return
-    how = "nothing pressed it onto the tissue" if share >= above else "it stood above the surface"
+    how = f"nothing pressed it onto the {setting.pressed}" if share >= above else "it stood above the surface"
     yield QualityFinding(
         "probe_lifted",
         "repeat" if worst > LOST_REPEAT_SHARE else "look",
-        f"The probe left the skin for {_percent(worst)} of the test: {how}.",
-        "Raise the lowest force, or place the probe deeper and hold the reference surface firmly; where lifting off "
-        "was meant, use a nonlinear description.",
+        f"The probe left the {setting.left} for {_percent(worst)} of the test: {how}.",
+        setting.to_press,
         worst,
     )
+
+
+def _pulled(evidence: Evidence) -> bool:
+    """Whether a spring is fixed to the probe: where it does not press it pulls, which nothing that lifted off does."""
+    gone = evidence.known & (evidence.contact_force < LOST_FORCE_N)
+    return bool(gone.any() and float(evidence.contact_force[gone].mean()) < -LOST_FORCE_N)
 
 
 def _share_without_force(evidence: Evidence) -> float:
@@ -89,8 +96,8 @@ def moved(evidence: Evidence) -> Iterator[QualityFinding]:
     yield QualityFinding(
         "reference_moved",
         "repeat" if abs(shift) > MOVED_REPEAT_M else "look",
-        f"The reference surface moved: the position {how} beyond what force and creep account for.",
-        "Hold the reference surface firmly against the tissue, rest the arm, and run the test again.",
+        f"The {evidence.setting.shifted} moved: the position {how} beyond what force and creep account for.",
+        evidence.setting.to_hold,
         abs(shift),
     )
 
@@ -194,7 +201,7 @@ def shaken(evidence: Evidence) -> Iterator[QualityFinding]:
             "shock",
             "look",
             f"The instrument was knocked {fixed(when, 1)} s into the test: it felt {fixed(peak, 1)} m/s² sideways.",
-            "If the reference surface may have moved, run the test again.",
+            evidence.setting.to_bear_a_knock,
             peak,
         )
     placed = [evidence.test.notes.get(f"gravity_{name}_stroke_m_s2") for name in ("along", "across")]
@@ -208,7 +215,7 @@ def shaken(evidence: Evidence) -> Iterator[QualityFinding]:
             "orientation_changed",
             "repeat",
             f"The instrument was turned by {fixed(turned, 0)}° since it was placed.",
-            "Hold it still and place it again: the weight of the moving part loads the tissue differently.",
+            evidence.setting.to_turn_back,
             turned,
         )
 
@@ -255,13 +262,14 @@ def surface_changed(evidence: Evidence, earlier: Array) -> Iterator[QualityFindi
     if not np.isfinite(surface) or not earlier.size:
         return
     change = float(surface - np.median(earlier))
+    thing, way = evidence.setting.lies, "deeper" if change > 0 else "higher"
     if abs(change) > SURFACE_CHANGED_M:
         yield QualityFinding(
             "surface_changed",
             "look",
-            f"The surface lies {_mm(abs(change))} mm {'deeper' if change > 0 else 'higher'} than in the tests before "
-            "at this site: the instrument was moved.",
-            "Compare only tests that were placed alike, or repeat the series without lifting the instrument.",
+            f"The {thing} lies {_mm(abs(change))} mm {way} than in the tests before at this site: the instrument was "
+            "moved.",
+            evidence.setting.to_place_alike,
             abs(change),
         )
 

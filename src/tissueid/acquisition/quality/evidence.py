@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from tissueid.acquisition.quality.setting import Setting, setting_of
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.sessions import Test
 
@@ -30,6 +31,11 @@ class Evidence:
 
     test: Test
     device: DeviceDescription
+
+    @property
+    def setting(self) -> Setting:
+        """The words for what stands under the probe."""
+        return setting_of(self.test.kind)
 
     @property
     def rate(self) -> float:

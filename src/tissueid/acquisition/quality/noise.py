@@ -77,8 +77,8 @@ def incoherent(evidence: Evidence) -> Iterator[QualityFinding]:
         "incoherent",
         "look",
         f"Only {fixed(100 * found, 0)} % of the motion goes with the force, by its coherence: something else moved the "
-        "probe, or the tissue is strongly nonlinear.",
-        "Rest the arm, hold the reference surface firmly, and run the test again; try a nonlinear description too.",
+        f"probe, or {evidence.setting.odd}.",
+        evidence.setting.to_explain,
         found,
     )
 

@@ -106,7 +106,7 @@ def _against_repeats(evidence: Evidence, repeats: Sequence[Test]) -> Iterator[Qu
     settling = _settling(evidence, levels)
     if settling is not None:
         yield settling
-    elif (shifted := _shifted(levels)) is not None:
+    elif (shifted := _shifted(evidence, levels)) is not None:
         yield shifted
     shapes = [response - np.nanmean(response) for response in responses]
     mine = float(np.median([_difference(shapes[-1], other) for other in shapes[:-1]])) / spread
@@ -122,7 +122,7 @@ def _against_repeats(evidence: Evidence, repeats: Sequence[Test]) -> Iterator[Qu
             "repeat" if mine > UNUSUAL_REPEAT_SHARE else "look",
             f"The response differs by {fixed(100 * mine, 0)} % from {len(repeats)} earlier {others} with the same "
             f"command at this site{against}.",
-            "Look whether the arm or the instrument moved, and run the test once more to see which is right.",
+            evidence.setting.to_look,
             mine,
         )
 
@@ -144,14 +144,14 @@ def _settling(evidence: Evidence, levels: Sequence[float]) -> QualityFinding | N
     return QualityFinding(
         "settling",
         "look",
-        f"The tissue is still settling: on average the probe stood {fixed(1e3 * abs(last), 2)} mm {way} than in "
+        f"{evidence.setting.unsettled}: on average the probe stood {fixed(1e3 * abs(last), 2)} mm {way} than in "
         f"{which}, under the same force.",
-        "Run the test again until two agree, and leave the first of this site out.",
+        evidence.setting.to_settle,
         abs(last),
     )
 
 
-def _shifted(levels: Sequence[float]) -> QualityFinding | None:
+def _shifted(evidence: Evidence, levels: Sequence[float]) -> QualityFinding | None:
     """The mean position lies elsewhere than in all the repeats before, by more than they differ."""
     before = np.array(levels[:-1])
     off = float(levels[-1] - np.median(before))
@@ -162,7 +162,7 @@ def _shifted(levels: Sequence[float]) -> QualityFinding | None:
         "look",
         f"On average the probe stood {fixed(1e3 * abs(off), 2)} mm {'deeper' if off > 0 else 'less deep'} than in "
         f"{before.size} earlier tests with the same command at this site.",
-        "Look whether the arm or the instrument moved, and run the test once more to see which is right.",
+        evidence.setting.to_look,
         abs(off),
     )
 
@@ -199,7 +199,7 @@ def _against_parameters(evidence: Evidence, others: Sequence[Test]) -> Iterator[
                 "unusual",
                 "look",
                 f"The {label} is {fixed(100 * off / middle, 0)} % off that of {len(known)} earlier tests at this site.",
-                "Look whether the arm or the instrument moved, and run the test once more to see which is right.",
+                evidence.setting.to_look,
                 off / middle,
             )
 
