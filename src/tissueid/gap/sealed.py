@@ -287,9 +287,21 @@ def _wrong_leader_and_sure(case: Answered) -> bool:
 
 
 def _figures(single: Sequence[Answered], asked: Asked) -> list[Measured]:
-    explained = [case for case in single if case.verdict == "effect" and case.closed is not None]
-    relative = np.array([case.closed / best for case in explained if (best := case.best_closed or 1.0) > 0.05])
-    off = np.array([abs(case.announced - case.closed) for case in explained if case.announced is not None])
+    explained = [case for case in single if case.verdict == "effect"]
+    relative = np.array(
+        [
+            shut / best
+            for case in explained
+            if (shut := case.closed) is not None and (best := case.best_closed or 1.0) > 0.05
+        ]
+    )
+    off = np.array(
+        [
+            abs(said - shut)
+            for case in explained
+            if (said := case.announced) is not None and (shut := case.closed) is not None
+        ]
+    )
     sure = np.array([case.probability for case in single])
     right = np.array([_place(case) == 0 for case in single], np.float64)
     return [
