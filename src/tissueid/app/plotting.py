@@ -5,16 +5,19 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Collection
+from typing import Literal
 
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QFont
-from PySide6.QtWidgets import QFrame, QGraphicsItem, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from tissueid.app.axis import QuickAxis
 from tissueid.app.language import _
 from tissueid.app.theme import Theme, faint
+from tissueid.app.units import shown, shown_label
 
 Array = NDArray[np.float64]
 
@@ -25,7 +28,7 @@ _LOG_STEPS = (1.0, 2.0, 5.0)
 _NOTHING = np.zeros(0)
 
 
-class LogAxis(pg.AxisItem):  # type: ignore[misc]
+class LogAxis(QuickAxis):
     """An axis whose data are decimal logarithms, labelled with plain numbers at 1, 2 and 5."""
 
     def tickValues(self, low: float, high: float, size: float) -> list[tuple[float, list[float]]]:  # noqa: N802
@@ -36,13 +39,15 @@ class LogAxis(pg.AxisItem):  # type: ignore[misc]
         return [(1.0, [value for value in values if low <= value <= high])]
 
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:  # noqa: N802
-        """The numbers themselves."""
-        return [f"{10.0**value:.3g}" for value in values]
+        """The numbers themselves, in the unit that is shown."""
+        return [f"{10.0**value * scale:.3g}" for value in values]
 
 
 class PlotCard(QFrame):
     """A plot under a heading that carries its unit, if it has one.
 
+    What is drawn is in clinical units; ticks, heading and label below say it in those in force. ``unit`` is that of
+    the axis at the side ``unit_of``, or of colours; at the bottom it is otherwise the one in brackets in ``x_label``.
     ``key`` maps what curves are called to the role of their colour.
     ``log_axes`` names the sides, "bottom" and "left", whose data are decimal logarithms.
     """
@@ -55,35 +60,33 @@ class PlotCard(QFrame):
         *,
         key: dict[str, str] | None = None,
         log_axes: Collection[str] = (),
+        unit_of: Literal["left", "bottom", "colours"] = "left",
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
+        self._title, self._unit, self._unit_of = title, unit, unit_of
         self._key = key or {}
         self._pens: list[tuple[pg.PlotDataItem, str, int, int]] = []
         self._dots: list[tuple[pg.PlotDataItem, str]] = []
         self._bands: list[tuple[pg.FillBetweenItem, str, int]] = []
         self._marks: list[pg.InfiniteLine] = []
         # Without a menu from the beginning: making one only to take it away is a third of what a plot costs.
-        self.plot = pg.PlotWidget(axisItems={side: LogAxis(side) for side in log_axes}, enableMenu=False)
+        axes = {side: LogAxis(side) if side in log_axes else QuickAxis(side) for side in ("left", "bottom")}
+        self.plot = pg.PlotWidget(axisItems=axes, enableMenu=False)
+        for side in ("right", "top"):  # hidden, but they follow
+            self.plot.getAxis(side).enableAutoSIPrefix(False)
         self.plot.setMenuEnabled(False)
         self.plot.setMouseEnabled(x=False, y=False)
         self.plot.hideButtons()
         self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.plot.setAccessibleName(
-            _("Plot: {title}, {unit}").format(title=title, unit=unit)
-            if unit
-            else _("Plot: {title}").format(title=title)
-        )
         self.plot.setMinimumHeight(60)
         self.plot.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         self._remark: tuple[str, str] | None = None
         self._theme: Theme | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
-        for side in ("left", "bottom"):  # drawing the grid anew takes ten times as long as a frame's curve
-            self.plot.getAxis(side).setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)
-        self._heading = QLabel(f"{title} ({unit})" if unit else title)
+        self._heading = QLabel()
         self._heading.setProperty("role", "heading")
         self._legend = QLabel()
         self._legend.setProperty("role", "muted")
@@ -105,6 +108,7 @@ class PlotCard(QFrame):
         layout.addLayout(heading)
         layout.addWidget(self.plot, 1)
         layout.addWidget(self._missing, 1)
+        self.take_units()
 
     def line(self, role: str, *, width: int = 1, alpha: int = 255) -> pg.PlotDataItem:
         """Add an empty line in the colour of a role. Long ones must be one pixel wide to be drawn fast."""
@@ -138,12 +142,45 @@ class PlotCard(QFrame):
 
     def retitle(self, title: str, unit: str) -> None:
         """Another heading: what is plotted goes by the test."""
+        if (title, unit) != (self._title, self._unit):
+            self._title, self._unit = title, unit
+            self._head()
+
+    def relabel(self, x_label: str) -> None:
+        """Another label below."""
+        if x_label != self._x_label:
+            self._x_label = x_label
+            self.take_units()
+
+    def take_units(self) -> None:
+        """Say everything in the units in force; what is drawn stays where it is."""
+        self._head()
+        if self._unit_of != "bottom":
+            self.plot.getAxis("bottom").setScale(shown_label(self._x_label)[1])
+        self._label_below()
+
+    def _head(self) -> None:
+        title, (unit, factor) = self._title, shown(self._unit)
         self._heading.setText(f"{title} ({unit})" if unit else title)
         self.plot.setAccessibleName(
             _("Plot: {title}, {unit}").format(title=title, unit=unit)
             if unit
             else _("Plot: {title}").format(title=title)
         )
+        if self._unit_of != "colours":
+            self.plot.getAxis(self._unit_of).setScale(factor)
+
+    def _label_below(self) -> None:
+        theme = self._theme
+        if self._x_label and theme is not None:
+            look = {"color": theme.muted, "font-size": f"{self._small().pointSizeF():.1f}pt"}
+            # Without ranges in which it may, pyqtgraph does not turn 0.4 s into 400 of a unit that no label names.
+            self.plot.getAxis("bottom").setLabel(shown_label(self._x_label)[0], siPrefixEnableRanges=(), **look)
+
+    def _small(self) -> QFont:
+        small = QFont(self.font())
+        small.setPointSizeF(max(7.0, 0.85 * small.pointSizeF()))
+        return small
 
     def remark(self, text: str, role: str = "muted") -> None:
         """Words beside the key, in the colour of a role; none of them takes them away."""
@@ -162,19 +199,15 @@ class PlotCard(QFrame):
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.plot.setBackground(theme.panel)
-        small = QFont(self.font())
-        small.setPointSizeF(max(7.0, 0.85 * small.pointSizeF()))
+        small = self._small()
         for side in ("left", "bottom"):
             axis = self.plot.getAxis(side)
             axis.setPen(theme.line)
             axis.setTextPen(theme.muted)
             axis.setTickFont(small)
+            axis.set_ground(theme.panel)
             axis.setGrid(_GRID)
             axis.setStyle(tickLength=0, showValues=side == "left" or bool(self._x_label))
-        if self._x_label:
-            look = {"color": theme.muted, "font-size": f"{small.pointSizeF():.1f}pt"}
-            # Without ranges in which it may, pyqtgraph does not turn 0.4 s into 400 of a unit that no label names.
-            self.plot.getAxis("bottom").setLabel(self._x_label, siPrefixEnableRanges=(), **look)
         for item, role, width, alpha in self._pens:
             item.setPen(pg.mkPen(faint(getattr(theme, role), alpha), width=width))
         for item, role in self._dots:
@@ -186,6 +219,7 @@ class PlotCard(QFrame):
         for band, role, alpha in self._bands:
             band.setBrush(faint(getattr(theme, role), alpha))
         self._theme = theme
+        self._label_below()
         self._show_key()
 
     def _show_key(self) -> None:

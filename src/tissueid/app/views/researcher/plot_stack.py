@@ -269,13 +269,14 @@ class _Plot:
                 continue
             times, values = track.outline(*self.view, columns)
             values = scale * values
-            curve.setData(times, values)
-            if np.isfinite(values).any():
-                low, high = min(low, float(np.nanmin(values))), max(high, float(np.nanmax(values)))
-        box.setXRange(*self.view, padding=0.0)
-        if low <= high:
-            room = _ROOM * (high - low) or 0.5 * abs(high) or 1.0
-            box.setYRange(low - room, high + room, padding=0.0)
+            received = values[np.isfinite(values)]
+            # Where nothing was lost, pyqtgraph need not look for gaps, once for the path and once for its bounds.
+            curve.setData(times, values, connect="all" if received.size == values.size else "finite")
+            if received.size:
+                low, high = min(low, float(received.min())), max(high, float(received.max()))
+        room = (_ROOM * (high - low) or 0.5 * abs(high) or 1.0) if low <= high else 0.0
+        across = (low - room, high + room) if low <= high else None
+        box.setRange(xRange=self.view, yRange=across, padding=0.0)
         self.card.remark(_("{low} to {high} s").format(low=fixed(self.view[0], 3), high=fixed(self.view[1], 3)))
 
     def paint_with(self, theme: Theme) -> None:
