@@ -1,4 +1,4 @@
-"""A kernel as an image with a colour bar: of a second order over two lags, or over lag and depth."""
+"""A kernel as an image with a colour bar, or as a surface: of a second order over two lags, or over lag and depth."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QRectF
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
+from tissueid.app.surface_plot import SurfacePlot
 from tissueid.app.theme import Theme
+from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.drawn import Image
 from tissueid.app.views.researcher.outcome import Outcome
 
@@ -20,14 +22,17 @@ _MISSING = marked("No result has a kernel to show: run Volterra, Depth or Direct
 
 
 class KernelImage(QWidget):
-    """Shows one image at a time; ``choice`` says of which result."""
+    """Shows one at a time; ``choice`` says of which result, ``flat`` and ``raised`` how.
+
+    ``surface`` is None until it is asked for.
+    """
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.choice = QComboBox()
         self.choice.setAccessibleName(_("Result whose kernel is shown"))
         self.choice.currentIndexChanged.connect(self._show)
-        self.card = PlotCard(_("Kernel"), " ", "")
+        self.card = PlotCard(_("Kernel"), " ", "", unit_of="colours")
         self.card.plot.getAxis("left").setWidth(66)
         self._item = pg.ImageItem()
         self.card.plot.addItem(self._item)
@@ -35,11 +40,28 @@ class KernelImage(QWidget):
         self._bar.setImageItem(self._item, insert_in=self.card.plot.getPlotItem())
         self._images: list[Image] = []
         self._theme: Theme | None = None
+        self.surface: SurfacePlot | None = None
+        self.flat, self.raised = QPushButton(_("Image")), QPushButton(_("Surface"))
+        self.flat.setToolTip(_("Seen from above, every value a colour"))
+        self.raised.setToolTip(_("In space, every value a height; it can be turned"))
+        self._ways = QButtonGroup(self)
+        top = QHBoxLayout()
+        top.setSpacing(4)
+        top.addWidget(self.choice, 1)
+        for button in (self.flat, self.raised):
+            button.setCheckable(True)
+            button.setProperty("role", "toggle")
+            self._ways.addButton(button)
+            top.addWidget(button)
+        self.flat.setChecked(True)
+        self._ways.buttonToggled.connect(self._turn)
+        self._pages = QStackedWidget()
+        self._pages.addWidget(self.card)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(4)
-        layout.addWidget(self.choice)
-        layout.addWidget(self.card, 1)
+        layout.addLayout(top)
+        layout.addWidget(self._pages, 1)
         self._show()
 
     @property
@@ -58,7 +80,6 @@ class KernelImage(QWidget):
         self._images = [image for _, image in pairs]
         self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
         self.choice.blockSignals(False)
-        self.choice.setVisible(bool(pairs))
         self._show()
 
     def paint_with(self, theme: Theme) -> None:
@@ -69,13 +90,25 @@ class KernelImage(QWidget):
         self._bar.setColorMap(pg.ColorMap([0.0, 0.5, 1.0], list(ends)))
         self._bar.axis.setPen(theme.line)
         self._bar.axis.setTextPen(theme.muted)
+        if self.surface is not None:
+            self.surface.paint_with(theme)
+        self._label()
+
+    def take_units(self) -> None:
+        """Say everything in the units in force."""
         self._label()
 
     def _show(self) -> None:
         image = self.image
         self.card.say_missing("" if image else _(_MISSING))
+        for widget in (self.choice, self.flat, self.raised):
+            widget.setVisible(image is not None)
         if image is None:
+            self._pages.setCurrentIndex(0)
             return
+        if self.surface is not None:
+            self.surface.show_image(image)
+            self._pages.setCurrentIndex(int(self.raised.isChecked()))
         # Cells are drawn about the points that they stand for.
         (left, width), (low, height) = _reach(image.x), _reach(image.y)
         limit = float(np.nanmax(np.abs(image.values))) or 1.0
@@ -90,8 +123,21 @@ class KernelImage(QWidget):
     def _label(self) -> None:
         image, theme = self.image, self._theme
         if image is not None and theme is not None:
-            for side, text in (("bottom", image.x_label), ("left", image.y_label)):
-                self.card.plot.getAxis(side).setLabel(text, siPrefixEnableRanges=(), color=theme.muted)
+            self.card.relabel(image.x_label)
+            text, factor = shown_label(image.y_label)
+            axis = self.card.plot.getAxis("left")
+            axis.setScale(factor)
+            axis.setLabel(text, siPrefixEnableRanges=(), color=theme.muted)
+            self._bar.axis.setScale(shown(image.unit)[1])
+
+    def _turn(self) -> None:
+        """To the other way of showing it; the surface is made when it is first asked for."""
+        if self.raised.isChecked() and self.surface is None:
+            self.surface = SurfacePlot()
+            if self._theme is not None:
+                self.surface.paint_with(self._theme)
+            self._pages.addWidget(self.surface)
+        self._show()
 
 
 def _reach(points: np.ndarray) -> tuple[float, float]:

@@ -1,0 +1,39 @@
+"""Choosing the units of the window: they are taken on at once, and kept."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QSettings
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+
+from tissueid.app.language import _, marked
+from tissueid.app.unit_choice import SETTING, show_everywhere
+from tissueid.app.units import SYSTEMS, System, in_force, use
+
+NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
+
+
+class UnitChooser(QWidget):
+    """A small chooser that keeps what is chosen in the settings and shows it in the whole window."""
+
+    def __init__(self, settings: QSettings, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._settings = settings
+        self.choice = QComboBox()
+        for system in SYSTEMS:
+            self.choice.addItem(_(NAMES[system]), system)
+        self.choice.setCurrentIndex(self.choice.findData(in_force()))
+        self.choice.setAccessibleName(_("Units"))
+        self.choice.setToolTip(_("Units of plots and tables in the window; files and reports stay as they are"))
+        label = QLabel(_("Units"))
+        label.setProperty("role", "field")
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(14)
+        row.addWidget(label)
+        row.addWidget(self.choice)
+        self.choice.currentIndexChanged.connect(self._take)
+
+    def _take(self) -> None:
+        use(self.choice.currentData())
+        self._settings.setValue(SETTING, in_force())
+        show_everywhere(self.window())
