@@ -8,9 +8,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from firmware_sim_process import firmware_process
 
+from tissueid.audit import last_lines
 from tissueid.cli.window import SYSTEM_PACKAGES, check_display
 from tissueid.errors import UnusableInputError
+from tissueid.sessions import read_session
 
 ROOT = Path(__file__).parents[2]
 
@@ -110,28 +113,58 @@ MainWindow.show = show
     assert "Traceback" not in answer.stderr
 
 
-@pytest.mark.soak
-@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="needs Xvfb")
-def test_the_whole_path_in_a_real_window():
+@pytest.fixture
+def display():
+    """A display of X without a screen, where the program for it is installed."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not installed (package xvfb): no real window can be opened here")
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x720x24"], pass_fds=(write,), stderr=subprocess.DEVNULL
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24"], pass_fds=(write,), stderr=subprocess.DEVNULL
     )
     os.close(write)
     try:
         with os.fdopen(read) as pipe:
-            display = f":{pipe.readline().strip()}"
-        answer = subprocess.run(
-            [sys.executable, "-m", "pytest", "tests/app/test_window.py", "-k", "whole_path", "-n", "0"],
-            cwd=ROOT,
-            env=os.environ | {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
+            yield f":{pipe.readline().strip()}"
     finally:
         server.terminate()
         server.wait()
+
+
+def in_a_real_window(display, *command, **environment):
+    clean = {name: value for name, value in os.environ.items() if name != "WAYLAND_DISPLAY"}
+    return subprocess.run(
+        [sys.executable, *command],
+        cwd=ROOT,
+        env=clean | {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"} | environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+@pytest.mark.soak
+def test_a_clinician_measures_in_a_real_window(display, tmp_path):
+    """The program as it is started, a device at a real cable, keys and clicks; what is left is a session."""
+    places = {f"XDG_{name}_HOME": str(tmp_path / name) for name in ("CONFIG", "DATA", "STATE", "CACHE")}
+    places |= {"HOME": str(tmp_path), "XDG_DOCUMENTS_DIR": str(tmp_path), "TISSUEID_AUDIT": str(tmp_path / "audit")}
+    with firmware_process("--tcp=0", "--speed", "4") as (url, _):
+        answer = in_a_real_window(display, "tests/app/real_window.py", url, LC_ALL="C", **places)
+    assert (answer.returncode, answer.stdout) == (0, "")
+    assert "Traceback" not in answer.stderr
+    (path,) = tmp_path.rglob("*.h5")
+    session = read_session(path)
+    test = session.test()
+    assert (test.status, test.site, test.samples) == ("completed", "left calf", 3000)
+    assert session.subject.pseudonym == "P-042"
+    assert not list(tmp_path.rglob("*.journal"))
+    said = [line.what for line in last_lines(tmp_path / "audit", 20)]
+    assert {"session.begun", "test.begun", "test.completed", "session.written"} <= set(said)
+
+
+@pytest.mark.soak
+def test_the_whole_path_in_a_real_window(display):
+    answer = in_a_real_window(display, "-m", "pytest", "tests/app/test_window.py", "-k", "whole_path", "-n", "0")
     assert answer.returncode == 0, answer.stdout
     assert "2 passed" in answer.stdout

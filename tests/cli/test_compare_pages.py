@@ -31,6 +31,25 @@ def test_page_and_figures_are_written(session_file: Path, tmp_path: Path, capsys
     assert (folder / "lms-impulse.png").exists()
 
 
+def test_pictures_of_an_earlier_comparison_stay_and_are_named(
+    session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "figures"
+    folder.mkdir()
+    names = [*(f"dpn-{number}.svg" for number in range(4)), "holiday.png"]
+    for name in (*names, "letter.txt"):
+        (folder / name).write_text("mine", encoding="utf-8")
+    arguments = ("--engines", "lms", "--memory", "0.02", "--figures", str(folder))
+    for _ in range(2):  # what it wrote itself is not left over
+        assert main(["compare", str(session_file), *arguments]) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert (
+            "not of this comparison, and left as found: 5 other pictures in that folder: "
+            "dpn-0.svg, dpn-1.svg, dpn-2.svg, dpn-3.svg, …"
+        ) in said
+    assert all((folder / name).read_text(encoding="utf-8") == "mine" for name in (*names, "letter.txt"))
+
+
 def test_what_is_not_a_page_is_not_written_over(
     session_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
-    QDoubleSpinBox,
     QFrame,
     QHBoxLayout,
     QHeaderView,
@@ -20,10 +19,13 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.buttons import BigButton
+from tissueid.app.calibration_figures import figure_of
 from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
 from tissueid.app.language import _, marked
+from tissueid.app.number_field import NumberField
 from tissueid.app.words import sentence
-from tissueid.calibration.words import readable, verdict_of
+from tissueid.calibration.file import Quantity
+from tissueid.calibration.words import verdict_of
 
 _KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (
@@ -78,6 +80,7 @@ class CalibrationPage(QWidget):
         self._has_report = False
         self.report = QPushButton(_("Open its report"))
         self.report.clicked.connect(self.report_wanted)
+        self._figures: dict[str, Quantity] = {}
         self.figures = QTableWidget(0, 3)
         self.figures.setHorizontalHeaderLabels([_("Figure"), _("Value"), _("Unit")])
         self.figures.setAccessibleName(_("Figures of the calibration"))
@@ -95,7 +98,7 @@ class CalibrationPage(QWidget):
         self.fixed.setChecked(True)
         self.fixed.setToolTip(_("Without it the probe only leans on the spring, and is pushed and never pulled"))
         self.room_known = QCheckBox(_("Room at"))
-        self.room = QDoubleSpinBox()
+        self.room = NumberField()
         self.room.setAccessibleName(_("Temperature of the room"))
         self.room.setSuffix(" °C")
         self.room.setDecimals(1)
@@ -128,7 +131,7 @@ class CalibrationPage(QWidget):
     @property
     def ambient_c(self) -> float | None:
         """The room's temperature, where it is known."""
-        return self.room.value() if self.room_known.isChecked() else None
+        return self.room.settled if self.room_known.isChecked() else None
 
     def expect(self, kind: Kind) -> None:
         """A calibration begins."""
@@ -176,14 +179,19 @@ class CalibrationPage(QWidget):
         lines = [sentence(line) for line in (*calibration.problems, *outcome.remarks)]
         self.said.setText("\n".join([*lines, _("Saved in {path}.").format(path=outcome.path)]))
         self._has_report = outcome.report is not None
-        self.figures.setRowCount(len(calibration.quantities))
-        for row, (name, quantity) in enumerate(calibration.quantities.items()):
-            for column, text in enumerate(readable(name, quantity)):
+        self._figures = calibration.quantities
+        self.take_units()
+        self._show_result(True)
+
+    def take_units(self) -> None:
+        """Show the figures in the units in force."""
+        self.figures.setRowCount(len(self._figures))
+        for row, (name, quantity) in enumerate(self._figures.items()):
+            for column, text in enumerate(figure_of(name, quantity)):
                 item = QTableWidgetItem(text)
                 if column == 1:
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 self.figures.setItem(row, column, item)
-        self._show_result(True)
 
     def _show_result(self, there: bool) -> None:
         """With a result it takes all the room that there is, without one that stays empty."""
@@ -196,7 +204,6 @@ class CalibrationPage(QWidget):
         title, words, begin = (_(text) for text in _KINDS[kind])
         card = QFrame()
         card.setProperty("role", "card")
-        card.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         heading = QLabel(title)
         heading.setProperty("role", "headline")
         about = QLabel(words)

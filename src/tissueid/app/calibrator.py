@@ -10,6 +10,7 @@ from PySide6.QtCore import QObject
 
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind, calibrations_folder
 from tissueid.app.language import _
+from tissueid.app.layout import MEASURE
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
@@ -46,7 +47,7 @@ class Calibrator(QObject):
             )
             plan.check()
         except (TissueIDError, OSError) as error:
-            window.ui.notice.say(in_words(error), problem=True)
+            window.ui.notice.say(in_words(error), problem=True, about_form=True)
             return
         self._url = plan.url
         stop = window.energise(self._show)
@@ -81,7 +82,7 @@ class Calibrator(QObject):
     def _failed(self, words: str) -> None:
         self._close()
         self._page.rest()
-        self._window.ui.notice.say(words, problem=True)
+        self._window.ui.notice.say(words, problem=True, page=MEASURE)
 
     def _close(self) -> None:
         self._window.free()

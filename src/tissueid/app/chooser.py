@@ -24,6 +24,7 @@ class InstrumentChooser(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._found: dict[str, Found] = {}
+        self._doubted: set[str] = set()
         self._calibrations: dict[str, CalibrationState] = {}
         self.choice = QComboBox()
         self.choice.setEditable(True)
@@ -75,6 +76,7 @@ class InstrumentChooser(QWidget):
         """Fill the list anew; what was chosen or typed stays."""
         kept = self.url or DEFAULT_URL
         self._found = {item.url: item for item in found}
+        self._doubted &= {item.url for item in found if item.answers is None}
         self.choice.blockSignals(True)
         self.choice.clear()
         self.choice.addItems(list(self._found))
@@ -98,6 +100,7 @@ class InstrumentChooser(QWidget):
         item = self._found.get(url)
         if item is not None and not url.startswith(IN_PROCESS):
             self._found[url] = replace(item, answers=None)
+            self._doubted.add(url)
             self._describe()
 
     @property
@@ -114,10 +117,12 @@ class InstrumentChooser(QWidget):
         if item is None:
             return _("Typed address: tried when the test starts.") if url else ""
         if item.answers:
-            return f"{_('Ready')}: {item.detail or item.what}."
+            return f"{_('Ready')}: {_(item.detail or item.what)}."
+        if url in self._doubted:
+            return _("{what}: it failed the last time; “Find” asks it anew.").format(what=_(item.what))
         if item.answers is None:
-            return _("{what}: not asked whether it is ready.").format(what=item.what)
-        return f"{_('Does not answer')}: {item.detail or item.what}."
+            return _("{what}: not asked whether it is ready.").format(what=_(item.what))
+        return f"{_('Does not answer')}: {_(item.detail or item.what)}."
 
     def _describe(self) -> None:
         self.about.setText(self._health(self.url))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QGridLayout, QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 
 from tissueid.app.language import _, marked
+from tissueid.app.number_field import NumberField
 from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
 
 _USUAL_SPRING_N_PER_M = 200.0
@@ -31,7 +32,7 @@ class ConfigurationChooser(QWidget):
             self.name.addItem(_(_NAMES.get(name, name.capitalize())), name)
         self.probe = QComboBox()
         self.probe.setAccessibleName(_("Probe"))
-        self.spring = QDoubleSpinBox()
+        self.spring = NumberField()
         self.spring.setAccessibleName(_("External spring"))
         self.spring.setSuffix(" N/m")
         self.spring.setDecimals(0)
@@ -69,7 +70,7 @@ class ConfigurationChooser(QWidget):
     @property
     def spring_n_per_m(self) -> float:
         """The external spring; zero where the configuration has none."""
-        return self.spring.value() if self.chosen == "surface" else 0.0
+        return self.spring.settled if self.chosen == "surface" else 0.0
 
     def _go_together(self) -> None:
         """Offer the probes that are made for the configuration."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.quality import Quality
 
@@ -38,12 +39,17 @@ class Curves:
 
 @dataclass(frozen=True)
 class Number:
-    """One number as people read it, its deviation and unit after it; ``note`` says of what it is."""
+    """One number as people read it, its deviation and unit after it; ``note`` says of what it is.
+
+    ``found`` is the same in SI, of ``si_unit``, where it has a unit that can be chosen.
+    """
 
     label: str
     value: str
     unit: str
     note: str
+    found: Estimate | None = None
+    si_unit: str = ""
 
 
 @dataclass(frozen=True)

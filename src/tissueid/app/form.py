@@ -12,7 +12,6 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import (
     QComboBox,
-    QDoubleSpinBox,
     QFileDialog,
     QGridLayout,
     QHBoxLayout,
@@ -28,6 +27,7 @@ from PySide6.QtWidgets import (
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.language import _, marked
+from tissueid.app.number_field import NumberField
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.instrument import PROFILES
 
@@ -46,9 +46,13 @@ _MOST_SEED = 2**31 - 1
 
 
 class PlanForm(QWidget):
-    """Fields from which :meth:`plan` makes the plan of a test. Return in one of them sends ``filled``."""
+    """Fields from which :meth:`plan` makes the plan of a test. Return in one of them sends ``filled``.
+
+    ``changed`` is sent whenever one of them has another value.
+    """
 
     filled = Signal()
+    changed = Signal()
 
     def __init__(self, folder: Path, now: Callable[[], datetime], parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -109,6 +113,13 @@ class PlanForm(QWidget):
         _add(layout, _("Sa&ve to"), saving, focus=self.path)
         layout.addStretch(1)
 
+        for edited in (self.site.editTextChanged, self.subject.textChanged, self.path.textChanged):
+            edited.connect(self.changed)
+        for chosen in (self.instrument.choice.currentTextChanged, self.limits.currentIndexChanged):
+            chosen.connect(self.changed)
+        for field in (self.min_force, self.max_force, self.seconds, self.set_up.spring):
+            field.valueChanged.connect(self.changed)
+        self.set_up.name.currentIndexChanged.connect(self.changed)
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
@@ -132,9 +143,9 @@ class PlanForm(QWidget):
             probe=self.set_up.probe_name,
             external_spring_n_per_m=self.set_up.spring_n_per_m,
             distribution=self.distribution.currentData(),
-            min_force_n=self.min_force.value(),
-            max_force_n=self.max_force.value(),
-            seconds=self.seconds.value(),
+            min_force_n=self.min_force.settled,
+            max_force_n=self.max_force.settled,
+            seconds=self.seconds.settled,
             seed=self.seed.value(),
             lower_force=not self._own_force,
         )
@@ -297,8 +308,8 @@ def _add(layout: QVBoxLayout, name: str, field: QWidget, *, focus: QWidget | Non
     layout.addLayout(group)
 
 
-def _number(unit: str, low: float, high: float, step: float, value: float) -> QDoubleSpinBox:
-    spin = QDoubleSpinBox()
+def _number(unit: str, low: float, high: float, step: float, value: float) -> NumberField:
+    spin = NumberField()
     spin.setSuffix(unit)
     spin.setDecimals(2)
     spin.setRange(low, high)

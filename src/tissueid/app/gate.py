@@ -65,7 +65,7 @@ class QualityGate(QFrame):
             widget.setProperty("level", level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
-        self.headline.setText(_("Not judged") if quality is None else quality.headline)
+        self.headline.setText(_("Not judged") if quality is None else _(quality.headline))
         self.run_again.setVisible(verdict == "repeat" and can_repeat)
         self.repeats.hide()
         self.more.setChecked(False)

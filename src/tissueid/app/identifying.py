@@ -81,9 +81,8 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
             label, si_unit = named_unit(quantity)
             unit, scale = people_unit(si_unit)
             value, deviation, power = estimate(parameters[quantity], scale)
-            yield Number(
-                _(label), value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])), _(note)
-            )
+            rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
+            yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit)
     for engine, label in ((linear, _("VAF, linear model")), ("wiener", _("VAF, Wiener model"))):
         if engine in analyses:
             report = analyses[engine].model.report

@@ -142,6 +142,7 @@ class Layout:
     def show_page(self, name: str) -> None:
         """Show a page; wherever somebody looks, STOP is there while a coil may be energised."""
         self.stack.setCurrentWidget(self.views[name])
+        self.notice.turn_to(name)
         self.rail.show_chosen(name)
         self._show_halt()
 

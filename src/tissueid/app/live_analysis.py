@@ -14,8 +14,9 @@ from tissueid.app.live import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.units import said
 from tissueid.app.words import sentence
-from tissueid.wording import MISSING, estimate, named_unit, people_unit
+from tissueid.wording import MISSING, named_unit
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
@@ -113,19 +114,19 @@ class LiveAnalysis(QWidget):
 
     def show_view(self, view: LiveView) -> None:
         """Draw one view."""
-        for name, figure in self.numbers.items():
-            unit, scale = people_unit(named_unit(_QUANTITIES[name])[1])
-            if name in view.parameters:
-                value, deviation, power = estimate(view.parameters[name], scale)
-                figure.fill(value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit])))
-            else:
-                figure.fill(MISSING, "")
+        self._shown = view
+        self._show_numbers(view)
         self.vaf.fill(MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}", "%")
         missing = sentence(view.missing)
         self._show_response(view, missing)
         self._show_bode(view, view.bode, missing)
         self._show_curve(view.curve, missing)
         self._show_course(view.course, missing)
+
+    def take_units(self) -> None:
+        """Show the numbers in the units in force; the plots do it themselves."""
+        if self._shown is not None:
+            self._show_numbers(self._shown)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -170,6 +171,11 @@ class LiveAnalysis(QWidget):
         self.said.setVisible(bool(text))
 
     # -- filling ------------------------------------------------------------------------------------------
+
+    def _show_numbers(self, view: LiveView) -> None:
+        for name, figure in self.numbers.items():
+            found = view.parameters.get(name)
+            figure.fill(*((MISSING, "") if found is None else said(found, named_unit(_QUANTITIES[name])[1])))
 
     def _show_response(self, view: LiveView, missing: str) -> None:
         response, std = MM * view.impulse_response, view.impulse_response_std

@@ -29,6 +29,7 @@ from tissueid.app.searching import Searching
 from tissueid.app.stop_keys import StopKeys
 from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
+from tissueid.app.unit_choice import take_kept
 from tissueid.app.views.clinician.clinician import Clinician
 from tissueid.app.words import in_words
 from tissueid.audit import Role, Trail
@@ -65,6 +66,7 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("TissueID")
         self.settings = self.around.settings()
         speak(chosen(self.around.language, self.settings))
+        take_kept(self.settings)
         role = self.around.role or remembered_role(self.settings)
         self.ui = Layout(self, self.around.folder, self.around.now, role)
         self._frames = QTimer(self)
@@ -97,7 +99,7 @@ class MainWindow(QMainWindow):
             if plan.path.parent == self.around.folder:
                 plan.path.parent.mkdir(parents=True, exist_ok=True)
         except (TissueIDError, OSError) as error:
-            self.ui.notice.say(in_words(error), problem=True)
+            self.ui.notice.say(in_words(error), problem=True, about_form=True)
             if not self.ui.form.site.currentText().strip():
                 self.ui.form.site.setFocus()
             return
@@ -139,7 +141,7 @@ class MainWindow(QMainWindow):
         self._stop.beat()
         self._keys.listen(True)
         self.testing = True
-        self.ui.notice.hide()
+        self.ui.notice.retract()
         self.ui.safety.expect()
         self._frames.start()
         return self._stop
@@ -169,7 +171,7 @@ class MainWindow(QMainWindow):
     def meet_defect(self, error: BaseException) -> None:
         """Something in the window went wrong where nobody expected it: release the coil first, then say so."""
         self._stop.press(BY_DEFECT)
-        self.ui.notice.say(in_words(error), problem=True)
+        self.ui.notice.say_everywhere(in_words(error))
 
     def _frame(self) -> None:
         """Only a frame that was drawn is a beat of the window's heart."""
@@ -204,8 +206,8 @@ class MainWindow(QMainWindow):
             words = [outcome.problem, saved if outcome.problem else ""]
         if said := " ".join(filter(None, [*words, outcome.unlogged])):
             failed = bool(outcome.trouble or outcome.unlogged or (outcome.problem and not outcome.stopped))
-            self.ui.notice.say(said, problem=failed)
-        if outcome.problem and not outcome.stopped:
+            self.ui.notice.say(said, problem=failed, page=MEASURE)
+        if outcome.instrument_failed:
             self._doubt_instrument()
         if session is not None:
             self.pages.heard_of(outcome.path)
@@ -220,8 +222,9 @@ class MainWindow(QMainWindow):
         self.ui.signals.clear()
         self.ui.analysis.hide()
         self.ui.guidance.rest()
-        self.ui.notice.say(words, problem=True)
-        self._doubt_instrument()
+        self.ui.notice.say(words, problem=True, page=MEASURE)
+        if self._live.device is None:  # else it had answered, and something else kept the test from beginning
+            self._doubt_instrument()
 
     def _doubt_instrument(self) -> None:
         if self._plan is not None:
@@ -236,7 +239,7 @@ class MainWindow(QMainWindow):
 
     def open_session(self, path: Path) -> None:
         """Read a saved session and analyse it."""
-        self.ui.notice.hide()
+        self.ui.notice.retract()
         self.ui.analysis.hide()
         self.identify(path)
 
@@ -253,7 +256,7 @@ class MainWindow(QMainWindow):
         self.findings, self._report = findings, None
         self.panels.log.note(
             _("{path}, test {number}: {headline}.").format(
-                path=findings.path, number=findings.test.number, headline=findings.verdict.headline
+                path=findings.path, number=findings.test.number, headline=_(findings.verdict.headline)
             )
         )
         self.ui.signals.show_test(findings.test, findings.session.instrument)
@@ -332,7 +335,7 @@ class MainWindow(QMainWindow):
         self.pages.take_role(now)
         trail = Trail(self.around.audit, now)
         work = functools.partial(trail.record, "role.changed", old=before, new=now)
-        self.jobs.do(work, self._logged, self.say_failed)
+        self.jobs.do(work, self._logged, self.ui.notice.say_everywhere)
 
     def _logged(self, _: object) -> None:
         """It is in the audit log; there is nothing to say."""
@@ -382,6 +385,7 @@ class MainWindow(QMainWindow):
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
         ui.form.filled.connect(ui.start.setFocus)
+        ui.form.changed.connect(ui.notice.form_changed)
         ui.stop.clicked.connect(self._stop_by_button)
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)

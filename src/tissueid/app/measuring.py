@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 
 from tissueid.acquisition import (
     GuidedTest,
@@ -41,6 +42,7 @@ class Outcome:
     """How a test ended: what was saved, if anything, and what went wrong, in words.
 
     ``stopped`` is true where a person stopped it, ``by_button`` where that was with the button of the instrument.
+    ``instrument_failed`` is true where what went wrong was the instrument or its cable, not this computer's disk.
     ``trouble``, which is in ``problem`` too, is why the recording could not be saved; ``unlogged`` why the audit log
     lacks something.
     """
@@ -50,6 +52,7 @@ class Outcome:
     problem: str = ""
     stopped: bool = False
     by_button: bool = False
+    instrument_failed: bool = False
     trouble: str = ""
     unlogged: str = ""
 
@@ -135,6 +138,7 @@ def measure(
         " ".join(filter(None, [said, trouble])),
         stopped=by_button or by_person,
         by_button=by_button,
+        instrument_failed=not isinstance(problem, NoneType | CancelledError | JournalError) and not by_button,
         trouble=trouble,
         unlogged=sentence(_("not in the audit log: {problem}").format(problem=lacking)) if lacking else "",
     )

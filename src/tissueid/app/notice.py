@@ -10,7 +10,11 @@ from tissueid.app.language import _
 
 
 class Notice(QFrame):
-    """Hidden until there is something to say. ``accepted`` is sent by the offered button."""
+    """Hidden until there is something to say. ``accepted`` is sent by the offered button.
+
+    What is said belongs to the page on which it is said: news are gone once that is left, a problem and an offer are
+    there again when somebody comes back to it.
+    """
 
     accepted = Signal()
     said = Signal(str, bool)
@@ -18,6 +22,9 @@ class Notice(QFrame):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self._page = ""
+        self._pages: frozenset[str] | None = frozenset()
+        self._lasts = self._about_form = False
         self.setProperty("role", "notice")
         self.text = QLabel()
         self.text.setWordWrap(True)
@@ -32,11 +39,45 @@ class Notice(QFrame):
         layout.addWidget(self.offer, 0, Qt.AlignmentFlag.AlignTop)
         layout.addWidget(self.dismiss, 0, Qt.AlignmentFlag.AlignTop)
         self.offer.clicked.connect(self.accepted)
-        self.dismiss.clicked.connect(self.hide)
+        self.dismiss.clicked.connect(self.retract)
         self.hide()
 
-    def say(self, text: str, *, problem: bool = False, offer: str = "") -> None:
-        """Show a text, as a problem or as news, with a button that offers something if there is anything."""
+    def turn_to(self, page: str) -> None:
+        """Another page is shown: what was said stays with its own."""
+        if page == self._page:
+            return
+        self._page = page
+        if self._pages is None or page in self._pages:
+            self.setVisible(self._lasts or not self.isHidden())
+        elif self._lasts:
+            self.hide()
+        else:
+            self.retract()
+
+    def retract(self) -> None:
+        """It was read, or is no longer so."""
+        self._pages, self._lasts, self._about_form = frozenset(), False, False
+        self.hide()
+
+    def form_changed(self) -> None:
+        """What was wrong in the form may be right now."""
+        if self._about_form:
+            self.retract()
+
+    def say_everywhere(self, text: str) -> None:
+        """Show a problem that is one on every page, until it is dismissed."""
+        self.say(text, problem=True)
+        self._pages = None
+
+    def say(
+        self, text: str, *, problem: bool = False, offer: str = "", page: str = "", about_form: bool = False
+    ) -> None:
+        """Show a text, as a problem or as news, with a button that offers something if there is anything.
+
+        ``page`` is where it belongs besides the page that is shown. What is ``about_form`` goes when that is changed.
+        """
+        self._pages = frozenset({self._page, page or self._page})
+        self._lasts, self._about_form = problem or bool(offer), about_form
         self.setProperty("level", "problem" if problem else "news")
         self.style().unpolish(self)
         self.style().polish(self)

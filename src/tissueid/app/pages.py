@@ -6,6 +6,8 @@ sooner, and who never leaves the guided test pays for nothing else.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,8 +74,9 @@ class Pages(QObject):
             self._prepare_test,
             window.show_report,
             lambda: window.ui.form.instrument.url,
+            self._go_calibrate,
         )
-        self.start = StartView(self._desk)
+        self.start = StartView(self._desk_of(StartView.name))
         self.views: list[View] = [self.start]
         window.ui.rail.add(self.start.name, _("Start"))
         window.ui.add_page(self.start.name, self.start)
@@ -142,13 +145,17 @@ class Pages(QObject):
 
     def _make(self, name: str) -> None:
         """Make a page as it would stand if it had been there from the beginning."""
-        view = LATER[name][1](self._desk)
+        view = LATER[name][1](self._desk_of(name))
         self.views.append(view)
         self._window.ui.add_page(name, view)
         view.take_role(self._window.ui.role.role)
         view.settle(busy=self._window.busy, testing=self._window.testing)
         if self._theme is not None:
             _paint(view, self._theme)
+
+    def _desk_of(self, name: str) -> Desk:
+        """What a page says stays with it, wherever somebody is when it is said."""
+        return dataclasses.replace(self._desk, say=functools.partial(self._window.ui.notice.say, page=name))
 
     def _open_session(self, path: Path) -> None:
         self._window.open_session(path)
@@ -165,6 +172,13 @@ class Pages(QObject):
     def _show_instruments(self) -> None:
         chooser = self._window.ui.form.instrument
         self.start.show_instruments(chooser.known, chooser.url)
+
+    def _go_calibrate(self, words: str) -> None:
+        self.show(MEASURE)
+        ui = self._window.ui
+        ui.pages.setCurrentWidget(ui.calibration)
+        ui.notice.say(words)
+        ui.calibration.begin["static"].setFocus()
 
     def _prepare_test(self, values: Mapping[str, Any], words: str) -> None:
         self.show(MEASURE)

@@ -21,6 +21,7 @@ from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.sessions import Test
@@ -75,7 +76,7 @@ class ResultPage(QScrollArea):
             widget.setProperty("level", verdict.level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
-        self.headline.setText(verdict.headline)
+        self.headline.setText(_(verdict.headline))
         # What the quality gate said stands above already.
         told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in verdict.reasons if reason not in told]
@@ -218,6 +219,7 @@ class _Tile(QFrame):
     def __init__(self) -> None:
         super().__init__()
         self.setProperty("role", "card")
+        self._number: Number | None = None
         self._label, self._value, self._rest, self._note = QLabel(), QLabel(), QLabel(), QLabel()
         for label in (self._label, self._note):
             label.setProperty("role", "field")
@@ -239,8 +241,17 @@ class _Tile(QFrame):
 
     def fill(self, number: Number) -> None:
         """Show a number."""
+        self._number = number
         self._label.setText(number.label)
-        self._value.setText(number.value)
-        self._rest.setText(number.unit)
         self._note.setText(number.note)
-        self.setAccessibleName(f"{number.label}: {number.value} {number.unit}, {number.note}")
+        self.take_units()
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        number = self._number
+        if number is None:
+            return
+        value, rest = (number.value, number.unit) if number.found is None else said(number.found, number.si_unit)
+        self._value.setText(value)
+        self._rest.setText(rest)
+        self.setAccessibleName(f"{number.label}: {value} {rest}, {number.note}")

@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject
 from tissueid.app.errands import Recovery, recover_all, unfinished
 from tissueid.app.instruments import Survey, survey
 from tissueid.app.language import _, plural
+from tissueid.app.layout import MEASURE
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
@@ -34,6 +35,7 @@ class Searching(QObject):
         if self._window.busy:
             return
         self._chooser.about.setText(_("Asking every port…"))
+        self._window.ui.notice.retract()
         around = self._window.around
         work = functools.partial(survey, around.finder, around.opener, around.calibrate)
         self._window.jobs.do(work, self._found, self._finding_failed)
@@ -76,7 +78,7 @@ class Searching(QObject):
     def recover(self) -> None:
         """Make sessions of all tests that were never finished, and show the last of them."""
         if not self._window.busy:
-            self._window.ui.notice.hide()
+            self._window.ui.notice.retract()
             trail = Trail(self._window.around.audit, self._window.ui.role.role)
             work = functools.partial(_recover_folder, self._window.around.folder, trail)
             self._window.jobs.do(work, self._recovered, self._window.say_failed)
@@ -84,7 +86,7 @@ class Searching(QObject):
     def _recovered(self, recovery: Recovery) -> None:
         saved = [_("Recovered {path}.").format(path=path) for path, _session in recovery.sessions]
         words = " ".join(saved + recovery.problems) or _("There is nothing left to recover.")
-        self._window.ui.notice.say(words, problem=bool(recovery.problems))
+        self._window.ui.notice.say(words, problem=bool(recovery.problems), page=MEASURE)
         for path, _session in recovery.sessions:
             self._window.pages.heard_of(path)
         if recovery.sessions:

@@ -11,6 +11,16 @@ from tissueid.errors import TissueIDError
 
 QUANTITIES = (marked("Mass"), marked("Damping"), marked("Stiffness"))
 """What the core calls the parameters of a tissue."""
+SAID_BY_CORE = (
+    marked("Good test"),
+    marked("Read this before you use the test"),
+    marked("Do the test again"),
+    marked("Good measurement"),
+    marked("Look closer before use"),
+    marked("Do not rely on this measurement"),
+    marked("simulation in this process"),
+)
+"""Verdicts and names that the core says in always the same words; whoever shows them looks them up."""
 
 
 def sentence(text: str) -> str:

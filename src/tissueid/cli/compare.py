@@ -20,6 +20,7 @@ from tissueid.identification.recommendation import Recommendation
 from tissueid.sessions import Session, read_session
 from tissueid.wording import MISSING, fixed, grouped
 
+_MOST_NAMES = 4
 _UNBOUND_WIDTH = 120
 """Characters in a line where it is not a terminal that reads."""
 
@@ -57,7 +58,7 @@ def run_compare(
         ceiling, no_ceiling = None, f"What repeats allow is not known: {error}."
     with progress_bars() as show:
         found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
-        _draw(session, found, out, figures, show)
+        drawn = _draw(session, found, out, figures, show)
     _tell(found, no_ceiling, people_read(json_file))
     warned = list(doubted(session, found.split.tests))
     for line in warned:
@@ -70,6 +71,19 @@ def run_compare(
         people_read(json_file).print(f"report: {out}", markup=False)
     if figures is not None:
         people_read(json_file).print(f"figures: {figures}", markup=False)
+        if left := _left_over(figures, drawn):
+            people_read(json_file).print(left, markup=False)
+
+
+def _left_over(folder: Path, drawn: Sequence[Path]) -> str:
+    """Pictures in the folder that are not of this comparison, in a line; nothing that was there is ever removed."""
+    written = {path.name for path in drawn}
+    others = sorted(path.name for path in folder.iterdir() if path.suffix in (".svg", ".png"))
+    others = [name for name in others if name not in written]
+    if not others:
+        return ""
+    names = ", ".join(others[:_MOST_NAMES]) + (", …" if len(others) > _MOST_NAMES else "")
+    return f"not of this comparison, and left as found: {grouped(len(others))} other pictures in that folder: {names}"
 
 
 def _distortion(session: Session, found: EngineComparison) -> str:
@@ -101,14 +115,14 @@ def _draw(
     out: Path | None,
     figures: Path | None,
     show: Callable[[str, float], None],
-) -> None:
-    """Draw what was asked for.
+) -> tuple[Path, ...]:
+    """Draw what was asked for; returns the files of the figures.
 
     Raises:
         UnusableInputError: the page or a figure cannot be written.
     """
     if out is None and figures is None:
-        return
+        return ()
     from tissueid.reports import comparison_report
 
     report = comparison_report(session, found, show)
@@ -116,9 +130,10 @@ def _draw(
         if out is not None:
             report.write(out)
         if figures is not None:
-            report.write_figures(figures)
+            return report.write_figures(figures)
     except OSError as error:
         raise UnusableInputError(f"cannot write {error.filename or out or figures}: {error.strerror}") from error
+    return ()
 
 
 def compare_answer(found: EngineComparison) -> dict[str, Any]:

@@ -1,6 +1,5 @@
-"""The page of a clinician as people use it: body map, contact light, repeats, comparison, PDF."""
+"""The page of the guided test: the body map, and the contact light."""
 
-import dataclasses
 import threading
 
 import numpy as np
@@ -10,18 +9,14 @@ from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
 from tissueid.app.live import Glance
-from tissueid.app.plan import SITES, Plan
+from tissueid.app.plan import SITES
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body import HEIGHT, SPOTS, WIDTH, outline
-from tissueid.app.views.clinician.comparing import Comparison, Shelf, Sighting, compare_with
 from tissueid.app.views.clinician.contact import Contact, contact_in_test, contact_of_free
-from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.app.views.clinician.watching import Sight, watch
 from tissueid.device import DeviceDescription
 from tissueid.errors import LinkLostError
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
-from tissueid.records import Estimate
-from tissueid.sessions import Subject, read_session, write_session
 from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -281,208 +276,3 @@ def test_the_button_on_the_instrument_starts_a_test(qtbot, open_window, bench):
     assert opened[0].closed
     qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
     assert window.findings.test.status == "completed"
-
-
-# -- repeats ----------------------------------------------------------------------------------------------------------
-
-
-def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
-    window = open_window(opener=seeded(bench))
-    ui, bar = window.ui, window.ui.gate.repeats
-    ui.form.fold.setChecked(True)
-    ui.form.seconds.setValue(1.0)
-    ui.form.site.setCurrentText("left calf")
-    run_test(qtbot, window, ui.start)
-    assert bar.isVisible()
-    assert bar.repeat.text() == "Repeat 2 of 5"
-    assert bar.accept.text() == "Accept"
-    assert ui.result.summary.isHidden()
-    run_test(qtbot, window, bar.repeat)
-    assert bar.repeat.text() == "Repeat 3 of 5"
-    assert bar.dots.accessibleName().startswith("2 of 5 repeats: 1 good, 2 good")
-    assert ui.result.summary.heading.text() == "Mean so far of 2 repeats"
-    tests = [read_session(path).test() for path in sorted(tmp_path.glob("*.h5"))]
-    assert len({test.notes["sitting"] for test in tests}) == 1
-    assert sorted(test.notes["repeat"] for test in tests) == [1.0, 2.0]
-    assert ui.result.summary.cells["mass_kg"][1].text().endswith(" g")
-    press(qtbot, bar.accept)
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert bar.repeat.isHidden()
-    assert ui.result.summary.heading.text() == "Accepted: mean of 2 repeats"
-    assert any(line.what == "sitting.accepted" for line in _logged(window))
-    run_test(qtbot, window, ui.start)
-    assert bar.dots.accessibleName().startswith("1 of 5")
-
-
-def _logged(window):
-    from types import SimpleNamespace
-
-    path = window.around.audit.path
-    return [SimpleNamespace(what=what) for what in ("sitting.accepted",) if what in path.read_text(encoding="utf-8")]
-
-
-class Holding(SimulatedInstrument):
-    """Holds a test in its preload until it is told to go on."""
-
-    reached = threading.Event()
-    go = threading.Event()
-    polls = 0
-
-    def poll(self, timeout_s):
-        self.polls += 1
-        if self.polls > 180:
-            self.reached.set()
-            assert self.go.wait(WAIT_MS / 1000)
-        return super().poll(timeout_s)
-
-
-def test_a_stopped_test_does_not_count_and_another_site_begins_anew(qtbot, open_window):
-    window = open_window(opener=lambda _: Holding("forearm", seed=3))
-    ui = window.ui
-    ui.form.site.setCurrentText("left calf")
-    press(qtbot, ui.start)
-    qtbot.waitUntil(Holding.reached.is_set, timeout=WAIT_MS)
-    press(qtbot, ui.stop)
-    Holding.go.set()
-    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
-    bar = ui.gate.repeats
-    assert bar.dots.accessibleName() == "0 of 5 repeats: 1 not counted"
-    assert bar.repeat.isHidden()
-    assert bar.accept.isHidden()
-    first = window.clinician.sitting
-    ui.form.site.setCurrentText("right calf")
-    assert not first.continues(ui.form.plan())
-
-
-def repeat(value, verdict="good", site="left calf"):
-    from tissueid.sessions import Test
-
-    test = Test(1, "stochastic", {"time": np.zeros(1)}, 2000.0, site=site)
-    return Repeat(test, test, verdict, {"mass_kg": Estimate(value, 0.001)})
-
-
-def test_mean_deviation_and_repeatability():
-    said = together([1.0, 2.0, 3.0, float("nan")])
-    assert (said.mean, said.std, said.count) == (2.0, 1.0, 3)
-    assert said.repeatability == pytest.approx(2.772, abs=1e-3)
-    assert together([1.0]) is None
-    plan = Plan(url="u", site="left calf", path=None, lower_force=True)
-    sitting = Sitting(plan, repeats=[repeat(0.08), repeat(0.09, "repeat"), repeat(0.10)])
-    assert sitting.together["mass_kg"].mean == pytest.approx(0.09)
-    assert sitting.counted == 2
-    # An instrument that gives less took the usual force down: that is the same test.
-    assert sitting.continues(dataclasses.replace(plan, max_force_n=7.8))
-    assert not sitting.continues(dataclasses.replace(plan, max_force_n=7.8, lower_force=False))
-
-
-# -- the instrument's own limits --------------------------------------------------------------------------------------
-
-
-def handheld(url):
-    from dataclasses import replace
-
-    from tissueid.device import HANDHELD
-    from tissueid.instrument.limits import PROFILES
-
-    class Handheld(SimulatedInstrument):
-        def narrowed(self, limits):
-            return replace(limits, max_force_n=min(limits.max_force_n, 7.8))
-
-    instrument = Handheld("forearm", seed=3)
-    assert HANDHELD.greatest_force_n < PROFILES["clinical"].max_force_n
-    return instrument
-
-
-def test_the_usual_force_goes_down_to_what_the_instrument_gives(qtbot, open_window):
-    window = open_window(opener=handheld)
-    ui = window.ui
-    ui.form.seconds.setValue(1.0)
-    ui.form.site.setCurrentText("left calf")
-    assert ui.form.max_force.value() == 10.5
-    run_test(qtbot, window, ui.start)
-    assert window.findings.test.stimulus["stimulus"]["force_max_n"] == 7.8
-    assert ui.form.max_force.value() == 7.8
-    assert "0.5 to 7.8 N" in ui.form.summary.text()
-    assert window.clinician.sitting.continues(ui.form.plan())
-    ui.form.instrument.choice.setEditText("simulated://spring")
-    assert ui.form.max_force.value() == 10.5
-
-
-def test_a_force_of_ones_own_is_not_changed(window):
-    form = window.ui.form
-    form.max_force.setValue(6.0)
-    form.tell_force(form.instrument.url, 7.8)
-    assert form.max_force.value() == 6.0
-    assert form.max_force.maximum() == 7.8
-    assert not form.plan().lower_force
-
-
-# -- comparison and report ------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def shelf_of(saved, tmp_path):
-    """A folder with sessions of two subjects, and rubbish."""
-    session = read_session(saved)
-    for number, (name, site) in enumerate([("P-1", "left calf"), ("P-1", "right calf"), ("P-2", "left calf")]):
-        test = dataclasses.replace(session.test(), site=site)
-        changes = {"subject": Subject(name), "tests": (test,), "created": f"2026-01-0{number + 1}T10:00:00Z"}
-        write_session(tmp_path / f"s{number}.h5", dataclasses.replace(session, session_id=f"{number}", **changes))
-    (tmp_path / "rubbish.h5").write_bytes(b"rubbish")
-    (tmp_path / "folder.h5").mkdir()
-    return tmp_path
-
-
-def compared(folder, name, cancelled=None):
-    session = read_session(folder / name)
-    return compare_with(folder, session, folder / name, session.test(), Shelf(), cancelled or threading.Event())
-
-
-def test_a_subject_is_compared_with_its_own_sittings_only(shelf_of):
-    found = compared(shelf_of, "s0.h5")
-    assert [(one.site, one.this) for one in found.sightings] == [("right calf", False), ("left calf", True)]
-    assert found.left_out == "1 file was passed over."
-    assert 0.06 < found.sightings[0].values["mass_kg"].value < 0.1
-    stopped = threading.Event()
-    stopped.set()
-    assert compared(shelf_of, "s0.h5", stopped) == Comparison(left_out="The comparison was cancelled.")
-
-
-def test_nobody_is_compared_with_everybody(saved):
-    assert compared(saved.parent, saved.name) == Comparison()
-
-
-def test_an_opened_session_is_compared_and_printed(qtbot, open_window, shelf_of):
-    shown = []
-    window = open_window(show_file=lambda path: shown.append(path) or True)
-    window.open_session(shelf_of / "s1.h5")
-    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
-    card = window.ui.result.comparison
-    assert card.isVisibleTo(window)
-    assert "right calf, this sitting" in card.accessibleName()
-    assert "left calf" in card.accessibleName()
-    assert window.ui.gate.repeats.isHidden()
-    press(qtbot, window.ui.result.pdf)
-    qtbot.waitUntil(lambda: idle(window) and bool(shown), timeout=WAIT_MS)
-    assert shown == [shelf_of / "s1-report.pdf"]
-    content = shown[0].read_bytes()
-    assert content.startswith(b"%PDF")
-    assert 1 <= content.count(b"/Type /Page ") + content.count(b"/Type /Page\n") <= 2
-
-
-def test_a_pdf_that_cannot_be_written_is_said(qtbot, open_window, shelf_of):
-    window = open_window()
-    window.open_session(shelf_of / "s1.h5")
-    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
-    (shelf_of / "s1-report.pdf").mkdir()
-    press(qtbot, window.ui.result.pdf)
-    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert "s1-report.pdf" in window.ui.notice.text.text()
-    assert window.ui.notice.property("level") == "problem"
-
-
-def test_long_and_hostile_sites_are_cut():
-    one = Sighting("k", "2026-01-01T00:00:00Z", "<b>x\x00" + "y" * 90, {}, count=3)
-    assert one.label.startswith("2026-01-01  <b>x\ufffd")
-    assert one.label.endswith("…  ×3")
-    assert len(one.label) < 50

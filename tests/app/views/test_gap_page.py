@@ -160,6 +160,12 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
     assert page.findChild(QFileDialog) is None
     press(qtbot, page.history.remove)
     assert page.welcome.isVisible()
+    removed = page.history.list
+    qtbot.keyClick(removed, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert page.result.isVisible()
+    assert page.history.list.item(0).text().splitlines() == ["clean.h5", "No gap"]
+    qtbot.keyClick(removed, Qt.Key.Key_Delete)
+    assert page.welcome.isVisible()
 
 
 @pytest.mark.parametrize("held", ["cancel", "close"])

@@ -1,157 +1,18 @@
-"""The page Research: sessions found, filtered, selected, looked at and exported, as people do it."""
+"""The list of sessions on the page Research: found, filtered, chosen, opened, kept."""
 
-import csv
-import gc
-import json
 import threading
 
-import numpy as np
 import pytest
 from app.benches import WAIT_MS
-from PySide6.QtCore import QCoreApplication, QEvent, QPoint, QSettings, Qt
-from PySide6.QtGui import QColor, QImage
-from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QMainWindow, QPushButton, QSpinBox
+from app.views.research_hosts import click, listed, save, show, wait_shown
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtGui import QColor
+from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QPushButton, QSpinBox
 
-from tissueid.app.jobs import Jobs
-from tissueid.app.surroundings import Surroundings
-from tissueid.app.theme import DARK, LIGHT
-from tissueid.app.views.researcher.session_model import QUALITY, SITE
-from tissueid.app.views.researcher.view import ResearchView
-from tissueid.app.views.view import Desk
-from tissueid.device import DeviceDescription
-from tissueid.sessions import Session, Subject, Test, write_session
-from tissueid.sessions.quality import NOTE
+from tissueid.app.theme import LIGHT
+from tissueid.app.views.researcher.session_model import QUALITY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
-
-RATE = 2000.0
-SITES = {"a": "left forearm", "b": "right calf", "c": "left forearm"}
-
-
-def signals(seed, samples=4000):
-    """A force that is noise about 5 N, and a position that swings at 50 Hz by 2 mm about 14 mm."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(samples) / RATE
-    return {
-        "command": rng.normal(0.0, 1.0, samples),
-        "voltage": rng.normal(0.0, 2.0, samples),
-        "force": rng.normal(5.0, 1.5, samples),
-        "position": 0.014 + 0.002 * np.sin(2 * np.pi * 50.0 * time),
-    }
-
-
-def save(path, *, subject="P-1", site="left forearm", created="2026-03-01T10:00:00Z", tests=1, verdict=None):
-    note = {}
-    if verdict:
-        finding = {"code": "x", "severity": verdict, "words": "w", "advice": "a", "value": None}
-        note = {NOTE: json.dumps({"verdict": verdict, "findings": [finding]})}
-    made = tuple(
-        Test(number, "stochastic", signals(number), RATE, site=site, preload_s=0.5, notes=note)
-        for number in range(1, tests + 1)
-    )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_session(path, Session(DeviceDescription(), Subject(subject), made, created=created))
-    return path
-
-
-@pytest.fixture(scope="module")
-def year(tmp_path_factory):
-    """Three sessions in nested folders, and two files that are none."""
-    folder = tmp_path_factory.mktemp("year")
-    save(folder / "march" / "a.h5", subject="P-1", site=SITES["a"], created="2026-03-01T10:00:00Z", tests=2)
-    save(folder / "b.h5", subject="P-2", site=SITES["b"], created="2026-05-01T10:00:00Z", verdict="repeat")
-    save(folder / "march" / "deep" / "c.h5", subject="P-3", site=SITES["c"], created="2026-01-01T10:00:00Z")
-    (folder / "march" / "rubbish.h5").write_bytes(b"<b>no session</b>")
-    (folder / "notes.txt").write_text("not looked at")
-    return folder
-
-
-class Host(QMainWindow):
-    """What stands around the page, as far as it sees: jobs, settings, and somebody who hears what it says."""
-
-    def __init__(self, folder, ini):
-        super().__init__()
-        self.jobs = Jobs(self)
-        self.settings = QSettings(str(ini), QSettings.Format.IniFormat)
-        self.said, self.opened = [], []
-        around = Surroundings(folder=folder)
-        none = [lambda *_: None] * 2
-        desk = Desk(
-            around, self.jobs, self.settings, self.say, lambda: "researcher", none[0], self.opened.append, *none
-        )
-        self.view = ResearchView(desk)
-        self.jobs.changed.connect(self.settle)
-        self.view.paint_with(LIGHT)
-        self.setCentralWidget(self.view)
-        self.resize(1000, 580)
-        self.settle()
-
-    def say(self, text, *, problem=False):
-        self.said.append(text)
-
-    def settle(self):
-        self.view.settle(busy=bool(self.jobs), testing=False)
-
-    def start(self):
-        self.view.enter()
-        self.show()
-        self.activateWindow()
-        return self.view
-
-
-def listed(view):
-    return [entry.path.name for _, entry in view.browser.shown.shown()]
-
-
-@pytest.fixture
-def host(qtbot, tmp_path):
-    hosts = []
-
-    def make(folder, ini=None):
-        hosts.append(Host(folder, ini or tmp_path / "window.ini"))
-        view = hosts[-1].start()
-        qtbot.waitUntil(hosts[-1].isActiveWindow, timeout=WAIT_MS)
-        return hosts[-1], view
-
-    gc.disable()
-    yield make
-    for one in hosts:
-        one.view.cancel()
-        qtbot.waitUntil(lambda one=one: not one.jobs, timeout=WAIT_MS)
-        one.close()
-        one.deleteLater()
-    hosts.clear()
-    QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
-    gc.enable()
-
-
-@pytest.fixture
-def opened(qtbot, host, year):
-    def make(folder=year, ini=None):
-        window, view = host(folder, ini)
-        qtbot.waitUntil(lambda: not window.jobs and not view.browser._all_wanted, timeout=WAIT_MS)
-        return window, view
-
-    return make
-
-
-def click(qtbot, view, row, modifier=Qt.KeyboardModifier.NoModifier, double=False):
-    tree = view.browser.tree
-    place = tree.visualRect(view.browser.shown.index(row, SITE)).center()
-    qtbot.mouseClick(tree.viewport(), Qt.MouseButton.LeftButton, modifier, place)
-    if double:
-        qtbot.mouseDClick(tree.viewport(), Qt.MouseButton.LeftButton, modifier, place)
-
-
-def show(qtbot, window, view, rows, tests):
-    for row in rows:
-        click(qtbot, view, row, Qt.KeyboardModifier.ControlModifier)
-    wait_shown(qtbot, window, view, tests)
-
-
-def wait_shown(qtbot, window, view, tests):
-    qtbot.waitUntil(lambda: len(view.signals.loaded) == tests and not window.jobs, timeout=WAIT_MS)
-    qtbot.waitUntil(lambda: not view.signals._figures.isActive() and not view.signals.stack._frame.isActive())
 
 
 def test_a_year_is_listed_newest_first_and_what_is_no_session_is_greyed_with_the_reason(opened):
@@ -198,29 +59,6 @@ def test_every_column_sorts(qtbot, opened):
     assert listed(view)[0] == "b.h5"
 
 
-def test_signals_of_selected_tests_are_laid_over_one_another(qtbot, opened):
-    window, view = opened()
-    assert view.signals.empty.isVisible()
-    show(qtbot, window, view, (0, 1), tests=3)
-    assert view.browser.picked.text() == "3 tests of 2 sessions selected"
-    table = view.signals.table
-    assert [table.horizontalHeaderItem(column).text() for column in range(4)] == [
-        "Mean ± SD",
-        "Voltage (V)",
-        "Force (N)",
-        "Position (mm)",
-    ]
-    assert table.rowCount() == 3
-    assert table.item(0, 0).text() == "P-2, right calf, test 1 (b)"
-    # A sine of 2 mm deviates by 2 / sqrt(2) mm from its mean.
-    assert table.item(0, 3).text() == "14.0 ± 1.4"
-    x, y = view.signals.spectrum.card.plot.listDataItems()[0].getData()
-    assert 10.0 ** x[np.argmax(y)] == pytest.approx(50.0, abs=2.0)
-    tree = view.browser.tree
-    tree.clearSelection()
-    qtbot.waitUntil(view.signals.empty.isVisible, timeout=WAIT_MS)
-
-
 def test_one_test_of_a_session_can_be_selected_by_keyboard(qtbot, opened):
     window, view = opened()
     tree = view.browser.tree
@@ -231,110 +69,6 @@ def test_one_test_of_a_session_can_be_selected_by_keyboard(qtbot, opened):
     wait_shown(qtbot, window, view, 1)
     qtbot.waitUntil(lambda: view.signals.loaded[0].chosen.number == 2, timeout=WAIT_MS)
     assert view.browser.picked.text() == "1 test of 1 session selected"
-
-
-def drag(qtbot, card, low, high):
-    port = card.plot.viewport()
-    box = card.plot.getViewBox()
-    view = box.viewRange()[0]
-    ends = []
-    for time in (low, high):
-        scene = box.sceneBoundingRect()
-        share = (time - view[0]) / (view[1] - view[0])
-        ends.append(QPoint(round(scene.left() + share * scene.width()), round(scene.center().y())))
-    qtbot.mousePress(port, Qt.MouseButton.LeftButton, pos=ends[0])
-    qtbot.mouseMove(port, ends[1])
-    qtbot.mouseRelease(port, Qt.MouseButton.LeftButton, pos=ends[1])
-
-
-def ranges(view):
-    return [tuple(card.plot.getViewBox().viewRange()[0]) for card in view.signals.stack.cards]
-
-
-def test_a_brush_over_one_plot_zooms_the_others_and_tells_its_figures(qtbot, opened):
-    window, view = opened()
-    show(qtbot, window, view, (0,), tests=1)
-    panel = view.signals
-    stack = panel.stack
-    drag(qtbot, stack.cards[1], 0.5, 1.0)
-    wait_shown(qtbot, window, view, 1)
-    low, high = stack.brush
-    assert (low, high) == (pytest.approx(0.5, abs=0.01), pytest.approx(1.0, abs=0.01))
-    assert ranges(view) == [(low, high), (0.0, 2.0), (low, high)]
-    force = signals(1)["force"]
-    first, last = (int(np.ceil(round(time * RATE, 6))) for time in (low, high))
-    mean, std = force[first:last].mean(), force[first:last].std()
-    assert panel.table.item(0, 2).text() == f"{mean:.1f} ± {std:.1f}"
-    assert panel.about.text().startswith(f"Brushed: {high - low:.3f} s, ")
-    drag(qtbot, stack.cards[1], (low + high) / 2, (low + high) / 2 + 0.3)  # takes hold of the brush and moves it
-    assert stack.brush == (pytest.approx(low + 0.3, abs=0.01), pytest.approx(high + 0.3, abs=0.01))
-    panel.low.setFocus()
-    panel.low.selectAll()
-    qtbot.keyClicks(panel.low, "0.25")
-    qtbot.keyClick(panel.low, Qt.Key.Key_Return)
-    assert stack.brush[0] == pytest.approx(0.25)
-    qtbot.mouseClick(panel.whole, Qt.MouseButton.LeftButton)
-    wait_shown(qtbot, window, view, 1)
-    assert stack.brush is None
-    assert ranges(view) == [(0.0, 2.0)] * 3
-    drag(qtbot, stack.cards[0], 0.5, 0.501)  # a click is no brush
-    assert stack.brush is None
-
-
-def test_the_menu_chooses_the_signals_and_the_choice_is_kept(qtbot, opened):
-    window, view = opened()
-    show(qtbot, window, view, (0,), tests=1)
-    menu = view.signals.channels.menu()
-    action = next(action for action in menu.actions() if action.text() == "Command")
-    assert not action.isChecked()
-    action.trigger()
-    assert len(view.signals.stack.cards) == 4
-    view.browser.bar.words.setText("calf")
-    view.save_state()
-    again, view = opened()
-    assert view.browser.bar.words.text() == "calf"
-    assert listed(view) == ["b.h5"]
-    show(qtbot, again, view, (0,), tests=1)
-    assert view.signals.channels.text() == "Signals (4 of 4)"
-
-
-def test_data_are_exported_and_nothing_raw_is_changed(qtbot, opened, year, tmp_path):
-    window, view = opened()
-    before = {path: path.read_bytes() for path in year.rglob("*.h5")}
-    assert not view.export.isEnabled()
-    show(qtbot, window, view, (0, 1), tests=3)
-    for folder in ("b-csv", "a-csv"):
-        assert not (tmp_path / folder).exists()
-    view.export.menu().actions()[0].trigger()
-    (dialog,) = window.findChildren(QFileDialog)
-    dialog.fileSelected.emit(str(tmp_path))
-    dialog.reject()
-    qtbot.waitUntil(lambda: (tmp_path / "a-csv").exists() and not window.jobs, timeout=WAIT_MS)
-    assert sorted(path.name for path in (tmp_path / "a-csv").glob("*.csv")) == ["test-0001.csv", "test-0002.csv"]
-    with (tmp_path / "b-csv" / "test-0001.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    np.testing.assert_array_equal([float(row["force (N)"]) for row in rows], signals(1)["force"])
-    assert "Exported 2 sessions" in window.said[-1]
-    assert {path: path.read_bytes() for path in year.rglob("*.h5")} == before
-
-
-@pytest.mark.parametrize("ending", ["png", "svg"])
-def test_the_figure_is_saved(qtbot, opened, tmp_path, ending):
-    window, view = opened()
-    show(qtbot, window, view, (0,), tests=1)
-    path = tmp_path / f"figure.{ending}"
-    qtbot.mouseClick(view.signals.save, Qt.MouseButton.LeftButton)
-    (dialog,) = window.findChildren(QFileDialog)
-    dialog.fileSelected.emit(str(path))
-    dialog.reject()
-    qtbot.waitUntil(lambda: path.exists() and not window.jobs, timeout=WAIT_MS)
-    if ending == "png":
-        assert QImage(str(path)).width() > 1000
-    else:
-        text = path.read_text(encoding="utf-8")
-        assert "Position (mm)" in text
-        assert "right calf" in text
-    assert str(path) in window.said[-1]
 
 
 def test_a_session_is_opened_by_double_click_and_by_return(qtbot, opened):
@@ -477,20 +211,6 @@ def test_every_control_has_a_name_and_the_tab_key_reaches_it(qtbot, opened):
     ):
         if widget.focusPolicy() != Qt.FocusPolicy.NoFocus and not widget.objectName().startswith("qt_"):
             assert widget.accessibleName() or getattr(widget, "text", str)(), widget
-
-
-@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
-def test_colours_of_tests_stand_out(theme):
-    from tissueid.app.views.researcher.colours import series
-
-    def luminance(name):
-        parts = [value / 255 for value in QColor(name).getRgb()[:3]]
-        linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in parts]
-        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-    for colour in series(theme):
-        lighter, darker = sorted((luminance(colour), luminance(theme.panel)), reverse=True)
-        assert (lighter + 0.05) / (darker + 0.05) >= 3.0
 
 
 def test_it_fits_the_smallest_window(qtbot, opened):

@@ -31,7 +31,8 @@ class Desk:
     name. ``open_session`` analyses a file on the page of the guided test. ``prepare_test`` fills that page's form
     in (fields of ``Plan`` by their names), shows it and says the words; nothing is energised. ``measured`` are told of
     the file of every session that was recorded or recovered. ``show_file`` opens a document outside the window.
-    ``instrument`` is the address of the instrument that is chosen on the page of the guided test.
+    ``instrument`` is the address of the instrument that is chosen on the page of the guided test. ``calibrate`` shows
+    where a coil is calibrated, to a technician, and says the words; nothing is begun.
     """
 
     around: Surroundings
@@ -44,6 +45,7 @@ class Desk:
     prepare_test: Callable[[Mapping[str, Any], str], None]
     show_file: Callable[[Path], None]
     instrument: Callable[[], str] = lambda: ""
+    calibrate: Callable[[str], None] = lambda _words: None
 
     @property
     def trail(self) -> Trail:

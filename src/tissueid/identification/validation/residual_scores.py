@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +126,7 @@ class Held:
         correlation = np.where(empty, np.nan, sums / scale)
         return Scores(self.signals[which], correlation, covariance / np.outer(scale, scale))
 
-    @property
+    @cached_property
     def innovation_power(self) -> float:
         """Variance of the whitened residual, less what the constant and the nuisance lags explain of it."""
         out = slice(0, 1 + self.nuisance)

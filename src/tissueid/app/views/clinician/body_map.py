@@ -179,7 +179,7 @@ class _Figure(QWidget):
         line = QColor(colours.color(QPalette.ColorRole.PlaceholderText))
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        names = ("right", "left") if self._side == "front" else ("left", "right")
+        names = (_("right"), _("left")) if self._side == "front" else (_("left"), _("right"))
         painter.setPen(line)
         width = scale * WIDTH / 2
         for place, name in enumerate(names):

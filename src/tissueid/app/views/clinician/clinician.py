@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject
 
 from tissueid.app.findings import Findings
 from tissueid.app.language import _, plural
+from tissueid.app.layout import MEASURE
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
 from tissueid.app.theme import Theme
@@ -113,6 +114,7 @@ class Clinician(QObject):
         if self._map is None:
             self._map = BodyMap(self._window)
             self._map.chosen.connect(self._take_site)
+        self._map.setPalette(self._window.palette())  # a window of its own: it would have the system's colours
         self._map.show_site(self._window.ui.form.site.currentText())
 
     def _take_site(self, site: str) -> None:
@@ -176,7 +178,7 @@ class Clinician(QObject):
 
     def _not_compared(self, words: str) -> None:
         self._window.ui.result.comparison.rest()
-        self._window.ui.notice.say(words, problem=True)
+        self._window.ui.notice.say(words, problem=True, page=MEASURE)
 
     def _written(self, path: Path) -> None:
         self._window.rest()
@@ -184,7 +186,7 @@ class Clinician(QObject):
 
     def _failed(self, words: str) -> None:
         self._window.rest()
-        self._window.ui.notice.say(words, problem=True)
+        self._window.ui.notice.say(words, problem=True, page=MEASURE)
 
     def _logged(self, _: object) -> None:
         """It is in the audit log; there is nothing to say."""

@@ -47,7 +47,7 @@ class ComparisonCard(QFrame):
         for place, quantity in enumerate(QUANTITIES):
             name, si_unit = named_unit(quantity)
             key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
-            card = PlotCard(_(name), _("± one SD"), people_unit(si_unit)[0], key=key)
+            card = PlotCard(_(name), _("± one SD"), people_unit(si_unit)[0], key=key, unit_of="bottom")
             axis = card.plot.getAxis("left")
             axis.setWidth(_LABELS if place == 0 else 8)
             bars = [card.line(role, width=2) for role in ("measured", "model")]

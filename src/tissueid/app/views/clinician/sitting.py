@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -123,12 +123,17 @@ def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
     return {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
 
 
-def rows_of(sitting: Sitting | None) -> dict[str, tuple[str, str, str, str]]:
-    """Name, mean with deviation, relative deviation and repeatability as people read them, by quantity."""
+def rows_of(
+    sitting: Sitting | None, unit_for: Callable[[str], tuple[str, float]] = people_unit
+) -> dict[str, tuple[str, str, str, str]]:
+    """Name, mean with deviation, relative deviation and repeatability as people read them, by quantity.
+
+    ``unit_for`` says in which unit what is of an SI unit is read, and how many of it make one of SI.
+    """
     rows = {}
     for quantity, said in (sitting.together if sitting is not None else {}).items():
         name, si_unit = named_unit(quantity)
-        unit, scale = people_unit(si_unit)
+        unit, scale = unit_for(si_unit)
         rows[quantity] = (
             name,
             f"{plus_minus(Estimate(said.mean, said.std), scale)} {unit}",

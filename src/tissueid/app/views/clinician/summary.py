@@ -6,6 +6,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
+from tissueid.app.units import shown_si
 from tissueid.app.views.clinician.sitting import QUANTITIES, Sitting, rows_of
 
 _HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("Two tests differ by less than"))
@@ -21,6 +22,7 @@ class SittingSummary(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
+        self._sitting: Sitting | None = None
         self.setToolTip(_(_EXPLAINED))
         self.heading = QLabel()
         self.heading.setProperty("role", "headline")
@@ -49,7 +51,8 @@ class SittingSummary(QFrame):
 
     def show_sitting(self, sitting: Sitting | None) -> None:
         """Show what it says so far; None, and fewer than two repeats, hide it."""
-        rows = rows_of(sitting)
+        self._sitting = sitting
+        rows = rows_of(sitting, shown_si)
         self.setVisible(bool(rows))
         if sitting is None or not rows:
             return
@@ -64,3 +67,7 @@ class SittingSummary(QFrame):
             for row in rows.values()
         )
         self.setAccessibleName(f"{self.heading.text()}: {said}")
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        self.show_sitting(self._sitting)

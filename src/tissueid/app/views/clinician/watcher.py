@@ -96,7 +96,7 @@ class Watcher(QObject):
             self._lamp.arm.setVisible(sight.has_button)
         if sight.refused:
             sight.refused = False
-            self._window.ui.notice.say(_(NOT_ON_SKIN), problem=True)
+            self._window.ui.notice.say(_(NOT_ON_SKIN), problem=True, page=MEASURE)
 
     def _arm(self, on: bool) -> None:
         if self._sight is not None and on:
@@ -109,13 +109,13 @@ class Watcher(QObject):
         self._close()
         self._start_next = self._start_next or watched.pressed
         if watched.too_long:
-            self._window.ui.notice.say(_("Contact is no longer watched: that went on for three minutes."))
+            self._window.ui.notice.say(_("Contact is no longer watched: that went on for three minutes."), page=MEASURE)
 
     def _failed(self, words: str) -> None:
         self._close()
         self._start_next = False
         self._window.ui.form.instrument.doubt(self._url)
-        self._window.ui.notice.say(words, problem=True)
+        self._window.ui.notice.say(words, problem=True, page=MEASURE)
 
     def _close(self) -> None:
         self._looks.stop()

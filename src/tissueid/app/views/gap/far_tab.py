@@ -101,6 +101,7 @@ class FarTab(QWidget):
         column.setSpacing(8)
         heading = QLabel(_("Gap on held-out data"))
         heading.setProperty("role", "heading")
+        heading.setWordWrap(True)
         heading.setToolTip(_("Error of the free run over the signals' deviation"))
         for widget in (heading, self.bars, self.closing):
             column.addWidget(widget)
@@ -152,7 +153,9 @@ class _GapBars(QWidget):
         painter = QPainter(self)
         known = [share for _, share, _ in self._rows if np.isfinite(share)]
         most = max(known, default=1.0) or 1.0
-        name_width, figure_width = 50.0, 62.0
+        letters = self.fontMetrics()
+        name_width = 8.0 + max((letters.horizontalAdvance(name) for name, _, _ in self._rows), default=0)
+        figure_width = 62.0
         room = max(self.width() - name_width - figure_width, 10.0)
         for place, (name, share, role) in enumerate(self._rows):
             top = 26.0 * place
@@ -165,4 +168,4 @@ class _GapBars(QWidget):
 
 
 def _percent(share: float) -> str:
-    return f"{number(100.0 * share, 3)} %" if np.isfinite(share) else "unknown"
+    return f"{number(100.0 * share, 3)} %" if np.isfinite(share) else _("unknown")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.language import _
@@ -33,7 +34,16 @@ class History(QWidget):
         self.list.currentRowChanged.connect(self._tell)
         self.remove = QPushButton(_("Remove"))
         self.remove.setAccessibleName(_("Remove the chosen diagnosis from the list"))
+        self.remove.setToolTip(_("Delete does the same; Ctrl+Z brings it back"))
         self.remove.clicked.connect(self._remove)
+        self._removed: tuple[int, Result] | None = None
+        for keys, slot in (
+            (QKeySequence.StandardKey.Delete, self._remove),
+            (QKeySequence.StandardKey.Undo, self._undo),
+        ):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            shortcut.activated.connect(slot)
         heading = QLabel(_("Diagnoses"))
         heading.setProperty("role", "heading")
         column = QVBoxLayout(self)
@@ -52,17 +62,20 @@ class History(QWidget):
 
     def add(self, result: Result) -> None:
         """Put a diagnosis on top and choose it; the oldest goes where there are too many."""
-        self._results.insert(0, result)
+        self._put(0, result)
+
+    def _put(self, place: int, result: Result) -> None:
+        self._results.insert(place, result)
         words = _words(result)
         item = QListWidgetItem("\n".join(words))
         item.setToolTip(clean(str(result.asked.session)))
         item.setData(Qt.ItemDataRole.AccessibleTextRole, ", ".join(words))
         self.list.blockSignals(True)
-        self.list.insertItem(0, item)
+        self.list.insertItem(place, item)
         while len(self._results) > _MOST:
             self._results.pop()
             self.list.takeItem(len(self._results))
-        self.list.setCurrentRow(0)
+        self.list.setCurrentRow(min(place, len(self._results) - 1))
         self.list.blockSignals(False)
         self._tell()
 
@@ -70,10 +83,17 @@ class History(QWidget):
         row = self.list.currentRow()
         if 0 <= row < len(self._results):
             self.list.blockSignals(True)
-            del self._results[row]
+            self._removed = row, self._results.pop(row)
+            self.list.setFocus()  # the button may have nothing more to do; here the keys for the list are heard
             self.list.takeItem(row)
             self.list.blockSignals(False)
             self._tell()
+
+    def _undo(self) -> None:
+        """What was removed last comes back to its place."""
+        if self._removed is not None:
+            (place, result), self._removed = self._removed, None
+            self._put(min(place, len(self._results)), result)
 
     def _tell(self) -> None:
         self.remove.setEnabled(self.result is not None)

@@ -31,7 +31,6 @@ class ResultPage(QScrollArea):
         super().__init__(parent)
         self._story: Story | None = None
         self.setWidgetResizable(True)
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.headline = plain_label("headline")

@@ -23,7 +23,7 @@ from tissueid.reports.gap import effect_words, headline_of, next_steps_of, sente
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
-from tissueid.wording import clean, fixed, number, people_unit, plus_minus, with_unit
+from tissueid.wording import clean, fixed, number
 
 Array = NDArray[np.float64]
 
@@ -67,8 +67,17 @@ class ProfileStory:
 
 
 @dataclass(frozen=True)
+class Fitted:
+    """A fitted parameter: what it means, and its value, in SI."""
+
+    meaning: str
+    value: Estimate
+    si_unit: str
+
+
+@dataclass(frozen=True)
 class Rival:
-    """One candidate of the ranking, in words; ``figures`` are meaning and value of each fitted parameter."""
+    """One candidate of the ranking, in words; ``figures`` are its fitted parameters."""
 
     title: str
     stage: Stage
@@ -78,7 +87,7 @@ class Rival:
     alike: str
     signature: str
     remedy: str
-    figures: tuple[tuple[str, str], ...]
+    figures: tuple[Fitted, ...]
 
 
 @dataclass(frozen=True)
@@ -196,7 +205,7 @@ def _rival(found: Diagnosis, item: Ranked) -> Rival:
     )
 
 
-def _figures(found: Diagnosis, item: Ranked) -> tuple[tuple[str, str], ...]:
+def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
     values, stds = item.parameters, {}
     if item.effect in found.combination and found.best is not None:
         values = parameters_of(found.best, item.effect)
@@ -208,10 +217,10 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[tuple[str, str], ...]:
     about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
     rows = []
     for name, value in values.items():
-        unit, scale = people_unit(about[name].unit if name in about else "")
         meaning = about[name].meaning if name in about else ""
-        text = plus_minus(Estimate(value, stds.get(f"{item.effect}.{name}")), scale)
-        rows.append((sentence(meaning or name.replace("_", " ")).rstrip("."), with_unit(text, unit)))
+        label = sentence(meaning or name.replace("_", " ")).rstrip(".")
+        std = stds.get(f"{item.effect}.{name}")
+        rows.append(Fitted(label, Estimate(value, std), about[name].unit if name in about else ""))
     return tuple(rows)
 
 

@@ -8,12 +8,14 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWi
 
 from tissueid.app.language import _
 from tissueid.app.theme import Theme
+from tissueid.app.units import shown_si
 from tissueid.app.views.gap.bars import BarTable
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.app.views.gap.words import STAGE_TITLES
+from tissueid.wording import plus_minus, with_unit
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.story import Rival, Story
+    from tissueid.app.views.gap.story import Fitted, Rival, Story
 
 
 class WhichTab(QWidget):
@@ -62,6 +64,10 @@ class WhichTab(QWidget):
             self.table.clearSelection()
             self.table.selectRow(0)
 
+    def take_units(self) -> None:
+        """Show the figures in the units in force."""
+        self._show_chosen()
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.table.paint_with(theme)
@@ -76,7 +82,7 @@ class WhichTab(QWidget):
         self.alike.setText(alike or _("No rival looks the same in this data."))
         self.leaves.setText(_("What it leaves: {signature}").format(signature=rival.signature))
         self.remedy.setText(_("What to do: {advice}").format(advice=rival.remedy) if rival.remedy else "")
-        self.figures.setText("\n".join([_("Fitted:"), *(f"{name}: {value}" for name, value in rival.figures)]))
+        self.figures.setText("\n".join([_("Fitted:"), *(_spoken(item) for item in rival.figures)]))
         self.figures.setVisible(bool(rival.figures))
 
     def _make_details(self) -> QWidget:
@@ -98,6 +104,11 @@ class WhichTab(QWidget):
         frame.setContentsMargins(0, 0, 0, 0)
         frame.addWidget(scroll)
         return card
+
+
+def _spoken(item: Fitted) -> str:
+    unit, scale = shown_si(item.si_unit)
+    return f"{item.meaning}: {with_unit(plus_minus(item.value, scale), unit)}"
 
 
 def _percent(share: float) -> str:

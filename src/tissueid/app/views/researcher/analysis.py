@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QFileDialog,
     QLabel,
@@ -71,6 +72,7 @@ class AnalysisPanel(QWidget):
         self.bar.setAccessibleName(_("Progress of the analysis"))
         self.step = _line()
         self.results = ResultsTable()
+        self._before_removal: tuple[Outcome, ...] = ()
         self.pictures = Pictures()
         self.save_table = QPushButton(_("Table…"))
         self.save_table.setAccessibleName(_("Save the table"))
@@ -227,9 +229,18 @@ class AnalysisPanel(QWidget):
         self._enable()
 
     def _remove(self, some: list[Outcome]) -> None:
+        self._before_removal = tuple(self.results.outcomes)
         gone = {id(outcome) for outcome in some}
         self.results.show_outcomes([outcome for outcome in self.results.outcomes if id(outcome) not in gone])
         self._draw()
+
+    def _undo_removal(self) -> None:
+        """What was taken out last stands in the table again, before what has come since."""
+        before, self._before_removal = self._before_removal, ()
+        if before:
+            there = {outcome.key: outcome for outcome in (*before, *self.results.outcomes)}
+            self.results.show_outcomes(list(there.values())[-_MOST_RESULTS:])
+            self._draw()
 
     def _clear(self) -> None:
         self._remove(list(self.results.outcomes))
@@ -299,6 +310,9 @@ class AnalysisPanel(QWidget):
         self.cancelling.clicked.connect(self.cancel)
         self.results.chosen_changed.connect(self._draw)
         self.results.removed.connect(self._remove)
+        undo = QShortcut(QKeySequence(QKeySequence.StandardKey.Undo), self.results)
+        undo.setContext(Qt.ShortcutContext.WidgetShortcut)
+        undo.activated.connect(self._undo_removal)
         self.clear.clicked.connect(self._clear)
         self.save_table.clicked.connect(self._save_table)
         self.save_figure.clicked.connect(self._save_figure)

@@ -30,7 +30,7 @@ _SETTLED_MS = 120
 _DRAIN_MS = 80
 _AT_ONCE = 200
 _LONGEST_LABEL = 60
-_WIDTHS = (134, 70, 116, 56, 46, 84, 70, 100, 180)
+_WIDTHS = (134, 74, 116, 72, 46, 84, 70, 100, 180)
 
 
 class Browser(QWidget):
@@ -228,6 +228,7 @@ class Browser(QWidget):
             label.setProperty("role", "muted")
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setMinimumWidth(1)
+            label.setWordWrap(True)
         self.picked.setText(_("Nothing selected"))
         top = QHBoxLayout()
         top.setSpacing(6)

@@ -6,7 +6,7 @@ import html
 from collections.abc import Mapping
 from typing import Any
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QEvent, Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut, QUndoCommand, QUndoStack
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -220,6 +220,13 @@ class EngineForm(QWidget):
 
     # -- building -----------------------------------------------------------------------------------------
 
+    def changeEvent(self, event: QEvent) -> None:  # noqa: N802
+        """Other colours are for every field too."""
+        super().changeEvent(event)
+        if event.type() == QEvent.Type.PaletteChange:
+            for field in self._fields.values():
+                field.setPalette(self.palette())
+
     def _make_fields(self, engine: str) -> None:
         for field in self._fields.values():
             field.hide()
@@ -233,7 +240,8 @@ class EngineForm(QWidget):
         self.about.setText(" ".join((kind.__doc__ or "").split("\n\n")[0].split()))
         before: QWidget = self.engine
         for row, (name, info) in enumerate(kind.model_fields.items()):
-            field = OptionField(name, info)
+            field = OptionField(name, info, self)
+            field.setPalette(self.palette())  # a field that comes late does not get the page's colours by itself
             label = QLabel(field.label)
             label.setProperty("role", "field")
             label.setTextFormat(Qt.TextFormat.PlainText)

@@ -10,12 +10,12 @@ import numpy as np
 
 from tissueid.app.language import _, marked
 from tissueid.app.theme import LIGHT
+from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.errors import UnusableInputError
 from tissueid.reports.style import drawing, frequency_axis, log_axis, new_figure
 from tissueid.whole_file import whole_file
-from tissueid.wording import people_unit
 
 FIGURES = {".png": marked("PNG picture (*.png)"), ".svg": marked("SVG drawing (*.svg)")}
 _WIDTH, _PANEL, _REST = 7.2, 1.7, 1.1
@@ -55,7 +55,7 @@ class FigurePlan:
         every = figure.subplots(count, 1, squeeze=False)[:, 0]
         colours = series(LIGHT)
         for axes, channel in zip(every, self.channels, strict=False):
-            unit, scale = people_unit(channel.unit)
+            unit, scale = shown_si(channel.unit)
             axes.set_title(f"{channel.title} ({unit})" if unit else channel.title)
             for test, colour in zip(self.loaded, colours, strict=False):
                 if (track := test.tracks.get(channel)) is not None:
@@ -64,7 +64,7 @@ class FigurePlan:
             axes.set_xlim(self.low_s, self.high_s)
         every[len(self.channels) - 1].set_xlabel(_("Time from the start of the test (s)"))
         if self.spectrum is not None:
-            unit, scale = people_unit(self.spectrum.unit)
+            unit, scale = shown_si(self.spectrum.unit)
             axes = every[-1]
             axes.set_title(
                 _("Power spectrum of {title} ({unit}²/Hz)").format(title=self.spectrum.title, unit=unit)

@@ -10,11 +10,12 @@ from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidg
 
 from tissueid.app.language import _
 from tissueid.app.theme import Theme
+from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.app.views.researcher.tips import plain_tip
 from tissueid.records import Estimate
-from tissueid.wording import MISSING, people_unit, plus_minus
+from tissueid.wording import MISSING, plus_minus
 
 _ROW = 22
 _NAME_WIDTH = 150
@@ -27,6 +28,7 @@ class FiguresTable(QTableWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, 1, parent)
         self._theme: Theme | None = None
+        self._stretch: tuple[Sequence[Loaded], Sequence[Channel], float, float] = (), (), 0.0, 0.0
         self.setAccessibleName(_("Mean and standard deviation of the brushed stretch"))
         self.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.setSelectionMode(QTableWidget.SelectionMode.SingleSelection)
@@ -43,6 +45,7 @@ class FiguresTable(QTableWidget):
 
     def show_stretch(self, loaded: Sequence[Loaded], channels: Sequence[Channel], low_s: float, high_s: float) -> None:
         """Fill it in for the stretch between two times."""
+        self._stretch = loaded, channels, low_s, high_s
         self.setColumnCount(1 + len(channels))
         self.setRowCount(len(loaded))
         titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
@@ -56,6 +59,10 @@ class FiguresTable(QTableWidget):
             for column, channel in enumerate(channels, 1):
                 self.setItem(row, column, _figure(test, channel, low_s, high_s))
         self._colour()
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        self.show_stretch(*self._stretch)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -73,7 +80,7 @@ class FiguresTable(QTableWidget):
 
 
 def _units(channels: Sequence[Channel]) -> list[tuple[Channel, str]]:
-    return [(channel, people_unit(channel.unit)[0]) for channel in channels]
+    return [(channel, shown_si(channel.unit)[0]) for channel in channels]
 
 
 def _figure(test: Loaded, channel: Channel, low_s: float, high_s: float) -> QTableWidgetItem:
@@ -81,7 +88,7 @@ def _figure(test: Loaded, channel: Channel, low_s: float, high_s: float) -> QTab
     if track is None:
         return QTableWidgetItem(MISSING)
     stretch = track.stretch(low_s, high_s)
-    item = QTableWidgetItem(plus_minus(Estimate(stretch.mean, stretch.std), people_unit(channel.unit)[1]))
+    item = QTableWidgetItem(plus_minus(Estimate(stretch.mean, stretch.std), shown_si(channel.unit)[1]))
     lost = _(", {lost} lost").format(lost=stretch.lost) if stretch.lost else ""
     item.setToolTip(_("{samples} samples{lost}").format(samples=stretch.samples, lost=lost))
     return item

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidge
 
 from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
+from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.wording import (
     MISSING,
@@ -27,7 +28,6 @@ from tissueid.wording import (
     engine_label,
     fixed,
     named_unit,
-    people_unit,
     plain_text,
     plus_minus,
 )
@@ -90,9 +90,7 @@ class ResultsTable(QTableView):
     def show_outcomes(self, outcomes: Sequence[Outcome]) -> None:
         """Show results; the selection goes."""
         self._model.take(outcomes)
-        self.resizeColumnsToContents()
-        for column in range(self._sorted.columnCount()):
-            self.setColumnWidth(column, min(220, self.columnWidth(column) + 6))
+        self._fit_columns()
 
     def select(self, outcomes: Sequence[Outcome]) -> None:
         """Select results, so that they are drawn; nothing is sent."""
@@ -115,6 +113,11 @@ class ResultsTable(QTableView):
         """Take on the colours of a theme."""
         self._model.paint_with(theme)
 
+    def take_units(self) -> None:
+        """Show the figures in the units in force."""
+        self._model.take_units()
+        self._fit_columns()
+
     def rows(self) -> list[list[str]]:
         """A head and all results, SI, with a column for every value and every standard deviation."""
         names = self._model.parameters
@@ -130,6 +133,11 @@ class ResultsTable(QTableView):
                 self.removed.emit(self.chosen)
             return
         super().keyPressEvent(event)
+
+    def _fit_columns(self) -> None:
+        self.resizeColumnsToContents()
+        for column in range(self._sorted.columnCount()):
+            self.setColumnWidth(column, min(220, self.columnWidth(column) + 6))
 
     def _source(self, row: int) -> int:
         return self._sorted.mapToSource(self._sorted.index(row, 0)).row()
@@ -168,9 +176,13 @@ class _Results(QAbstractTableModel):
         self._theme = theme
         self._tell_colours()
 
+    def take_units(self) -> None:
+        self.headerDataChanged.emit(Qt.Orientation.Horizontal, 0, max(0, self.columnCount() - 1))
+        self._tell_colours()
+
     def _tell_colours(self) -> None:
         if self.outcomes:
-            self.dataChanged.emit(self.index(0, 0), self.index(len(self.outcomes) - 1, 0))
+            self.dataChanged.emit(self.index(0, 0), self.index(len(self.outcomes) - 1, self.columnCount() - 1))
 
     def rowCount(self, parent: Index = _TOP) -> int:  # noqa: N802
         return 0 if parent.isValid() else len(self.outcomes)
@@ -188,7 +200,7 @@ class _Results(QAbstractTableModel):
         if section >= len(_FIXED) + len(self.parameters):
             return _(_LAST[section - len(_FIXED) - len(self.parameters)])
         name = self.parameters[section - len(_FIXED)]
-        return axis_label(name, people_unit(named_unit(name)[1])[0])
+        return axis_label(name, shown_si(named_unit(name)[1])[0])
 
     def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         outcome, column = self.outcomes[index.row()], index.column()
@@ -223,7 +235,7 @@ class _Results(QAbstractTableModel):
             return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
         name = self.parameters[column - len(_FIXED)]
         found = report.parameters.get(name)
-        return MISSING if found is None else plus_minus(found, people_unit(named_unit(name)[1])[1])
+        return MISSING if found is None else plus_minus(found, shown_si(named_unit(name)[1])[1])
 
     def _sorted_by(self, outcome: Outcome, column: int) -> str | float:
         report = outcome.report

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.units import shown
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.wording import people_unit, superscript
@@ -83,9 +84,15 @@ class SpectrumCard(QWidget):
         if low < last:
             self.card.plot.setXRange(low, last, padding=0.02)
             self.card.plot.setYRange(bottom, top, padding=0.05)
+            shift = round(math.log10(shown(f"{unit}²/Hz")[1]))
             step = max(1, math.ceil((top - bottom) / _TICKS))
             powers = range(math.floor(top), math.floor(bottom) - 1, -step)
-            self.card.plot.getAxis("left").setTicks([[(power, f"10{superscript(power)}") for power in powers]])
+            self.card.plot.getAxis("left").setTicks([[(power, f"10{superscript(power + shift)}") for power in powers]])
+
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        loaded, (low, high) = self._shown
+        self.show_stretch(loaded, low, high)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -97,8 +104,7 @@ class SpectrumCard(QWidget):
         channel = self.channel
         if channel is not None:
             self._wanted = channel.name
-        loaded, (low, high) = self._shown
-        self.show_stretch(loaded, low, high)
+        self.take_units()
 
     def _colour(self) -> None:
         if self._theme is not None:

@@ -94,7 +94,7 @@ def _verdict(outline: Outline) -> tuple[str, str]:
     if not judged:
         return _(NOT_JUDGED), ""
     worst = max(judged, key=_severity)
-    return worst.headline, _LEVELS[worst.verdict]
+    return _(worst.headline), _LEVELS[worst.verdict]
 
 
 def _severity(quality: Quality) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QColor, QKeyEvent
+from PySide6.QtGui import QColor, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from tissueid.app.theme import LIGHT, Theme
@@ -43,9 +43,11 @@ class Rows(QTableWidget):
         header.setHighlightSections(False)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setSectionsClickable(False)
+        self._stretched = tuple(stretched)
         for column in range(len(headings)):
-            kind = QHeaderView.ResizeMode.Stretch if column in stretched else QHeaderView.ResizeMode.ResizeToContents
+            kind = QHeaderView.ResizeMode.Fixed if column in stretched else QHeaderView.ResizeMode.ResizeToContents
             header.setSectionResizeMode(column, kind)
+        header.setMinimumSectionSize(40)
         self.verticalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.verticalHeader().setMinimumSectionSize(self.verticalHeader().defaultSectionSize())
         self.setMinimumHeight(header.sizeHint().height() + _LOWEST * self.verticalHeader().defaultSectionSize())
@@ -68,6 +70,7 @@ class Rows(QTableWidget):
                 item.setData(_LEVEL, level)
                 self.setItem(row, column, item)
         self._colour()
+        self._share_room()
         if kept >= 0:
             self.selectRow(kept)
 
@@ -93,6 +96,28 @@ class Rows(QTableWidget):
             f" border-bottom: 1px solid {theme.line}; padding: 3px 8px; }}"
         )
         self._colour()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Share the room anew."""
+        super().resizeEvent(event)
+        self._share_room()
+
+    def _share_room(self) -> None:
+        """Columns that are stretched get what the others leave, by what each has to say; too long a text is wrapped."""
+        header = self.horizontalHeader()
+        header.resizeSections(QHeaderView.ResizeMode.ResizeToContents)
+        wanted = [max(self.sizeHintForColumn(c), header.sectionSizeHint(c)) for c in self._stretched]
+        others = sum(self.columnWidth(c) for c in range(self.columnCount()) if c not in self._stretched)
+        left = max(0, self.viewport().width() - others)
+        # The narrowest first: whoever needs less than an equal share gets that much, the longest texts the rest.
+        places = sorted(range(len(wanted)), key=wanted.__getitem__)
+        for number, place in enumerate(places):
+            share = left // (len(places) - number)
+            spare = max(0, left - sum(wanted[other] for other in places[number:])) // (len(places) - number)
+            width = share if number == len(places) - 1 else min(wanted[place] + spare, share)
+            self.setColumnWidth(self._stretched[place], width)
+            left -= width
+        self.resizeRowsToContents()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Return takes the row that is selected, once for each time that the key goes down."""

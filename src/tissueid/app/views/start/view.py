@@ -21,6 +21,7 @@ from tissueid.app.views.start.parts import brief, cells, heading, under_heading,
 from tissueid.app.views.start.recent import FolderLook, look_into
 from tissueid.app.views.start.role_card import RoleCard
 from tissueid.app.views.start.rows import Rows
+from tissueid.app.views.start.unit_chooser import UnitChooser
 from tissueid.app.views.start.whereabouts import whereabouts
 from tissueid.app.views.view import Desk, View
 from tissueid.audit import Role
@@ -84,6 +85,7 @@ class StartView(View):
         self.recover = QPushButton(_("Recover"))
         self.recover.setAccessibleName(_("Recover all unfinished tests"))
         self.language = LanguageChooser(desk.settings)
+        self.units = UnitChooser(desk.settings)
         self.folder = QPushButton(_("Show folder"))
         self.folder.setAccessibleName(_("Show the folder of sessions"))
         self._arrange()
@@ -308,7 +310,7 @@ class StartView(View):
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(scroll)
         order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
-        order += [self.instruments, self.use, self.seek, self.folder, self.language.choice]
+        order += [self.instruments, self.use, self.seek, self.folder, self.language.choice, self.units.choice]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
@@ -341,7 +343,12 @@ class StartView(View):
             path.setToolTip(clean(where))
             grid.addWidget(label, 1 + place // 2, 2 * (place % 2), Qt.AlignmentFlag.AlignTop)
             grid.addWidget(path, 1 + place // 2, 2 * (place % 2) + 1, 1, 1 + place % 2)
-        grid.addWidget(self.language, 3, 2, 1, 3)
+        choices = QHBoxLayout()
+        choices.setSpacing(24)
+        choices.addWidget(self.language)
+        choices.addWidget(self.units)
+        choices.addStretch(1)
+        grid.addLayout(choices, 3, 2, 1, 3)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(3, 1)
         return foot

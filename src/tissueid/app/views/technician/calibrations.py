@@ -11,7 +11,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
-from tissueid.app.layout import MEASURE
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
@@ -62,7 +61,7 @@ class CalibrationsTab(Tab):
         self.again.clicked.connect(self.load)
         self.about = plain_label(role="muted")
         self.model = PiecesModel(tuple(_(head) for head in HEADERS), Row.cell, level=lambda row: row.level, marked=4)
-        self.list = table_of(self.model, _("Calibrations"), (82, 50, 58, 64, 190))
+        self.list = table_of(self.model, _("Calibrations"), (82, 66, 74, 70, 180))
         self.list.selectionModel().selectionChanged.connect(self._show_selected)
         self.why = plain_label(role="muted")
         self.hint = plain_label(_(_HINT), "muted")
@@ -122,8 +121,7 @@ class CalibrationsTab(Tab):
         if not technician:
             self.desk.say(_(_ROLE), problem=True)
             return
-        self.desk.go(MEASURE)
-        self.desk.say(_(_TO_MEASURE))
+        self.desk.calibrate(_(_TO_MEASURE))
 
     # -- showing ------------------------------------------------------------------------------------------
 

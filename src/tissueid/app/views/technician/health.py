@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWi
 from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.units import figure, unit_of
 from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
 from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import moment
@@ -182,6 +183,10 @@ class HealthTab(Tab):
         self.trend.plot.setYRange(float(y.min()) - margin, float(y.max()) + margin, padding=0.0)
         self.trend.plot.setXRange(min(-1.0, 1.05 * float(x.min())), 0.02 * max(1.0, float(np.ptp(x))), padding=0.0)
 
+    def take_units(self) -> None:
+        """Show it in the units in force."""
+        self._show()
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.lamps.paint_with(theme)
@@ -207,8 +212,10 @@ def _identity(checkup: Checkup | None) -> dict[str, str]:
         _("Force limit"): _("{clinical} N clinical, {research} N research").format(
             clinical=number(clinical.max_force_n), research=number(research.max_force_n)
         ),
-        _("Position limits"): _("{low} to {high} mm").format(
-            low=fixed(1e3 * clinical.min_position_m, 1), high=fixed(1e3 * clinical.max_position_m, 1)
+        _("Position limits"): _("{low} to {high} {unit}").format(
+            low=figure("position", clinical.min_position_m),
+            high=figure("position", clinical.max_position_m),
+            unit=unit_of("position").symbol,
         ),
         _("Heat, time limit"): f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",
     }
@@ -230,7 +237,8 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
             facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
     facts[_("Force constant")] = f"{number(device.force_constant_n_per_a)} N/A"
     facts[_("Resistance")] = f"{number(device.coil_resistance_ohm)} Ω"
-    facts[_("Moving mass")] = f"{number(1e3 * device.moving_mass_kg)} g"
+    mass = unit_of("mass")
+    facts[_("Moving mass")] = f"{number(mass.factor * device.moving_mass_kg)} {mass.symbol}"
     facts[_("Uncertainty of force")] = f"{number(100.0 * device.calibration_relative_uncertainty, 2)} %"
     return facts
 

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.app.calibration_figures import figure_of
 from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
@@ -24,17 +25,6 @@ _MOST_LINES = 4
 _SMALL = {"m": ("µm", 1e6), "A": ("mA", 1e3)}
 
 
-class ResidualsCard(PlotCard):
-    """A plot whose lower axis goes by what is shown."""
-
-    def set_x_label(self, text: str) -> None:
-        """Another label below."""
-        if text != self._x_label:
-            self._x_label = text
-            if self._theme is not None:
-                self.paint_with(self._theme)
-
-
 class StaticsPanel(QWidget):
     """The newest of the selected static calibrations; the trend is over all of its instrument that passed."""
 
@@ -47,7 +37,7 @@ class StaticsPanel(QWidget):
         self.said = plain_label(role="muted")
         self.model = PiecesModel(
             (_("Figure"), _("Value"), _("Unit")),
-            lambda row, column: readable(*row)[column],
+            lambda row, column: figure_of(*row)[column],
             right=(1,),
         )
         self.figures = table_of(self.model, _("Figures of the static calibration"), (250, 175))
@@ -62,7 +52,7 @@ class StaticsPanel(QWidget):
         for choice in (self.line, self.figure):
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(16)
-        self.off = ResidualsCard(_("Residuals"), _("Reading (V)"), "mA")
+        self.off = PlotCard(_("Residuals"), _("Reading (V)"), "mA")
         self._dots = self.off.dots("measured", 6)
         self._zero = self.off.mark(upright=False)
         self.over_dates = PlotCard(_("Trend"), _("Days from today"), "")
@@ -135,7 +125,7 @@ class StaticsPanel(QWidget):
         x_unit, x_scale = people_unit(found.x_unit)
         y_unit, y_scale = _SMALL[found.y_unit]
         self.off.retitle(found.label, y_unit)
-        self.off.set_x_label(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
+        self.off.relabel(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
         x, y = x_scale * found.x, y_scale * found.y
         self._dots.setData(x, y)
         self._zero.show()
@@ -165,6 +155,10 @@ class StaticsPanel(QWidget):
         self.over_dates.plot.setYRange(low - margin, high + margin, padding=0.0)
         self.over_dates.plot.setXRange(min(-1.0, float(days.min())), max(0.0, float(days.max())), padding=0.04)
         self.drift.setText(found.words)
+
+    def take_units(self) -> None:
+        """Show the figures in the units in force."""
+        self.model.show_rows(self.model.rows)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

@@ -10,9 +10,11 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.calibration_figures import figure_of
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.app.units import figure, shown_si, unit_of
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import mark_level, plain_label
 from tissueid.calibration.comparison import (
@@ -24,7 +26,7 @@ from tissueid.calibration.comparison import (
     linear_region,
 )
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.words import label_of, readable
+from tissueid.calibration.words import label_of
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, clean, fixed, people_unit, plus_minus
 
@@ -226,6 +228,10 @@ class SweepsPanel(QWidget):
         lines.append(f'<span style="color:{theme.muted}">{note}</span>')
         self.key.setText("<br>".join(lines))
 
+    def take_units(self) -> None:
+        """Show words and figures in the units in force."""
+        self._compare()
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
@@ -239,27 +245,30 @@ def _region_words(sweep: Calibration) -> str:
     region = linear_region(sweep)
     if region is None:
         return _("It does not say where the coil is linear.")
-    return _("Linear from {low} to {high} mm.").format(low=fixed(_MM * region[0], 1), high=fixed(_MM * region[1], 1))
+    return _("Linear from {low} to {high} {unit}.").format(
+        low=figure("position", region[0]), high=figure("position", region[1]), unit=unit_of("position").symbol
+    )
 
 
 def _profile_words(found: Comparison) -> str:
     if found.common_m is None:
         return _("Their linear regions do not overlap.")
-    low, high = (fixed(_MM * end, 1) for end in found.common_m)
+    low, high = (figure("position", end) for end in found.common_m)
+    unit = unit_of("position").symbol
     if not np.isfinite(found.profile):
-        return _("Both are linear from {low} to {high} mm.").format(low=low, high=high)
+        return _("Both are linear from {low} to {high} {unit}.").format(low=low, high=high, unit=unit)
     mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (found.profile, found.largest))
-    where = fixed(_MM * found.largest_at_m, 1)
-    return _("Over {low} to {high} mm, where both are linear: mean {mean}, largest {largest}, at {where} mm.").format(
-        low=low, high=high, mean=mean, largest=largest, where=where
-    )
+    where = figure("position", found.largest_at_m)
+    return _(
+        "Over {low} to {high} {unit}, where both are linear: mean {mean}, largest {largest}, at {where} {unit}."
+    ).format(low=low, high=high, unit=unit, mean=mean, largest=largest, where=where)
 
 
 def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
     if isinstance(row, tuple):
-        label, value, unit = readable(*row)
+        label, value, unit = figure_of(*row)
         return (label, "", "", "", "", value, unit)[column]
-    unit, scale = people_unit(row.before.unit)
+    unit, scale = shown_si(row.before.unit)
     if column in (4, 5):
         held = row.before if column == 4 else row.now
         return plus_minus(Estimate(held.value, held.std), scale)
@@ -272,4 +281,5 @@ def _sizes(row: Difference, scale: float) -> tuple[str, str]:
     if np.isfinite(row.relative):
         share = None if known is None else 100.0 * known / abs(row.before.value)
         return f"{fixed(100.0 * row.relative, 1)} %", MISSING if share is None else f"{fixed(share, 1)} %"
-    return fixed(scale * row.absolute, 2), MISSING if known is None else fixed(scale * known, 2)
+    decimals = 2 if scale == people_unit(row.before.unit)[1] else 5
+    return fixed(scale * row.absolute, decimals), MISSING if known is None else fixed(scale * known, decimals)

@@ -1,0 +1,67 @@
+"""What is typed into a field for a force or a length is that number or none: never another one."""
+
+import pytest
+from PySide6.QtCore import Qt
+
+from tissueid.app.number_field import NumberField
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+@pytest.mark.parametrize(
+    ("typed", "value"),
+    [
+        ("4", 4.0),
+        ("4.25", 4.25),
+        ("0,5", 0.5),
+        (",5", 0.5),
+        ("7 N", 7.0),
+        ("7N", 7.0),
+        ("4 mm", 10.5),
+        ("5 kN", 10.5),
+        ("0.005 kN", 10.5),
+        ("-3", 10.5),
+        ("1e9", 10.5),
+        ("20", 10.5),
+        ("0,1", 10.5),
+        ("1.000,5", 10.5),
+        ("abc", 10.5),
+        ("nan", 10.5),
+        ("", 10.5),
+    ],
+)
+def test_a_typed_force_is_taken_or_the_one_before_stands(qtbot, window, typed, value):
+    form = window.ui.form
+    form.fold.setChecked(True)
+    field = form.max_force
+    assert isinstance(field, NumberField)
+    assert field.value() == 10.5
+    field.setFocus()
+    field.selectAll()
+    qtbot.keyClicks(field, typed) if typed else qtbot.keyClick(field, Qt.Key.Key_Backspace)
+    qtbot.keyClick(field, Qt.Key.Key_Tab)
+    assert form.plan().max_force_n == value
+    assert field.text() == f"{value:.2f} N"
+
+
+def test_a_test_that_is_begun_in_mid_typing_takes_what_is_typed(qtbot, window):
+    form = window.ui.form
+    form.fold.setChecked(True)
+    form.seconds.setFocus()
+    form.seconds.selectAll()
+    qtbot.keyClicks(form.seconds, "1,5")
+    assert form.seconds.value() == 4.0
+    assert form.plan().seconds == 1.5
+
+
+def test_arrows_still_step_and_what_is_undone_comes_back(qtbot, window):
+    window.ui.form.fold.setChecked(True)
+    field = window.ui.form.max_force
+    field.setFocus()
+    qtbot.keyClick(field, Qt.Key.Key_Down)
+    assert field.value() == 10.0
+    field.selectAll()
+    qtbot.keyClicks(field, "3,5")
+    qtbot.keyClick(field, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    qtbot.keyClick(field, Qt.Key.Key_Tab)
+    assert field.value() == 10.0

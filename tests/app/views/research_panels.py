@@ -1,0 +1,139 @@
+"""The panel of analyses on a desk of its own, and an engine that takes its time, for the tests of both."""
+
+import dataclasses
+import threading
+
+import pytest
+from app.benches import WAIT_MS
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtWidgets import (
+    QFileDialog,
+    QWidget,
+)
+
+from tissueid.app.jobs import Jobs
+from tissueid.app.surroundings import Surroundings
+from tissueid.app.theme import LIGHT
+from tissueid.app.views.researcher import batch
+from tissueid.app.views.researcher.analysis import AnalysisPanel
+from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.history import History
+from tissueid.app.views.view import Desk
+from tissueid.sessions import read_session, write_session
+
+
+class Strip:
+    """What the panel says, and whether as a problem."""
+
+    def __init__(self):
+        self.said = []
+
+    def __call__(self, text, *, problem=False):
+        self.said.append((text, problem))
+
+
+@pytest.fixture
+def strip():
+    return Strip()
+
+
+@pytest.fixture
+def history(tmp_path):
+    return History(tmp_path / "data" / "analyses.jsonl")
+
+
+@pytest.fixture
+def open_panel(qtbot, tmp_path, strip, history):
+    """Opens panels on a desk of their own; each is settled as the window would, and its work is waited for."""
+    opened = []
+
+    def make():
+        home = QWidget()
+        qtbot.addWidget(home)
+        jobs = Jobs(home)
+        settings = QSettings(str(tmp_path / "panel.ini"), QSettings.Format.IniFormat)
+        nothing = lambda *_: None  # noqa: E731
+        around = Surroundings(folder=tmp_path)
+        desk = Desk(around, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
+        panel = AnalysisPanel(desk, home, history=history)
+        jobs.changed.connect(lambda: panel.settle(busy=bool(jobs), testing=False))
+        panel.paint_with(LIGHT)
+        home.resize(700, 560)
+        panel.resize(700, 560)
+        home.show()
+        opened.append((home, panel))
+        return panel
+
+    yield make
+    for _, panel in opened:
+        panel.cancel()
+        wait(qtbot, panel)
+
+
+@pytest.fixture
+def panel(open_panel):
+    return open_panel()
+
+
+def wait(qtbot, panel):
+    qtbot.waitUntil(lambda: not panel.desk.jobs, timeout=WAIT_MS)
+
+
+def press(qtbot, widget):
+    qtbot.mouseClick(widget, Qt.MouseButton.LeftButton)
+
+
+def chosen_of(path, subject="P-001", number=1):
+    return Chosen(path, number, "left calf", subject, f"{subject} #{number}")
+
+
+@pytest.fixture
+def two(tmp_path, saved):
+    """Two sessions of the same record, of different subjects."""
+    session = read_session(saved)
+    paths = []
+    for name in ("P-001", "P-002"):
+        path = tmp_path / f"{name}.h5"
+        write_session(path, dataclasses.replace(session, subject=dataclasses.replace(session.subject, pseudonym=name)))
+        paths.append(chosen_of(path, name))
+    return paths
+
+
+def choose(panel, engine):
+    panel.form.engine.setCurrentIndex(panel.form.engine.findData(engine))
+
+
+def run(qtbot, panel, chosen, engine="lms"):
+    choose(panel, engine)
+    panel.show_tests(chosen)
+    press(qtbot, panel.run)
+    wait(qtbot, panel)
+
+
+def answer(qtbot, panel, path):
+    """Answer the file dialog that is open."""
+    qtbot.waitUntil(lambda: bool(panel.findChildren(QFileDialog)), timeout=WAIT_MS)
+    dialog = panel.findChildren(QFileDialog)[-1]
+    dialog.fileSelected.emit(str(path))
+    dialog.close()
+    wait(qtbot, panel)
+
+
+class Held:
+    """Stands for an engine that takes its time: it fits when it is told to."""
+
+    def __init__(self, real):
+        self.real, self.reached, self.go_on = real, threading.Event(), threading.Event()
+
+    def __call__(self, *args, **options):
+        self.reached.set()
+        assert self.go_on.wait(WAIT_MS / 1000)
+        return self.real(*args, **options)
+
+
+@pytest.fixture
+def held(monkeypatch):
+    held = Held(batch.analyse)
+    monkeypatch.setattr(batch, "analyse", held)
+    yield held
+    held.go_on.set()

@@ -1,0 +1,207 @@
+"""The panel of analyses: engines that are run, compared and cancelled."""
+
+import dataclasses
+import threading
+
+import pytest
+from app.benches import WAIT_MS
+from app.views.research_panels import answer, choose, chosen_of, press, run, wait
+from PySide6.QtCore import QPoint, Qt
+from PySide6.QtWidgets import (
+    QTableView,
+)
+
+from tissueid.app.theme import DARK
+from tissueid.app.views.researcher import batch
+from tissueid.app.views.researcher.pictures import PICTURES
+from tissueid.sessions import read_session, write_session
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+# -- running -----------------------------------------------------------------------------------------------
+
+
+def test_engine_and_run_give_table_plots_and_a_line_of_history(qtbot, panel, strip, history, two):
+    choose(panel, "lms")
+    panel.form.field("memory").controls[0].setValue(0.06)
+    run(qtbot, panel, two)
+    run(qtbot, panel, two[:1], "wiener")
+    assert strip.said == []
+    rows = panel.results.rows()
+    table = [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
+    assert [(row["engine"], row["subject"]) for row in table] == [
+        ("lms", "P-001"),
+        ("lms", "P-002"),
+        ("wiener", "P-001"),
+    ]
+    for row in table:
+        assert 0.07 < float(row["mass_kg"]) < 0.095
+        assert float(row["mass_kg_std"]) > 0.0
+        assert float(row["vaf_validation_percent"]) > 95.0
+    model = panel.results.model()
+    heads = [model.headerData(column, Qt.Orientation.Horizontal) for column in range(model.columnCount())]
+    assert "Mass (g)" in heads
+    assert "±" in model.index(0, heads.index("Mass (g)")).data()
+    lines = [outcome.drawn.lines for outcome in panel.results.outcomes]
+    assert all({"impulse", "magnitude", "phase", "coherence"} <= set(some) for some in lines)
+    assert {"autocorrelation", "cross"} <= set(lines[0])
+    assert "too few" in panel.results.outcomes[2].drawn.missing["autocorrelation"]
+    assert ["nonlinearity" in some for some in lines] == [False, False, True]
+    # The same system by two engines: the same peak of the impulse response, in mm/(N s).
+    peaks = [some["impulse"].y.max() for some in lines]
+    assert peaks[0] == pytest.approx(peaks[2], rel=0.2)
+    # A static compliance in mm/N is one over the stiffness in N/mm.
+    low = 10.0 ** lines[2]["magnitude"].y[0]
+    assert low == pytest.approx(1e3 / float(table[2]["stiffness_n_per_m"]), rel=0.15)
+    for place, name in enumerate(PICTURES):
+        panel.pictures.choice.setCurrentIndex(place)
+        assert panel.pictures.choice.currentText() == name
+        panel.paint_with(DARK)
+    entries, bad = history.read()
+    assert ([entry.task.engines for entry in entries], bad) == ([("wiener",), ("lms",)], 0)
+    assert "2 of 2 fitted" in entries[1].headline
+    assert panel.past.table.rowCount() == 2
+    run(qtbot, panel, two)  # once more the same: it takes the place of the first
+    assert len(panel.results.outcomes) == 3
+
+
+def test_selected_rows_alone_are_drawn_and_delete_takes_them_out(qtbot, panel, two):
+    run(qtbot, panel, two)
+    table = panel.results
+    assert isinstance(table, QTableView)
+    place = table.visualRect(table.model().index(1, 0)).center()
+    qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(place.x(), place.y()))
+    assert [outcome.tests for outcome in panel.results.chosen] == [(two[1],)]
+    assert "P-002" in panel.pictures.legend.text()
+    assert "P-001" not in panel.pictures.legend.text()
+    qtbot.keyClick(table, Qt.Key.Key_Delete)
+    assert [outcome.tests for outcome in table.outcomes] == [(two[0],)]
+    qtbot.keyClick(table, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert [outcome.tests for outcome in table.outcomes] == [(two[0],), (two[1],)]
+    press(qtbot, panel.clear)
+    assert table.outcomes == ()
+    assert not panel.save_table.isEnabled()
+    table.setFocus()
+    qtbot.keyClick(table, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert [outcome.tests for outcome in table.outcomes] == [(two[0],), (two[1],)]
+    assert panel.save_table.isEnabled()
+
+
+def test_kernels_and_depth_can_be_seen(qtbot, panel, two):
+    choose(panel, "volterra")
+    panel.form.field("memory").controls[0].setValue(0.03)
+    run(qtbot, panel, two[:1], "volterra")
+    run(qtbot, panel, two[:1], "direction")
+    volterra, direction = panel.results.outcomes
+    (kernel,) = volterra.drawn.images
+    assert kernel.values.shape == (kernel.x.size, kernel.y.size)
+    assert kernel.unit == "mm/(N²·s²)"
+    assert direction.drawn.lines["damping"].out_x is not None
+    assert panel.pictures.kernel.choice.count() == 2
+    panel.pictures.choice.setCurrentIndex(panel.pictures.choice.count() - 1)
+    assert panel.pictures.kernel.card.plot.isVisible()
+    assert panel.pictures.kernel.image is kernel
+
+
+def test_one_session_that_fails_costs_itself_alone(qtbot, panel, strip, tmp_path, two):
+    rubbish = tmp_path / "rubbish.h5"
+    rubbish.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 20)
+    run(qtbot, panel, [chosen_of(rubbish), chosen_of(tmp_path / "gone.h5", "P-005"), *two])
+    assert [bool(outcome.refused) for outcome in panel.results.outcomes] == [True, True, False, False]
+    text, problem = strip.said[-1]
+    assert problem
+    assert "rubbish.h5" in text
+    assert "gone.h5" in text
+    assert panel.results.model().index(0, 2).data() == "refused"
+
+
+def test_tests_of_a_file_are_fitted_together_where_that_is_asked_for(qtbot, panel, tmp_path, saved):
+    session = read_session(saved)
+    second = dataclasses.replace(session.tests[0], number=2, repeat_of=1)
+    path = tmp_path / "pair.h5"
+    write_session(path, dataclasses.replace(session, tests=(session.tests[0], second)))
+    panel.form.together.setChecked(True)
+    run(qtbot, panel, [chosen_of(path), chosen_of(path, number=2)])
+    (outcome,) = panel.results.outcomes
+    assert [test.number for test in outcome.tests] == [1, 2]
+
+
+def test_cancel_ends_after_the_fit_that_runs_and_keeps_nothing_of_the_rest(qtbot, panel, strip, history, held, two):
+    panel.show_tests(two)
+    press(qtbot, panel.run)
+    qtbot.waitUntil(held.reached.is_set, timeout=WAIT_MS)
+    assert panel.cancelling.isVisible()
+    assert not panel.run.isEnabled()
+    assert not panel.folder.isEnabled()
+    qtbot.waitUntil(lambda: "1 of 2" in panel.step.text(), timeout=WAIT_MS)
+    press(qtbot, panel.cancelling)
+    assert "Cancelling" in panel.step.text()
+    held.go_on.set()
+    wait(qtbot, panel)
+    assert panel.results.outcomes == ()
+    assert "Cancelled" in strip.said[-1][0]
+    assert "cancelled" in history.read()[0][0].headline
+    assert not panel.cancelling.isVisible()
+    assert panel.run.isEnabled()
+
+
+def test_nothing_is_run_beside_a_test_or_without_tests(qtbot, panel, two):
+    assert not panel.run.isEnabled()
+    panel.show_tests(two)
+    assert panel.run.isEnabled()
+    panel.settle(busy=False, testing=True)
+    for control in (panel.run, panel.compare, panel.folder, panel.save_table, panel.past.run):
+        assert not control.isEnabled()
+    panel.show_tests(())
+    panel.settle(busy=False, testing=False)
+    assert not panel.run.isEnabled()
+    assert panel.folder.isEnabled()
+
+
+def test_a_folder_is_run_through_and_rubbish_in_it_is_told(qtbot, panel, strip, tmp_path, two):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "junk.h5").write_bytes(b"junk")
+    press(qtbot, panel.folder)
+    answer(qtbot, panel, tmp_path)
+    assert len(panel.results.outcomes) == len(two)
+    assert "junk.h5" in strip.said[-1][0]
+    (tmp_path / "empty").mkdir()
+    press(qtbot, panel.folder)
+    answer(qtbot, panel, tmp_path / "empty")
+    assert strip.said[-1] == (f"There is no session below {tmp_path / 'empty'}.", True)
+
+
+def test_a_comparison_recommends_with_reasons(qtbot, panel, two):
+    panel.verdicts.take_compared(["lms", "spectral", "localized"])
+    panel.show_tests(two[:1])
+    press(qtbot, panel.compare)
+    wait(qtbot, panel)
+    assert panel.tabs.currentWidget() is panel.verdicts
+    assert panel.verdicts.headline.text().endswith(".")
+    assert "Judged on" in panel.verdicts.words.toPlainText()
+    standings = panel.verdicts.standings
+    last = [[standings.item(row, column).text() for column in (0, 1)] for row in range(standings.rowCount())]
+    assert sum(verdict == "recommended" for _, verdict in last) == 1
+    assert last[-1][0] == "Localized"
+    assert {outcome.engine for outcome in panel.results.outcomes} == {"lms", "spectral", "localized"}
+
+
+def test_a_comparison_is_cancelled_between_its_engines(qtbot, panel, strip, monkeypatch, two):
+    reached, go_on = threading.Event(), threading.Event()
+    real = batch.split
+
+    def slow(*args, **options):
+        reached.set()
+        assert go_on.wait(WAIT_MS / 1000)
+        return real(*args, **options)
+
+    monkeypatch.setattr(batch, "split", slow)
+    panel.show_tests(two)
+    press(qtbot, panel.compare)
+    qtbot.waitUntil(reached.is_set, timeout=WAIT_MS)
+    press(qtbot, panel.cancelling)
+    go_on.set()
+    wait(qtbot, panel)
+    assert panel.results.outcomes == ()
+    assert "Cancelled" in strip.said[-1][0]

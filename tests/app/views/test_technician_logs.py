@@ -1,0 +1,254 @@
+"""The technician's page: faults, the audit log, and the page as a whole."""
+
+import csv
+import dataclasses
+import functools
+
+import pytest
+from app.benches import WAIT_MS
+from app.test_window import idle, press
+from app.views.technician_pages import (
+    AUDIT,
+    CALIBRATIONS,
+    FAULTS,
+    HEALTH,
+    choose,
+    column,
+    rest,
+    select,
+    static,
+    sweep,
+)
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QAbstractButton, QLabel
+
+from tissueid.audit import AuditLog
+from tissueid.calibration import write_calibration
+from tissueid.sessions import read_session, write_session
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+# -- faults ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mishaps(tmp_path, saved, audit_file):
+    """A session with a fault that is in the log too, one that was stopped, one completed, and rubbish."""
+    session = read_session(saved)
+    log = AuditLog(audit_file)
+    hot = "the instrument released the coil: the coil is too hot: let it cool for some minutes"
+    for name, status, what, reason in (
+        ("hot", "aborted", "test.fault", hot),
+        ("stopped", "aborted", "test.stopped", "stopped by a key"),
+        ("whole", "completed", "test.completed", ""),
+    ):
+        test = dataclasses.replace(session.tests[0], status=status, notes={"reason": reason} if reason else {})
+        write_session(tmp_path / f"{name}.h5", dataclasses.replace(session, session_id=name, tests=(test,)))
+        log.record("clinician", what, subject=f"{name} test 1", new={"samples": 10, "reason": reason})
+    (tmp_path / "rubbish.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 3)
+    return tmp_path
+
+
+def test_faults_are_listed_once_with_what_to_do_and_their_session_is_opened(qtbot, page, mishaps):
+    view = page(FAULTS)
+    faults = view.faults
+    assert sorted(column(faults.model, 1)) == ["Fault", "Unreadable file"]
+    select(faults.list, column(faults.model, 1).index("Fault"))
+    assert faults.advice.text() == "What to do: Let it cool for some minutes."
+    assert str(mishaps / "hot.h5") == faults.where.text()
+    assert faults.open.isEnabled()
+    faults.kind.setFocus()
+    qtbot.keyClick(faults.kind, Qt.Key.Key_Down)
+    assert sorted(column(faults.model, 1)) == ["Completed", "Fault", "Stopped", "Unreadable file"]
+    qtbot.keyClick(faults.list, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier)
+    assert faults.search.hasFocus()
+    qtbot.keyClicks(faults.search, "COIL hot")
+    assert column(faults.model, 1) == ["Fault"]
+    assert faults.count.text().startswith("1 shown")
+    select(faults.list, 0)
+    press(qtbot, faults.open)
+    window = view.window_
+    assert window.ui.page == "measure"
+    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
+    assert window.findings.path.name == "hot.h5"
+
+
+def test_empty_folders_and_no_log_are_no_trouble(qtbot, page, tmp_path):
+    view = page(FAULTS, folder=tmp_path / "nothing", audit=AuditLog(tmp_path / "none.jsonl"))
+    assert view.faults.model.rowCount() == 0
+    choose(qtbot, view, AUDIT)
+    assert "There is no audit log" in view.audit.count.text()
+    press(qtbot, view.audit.verify)
+    rest(qtbot, view)
+    assert "nothing has been logged yet" in view.window_.ui.notice.text.text()
+    assert view.audit.words.text() == "Not verified."
+    assert not view.audit.export.isEnabled()
+
+
+# -- the audit log --------------------------------------------------------------------------------------------
+
+
+def test_the_log_is_shown_filtered_and_exported(qtbot, page, tmp_path, audit_file):
+    log = AuditLog(audit_file)
+    log.record("clinician", "test.begun", subject="=cmd()", new={"site": "left calf"})
+    log.record("technician", "role.changed", old="clinician", new="technician")
+    view = page(AUDIT)
+    audit = view.audit
+    assert column(audit.model, 0) == ["3", "2", "1"]
+    assert column(audit.model, 6)[0] == "clinician"
+    assert column(audit.model, 7)[0] == "technician"
+    audit.search.setFocus()
+    qtbot.keyClicks(audit.search, "calf")
+    assert column(audit.model, 4) == ["test.begun"]
+    select(audit.list, 0)
+    assert "Site: left calf" in audit.full.text()
+    target = tmp_path / "log.csv"
+    audit.export_to(str(target))
+    rest(qtbot, view)
+    rows = list(csv.reader(target.read_text(encoding="utf-8").splitlines()))
+    assert [row[4] for row in rows] == ["what", "test.begun"]
+    assert rows[1][5] == "'=cmd()"  # no formula of a spreadsheet
+    assert "1 lines" in view.window_.ui.notice.text.text()
+    before = audit_file.read_bytes()
+    audit.export_to(str(audit_file))
+    rest(qtbot, view)
+    assert "audit log itself" in view.window_.ui.notice.text.text()
+    assert audit_file.read_bytes() == before
+    audit.search.clear()
+    audit.role.setFocus()
+    qtbot.keyClicks(audit.role, "tech")
+    assert column(audit.model, 4) == ["role.changed"]
+
+
+def test_verify_tells_a_whole_log_from_one_that_was_changed(qtbot, page, audit_file):
+    log = AuditLog(audit_file)
+    for number in range(5):
+        log.record("clinician", "test.begun", subject=f"s{number}")
+    view = page(AUDIT)
+    press(qtbot, view.audit.verify)
+    rest(qtbot, view)
+    assert view.audit.words.text().startswith("Whole: 6 lines")
+    assert view.audit.verdict.property("level") == "good"
+    audit_file.write_bytes(audit_file.read_bytes().replace(b'"s2"', b'"x2"'))
+    press(qtbot, view.audit.verify)
+    rest(qtbot, view)
+    assert "not as it was written. Line 4" in view.audit.words.text()
+    assert view.audit.verdict.property("level") == "poor"
+    press(qtbot, view.audit.again)
+    rest(qtbot, view)
+    assert "1 piece is no whole line" in view.audit.count.text()
+
+
+def test_rubbish_in_place_of_the_log_gives_words(qtbot, page, audit_file):
+    view = page(AUDIT)
+    for content in (b"", b"\x00" * 300_000, b"{}\n" * 50, bytes(range(256)) * 500):
+        audit_file.write_bytes(content)
+        press(qtbot, view.audit.again)
+        rest(qtbot, view)
+        assert view.audit.model.rowCount() == 0
+        press(qtbot, view.audit.verify)
+        rest(qtbot, view)
+        assert view.audit.words.text()
+        assert view.audit.verdict.property("level") in ("check", "poor")
+
+
+# -- the page as a whole --------------------------------------------------------------------------------------
+
+
+def test_tab_filter_and_search_are_there_again_at_the_next_start(qtbot, page, open_window, audit_file):
+    view = page(AUDIT)
+    view.audit.search.setText("calf")
+    view.faults.kind.setCurrentText("Fault")
+    view.window_.close()
+    qtbot.waitUntil(lambda: not view.window_.isVisible(), timeout=WAIT_MS)
+    window = open_window(first_page="", audit=AuditLog(audit_file))
+    again = next(item for item in window.pages.views if item.name == "instrument")
+    assert window.ui.page == "instrument"
+    assert again.tabs.currentWidget() is again.audit
+    assert again.audit.search.text() == "calf"
+    assert again.faults.kind.currentText() == "Fault"
+
+
+def test_text_of_files_is_shown_as_it_stands(qtbot, page, calibrations):
+    nasty = "<img src=x><b>S</b>"
+    write_calibration(calibrations / "n.toml", sweep(serial_number=nasty))
+    write_calibration(calibrations / "m.toml", sweep(serial_number=nasty, date="2026-01-01T00:00:00Z"))
+    view = page(CALIBRATIONS)
+    select(view.calibrations.list, 0, 1)
+    assert "&lt;b&gt;" in view.calibrations.sweeps.key.text()
+    rich = [
+        label
+        for label in view.findChildren(QLabel)
+        if label.textFormat() != Qt.TextFormat.PlainText and ("<img" in label.text() or "<b>S" in label.text())
+    ]
+    assert rich == []
+
+
+def test_nothing_is_clipped_at_the_smallest_size(qtbot, page, calibrations, mishaps):
+    for number, date in enumerate(("", "2026-01-01T00:00:00Z")):
+        write_calibration(calibrations / f"w{number}.toml", sweep(date=date))
+        write_calibration(calibrations / f"s{number}.toml", static(date))
+    view = page()
+    view.window_.resize(1100, 640)
+    press(qtbot, view.health.ask)
+    for tab in range(4):
+        choose(qtbot, view, tab)
+        assert view.minimumSizeHint().width() <= 1100 - 92
+        assert view.minimumSizeHint().height() <= 640 - 40
+        for button in view.findChildren(QAbstractButton):
+            if button.isVisible() and button.text():
+                assert button.width() >= button.fontMetrics().horizontalAdvance(button.text())
+
+
+def test_the_tab_key_goes_through_each_tab_and_nothing_begins_beside_a_test(qtbot, page):
+    view = page()
+    expected = {
+        HEALTH: ["ask"],
+        CALIBRATIONS: ["calibrate", "again", "list"],
+        FAULTS: ["kind", "search", "again", "list"],
+        AUDIT: ["role", "act", "search", "again", "verify", "list"],
+    }
+    for tab, names in expected.items():
+        choose(qtbot, view, tab)
+        part, first = view.all[tab], view.tabs.tabBar()
+        first.setFocus()
+        visited = []
+        for _ in range(12):
+            qtbot.keyClick(view.window_.focusWidget(), Qt.Key.Key_Tab)
+            widget = view.window_.focusWidget()
+            if not part.isAncestorOf(widget):
+                break
+            visited.append(widget)
+        assert visited == [getattr(part, name) for name in names]
+    view.settle(busy=True, testing=True)
+    buttons = [view.health.ask, view.calibrations.calibrate, view.calibrations.again, view.faults.again]
+    buttons += [view.audit.again, view.audit.verify, view.audit.export]
+    assert not any(button.isEnabled() for button in buttons)
+    qtbot.keyClick(view.tabs.tabBar(), Qt.Key.Key_F5)
+    assert idle(view.window_)
+
+
+def test_a_hundred_thousand_lines_are_shown_in_pieces_and_filtered_at_once(qtbot, page):
+    from tissueid.app.views.technician.audit_table import Read
+    from tissueid.app.views.technician.log_reading import LogPage, haystack
+    from tissueid.audit.line import make_line
+
+    view = page(AUDIT)
+    about = dict(time="2026-01-01T00:00:00Z", role="clinician", who="w", what="test.begun", old=None, new=None)
+    line = functools.partial(make_line, **about, software="s", previous="0" * 64)
+    some = [line(number=number, subject=f"s{number}")[0] for number in range(100)]
+    lines = tuple(some * 1000)
+    view.audit._loaded(Read(LogPage(lines), tuple(haystack(item) for item in some) * 1000, ("test.begun",)))
+    model, table = view.audit.model, view.audit.list
+    seen = model.rowCount()
+    assert seen <= 400
+
+    def more():
+        table.scrollToBottom()
+        return model.rowCount() > seen
+
+    qtbot.waitUntil(more, timeout=WAIT_MS)
+    assert model.rowCount() < 2000
+    view.audit.search.setText("s77")
+    assert len(view.audit.model.rows) == 1000
