@@ -67,7 +67,7 @@ class SpectrumCard(QWidget):
             self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite"))
             self._colour()
         unit, scale = people_unit(channel.unit) if channel else ("", 1.0)
-        self.card.retitle("Power spectrum", f"{unit}²/Hz" if unit else "1/Hz")
+        self.card.retitle(_("Power spectrum"), f"{unit}²/Hz" if unit else "1/Hz")
         low, last, bottom, top = np.inf, -np.inf, np.inf, -np.inf
         for place, curve in enumerate(self._curves):
             track = loaded[place].tracks.get(channel) if channel and place < len(loaded) else None
