@@ -15,6 +15,7 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from firmware_sim.coil import coil_profile, profile_values
+from firmware_sim.effects import EFFECTS
 from firmware_sim.firmware import Firmware
 from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
@@ -26,6 +27,20 @@ def _port(text: str) -> int:
     if not 0 <= number <= 65535:
         raise ValueError
     return number
+
+
+def _effect(text: str) -> tuple[str, dict[str, float]]:
+    name, _, level = text.partition("=")
+    if name not in EFFECTS:
+        raise argparse.ArgumentTypeError(f"there is no effect {name!r}; there are: {', '.join(EFFECTS)}")
+    if not level:
+        return name, {"level": EFFECTS[name].typical}
+    try:
+        return name, {"level": float(level)}
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{level!r} is no level of {name}: a number, in {EFFECTS[name].unit}"
+        ) from None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -45,6 +60,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--model", help="which device: desktop (default) or handheld")
     parser.add_argument("--tilt", type=float, metavar="DEG", help="turn the stroke away from straight down")
     parser.add_argument("--coil", help="force constant along the stroke: ideal (default) or finite")
+    parser.add_argument(
+        "--hide",
+        action="append",
+        default=[],
+        type=_effect,
+        metavar="EFFECT[=LEVEL]",
+        help="an effect that the plant has beside its own laws, to be found by a diagnosis; again for a second one",
+    )
     parser.add_argument("--list", action="store_true", help="list the presets and leave")
     parser.add_argument(
         "--local-values",
@@ -77,6 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             model=options.model,
             tilt_deg=options.tilt,
             coil=options.coil,
+            effects=dict(options.hide) or None,
         )
         if options.local_values is not None:
             from firmware_sim.local_values import local_values

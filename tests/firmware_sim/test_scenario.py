@@ -9,7 +9,9 @@ from firmware_sim_process import firmware_process
 from plant_support import VOLTS_PER_NEWTON, standard_force
 from support import connect_scenario
 
+from firmware_sim import __main__ as command
 from firmware_sim.__main__ import main
+from firmware_sim.effects import EFFECTS
 from firmware_sim.models import DESKTOP, HANDHELD
 from firmware_sim.plant import SUBSTEPS, Plant, PlantParameters
 from firmware_sim.presets import load_preset
@@ -270,3 +272,31 @@ def test_ten_thousand_samples_a_second_through_a_real_cable():
         assert samples.size == 10_000
         assert not np.isnan(samples["position"]).any()
         assert instrument.gaps == []
+
+
+def test_an_effect_is_hidden_at_its_typical_level_or_at_the_one_named(monkeypatch):
+    served = []
+    monkeypatch.setattr(command, "_serve", lambda scenario, port: served.append(scenario.acting) or 0)
+    assert main(["--hide", "dry_friction", "--hide", "cogging=0.1"]) == 0
+    assert main([]) == 0
+    hidden = {effect.name: effect.level for effect in served[0]}
+    assert hidden == {"dry_friction": EFFECTS["dry_friction"].typical, "cogging": 0.1}
+    assert served[1] == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("rust", "there is no effect 'rust'; there are: latency"),
+        ("cogging=much", "no level of cogging: a number"),
+    ],
+)
+def test_what_cannot_be_hidden_is_refused(text, words, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["--hide", text])
+    assert words in capsys.readouterr().err
+
+
+def test_a_level_out_of_range_is_refused(capsys):
+    assert main(["--hide", "dry_friction=1e9"]) == 2
+    assert "effects" in capsys.readouterr().err
