@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,10 +28,19 @@ def _audit_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
+@pytest.fixture(scope="session")
+def _audit_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder for each test, without a look at those of all tests before: with thousands of them that takes long."""
+    everyones = tmp_path_factory.mktemp("audits")
+    return (everyones / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def audit_file(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+def audit_file(_audit_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
     """The audit log of this test, and of every process that it starts."""
-    path = tmp_path_factory.mktemp("audit") / "audit.jsonl"
+    folder = next(_audit_folders)
+    folder.mkdir()
+    path = folder / "audit.jsonl"
     monkeypatch.setenv(ENVIRONMENT, str(path))
     monkeypatch.delenv(ROLE_ENVIRONMENT, raising=False)
     return path

@@ -284,11 +284,11 @@ def test_two_masses_on_springs_move_as_an_independent_solution_has_them():
 def test_cogging_shifts_equilibria_by_its_force():
     rest = spring(0.012, 1000.0)
     volts = np.full(2000, 6.0)
-    x = play("cogging", (0.3, -0.2, 3e-3), volts, tissue=rest, on_tissue=False).readings.position[-1]
+    x = play("cogging", (0.3, -0.2, 3e-3, 0.0, 0.0), volts, tissue=rest, on_tissue=False).readings.position[-1]
     angle = 2 * math.pi * (x - 0.0135) / 3e-3
     wave = 0.3 * math.sin(angle) - 0.2 * math.cos(angle)
     assert 1000.0 * (x - 0.012) == pytest.approx(3.0 * 0.5 + 0.2 + wave, abs=1e-6)
-    told = moved("cogging", (0.3, -0.2, 3e-3), 0.0135 + np.linspace(0.0, 3e-3, 3001), 1e-3)[:, bus.FORCE]
+    told = moved("cogging", (0.3, -0.2, 3e-3, 0.0, 0.0), 0.0135 + np.linspace(0.0, 3e-3, 3001), 1e-3)[:, bus.FORCE]
     assert np.trapezoid(told, dx=1e-6) == pytest.approx(0.0, abs=1e-9)  # no work round a period
 
 

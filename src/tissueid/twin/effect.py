@@ -18,6 +18,15 @@ from tissueid.twin import bus
 Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"]
 STAGES: tuple[Stage, ...] = ("drive", "coil", "mechanics", "tissue", "sensing", "environment")
 """In the order of the chain."""
+STAGE_NAMES: Mapping[Stage, str] = {
+    "drive": "amplifier (drive)",
+    "coil": "coil",
+    "mechanics": "moving part (mechanics)",
+    "tissue": "tissue",
+    "sensing": "sensors (sensing)",
+    "environment": "surroundings (environment)",
+}
+"""What people read for a stage."""
 
 FloatArray = NDArray[np.float64]
 Hook = Callable[[int, FloatArray, FloatArray, FloatArray, float], None]

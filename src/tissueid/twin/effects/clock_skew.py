@@ -9,6 +9,9 @@ import numpy as np
 from tissueid.twin._between import between
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
+EARLIEST_S = 1e-4
+"""A position cannot be told much before it is met, but for the order in which the channels are sampled."""
+
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
     """Position as of the other clock's time."""
@@ -28,7 +31,7 @@ EFFECT = Effect(
     source="Moon, Skelly & Towsley, IEEE INFOCOM (1999) 227-234 (offset and rate); Laakso et al., IEEE Signal "
     "Processing Magazine 13 (1996) 30-60 (Lagrange interpolation)",
     parameters=(
-        Parameter("offset_s", "s", 0.0, -1e-2, 1e-2, prior=0.0, prior_std=2e-3, meaning="ahead at the start"),
+        Parameter("offset_s", "s", 0.0, -1e-2, EARLIEST_S, prior=0.0, prior_std=2e-3, meaning="ahead at the start"),
         Parameter("rate", "1", 0.0, -2e-2, 2e-2, prior=0.0, prior_std=5e-3, meaning="gained in each second"),
         Parameter("drift_per_s", "1/s", 0.0, -5e-3, 5e-3, prior=0.0, prior_std=1e-3, meaning="change of the rate"),
     ),
