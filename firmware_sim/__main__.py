@@ -21,6 +21,12 @@ from firmware_sim.presets import preset_names
 from firmware_sim.scenario import Scenario, load_scenario
 from firmware_sim.serve import Port, PseudoTerminal, Server, TcpPort
 
+_EXAMPLE = """a scenario with an effect for a diagnosis to find; all of it is in docs/simulated-instrument.md:
+  preset = "left-posterior-forearm"
+  [effects.dry_friction]
+  level = 0.3
+"""
+
 
 def _port(text: str) -> int:
     number = int(text)
@@ -47,11 +53,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="tissueid-firmware-sim",
         description="A simulated indenter at the other end of a cable. Research use only.",
+        epilog=_EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--pty", action="store_true", help="serve on a pseudo-terminal (default where there are any)")
     where.add_argument("--tcp", type=_port, metavar="PORT", help="serve on 127.0.0.1:PORT; 0 takes a free port")
-    parser.add_argument("--scenario", type=Path, metavar="FILE", help="TOML file: preset, seed, speed, faults")
+    parser.add_argument("--scenario", type=Path, metavar="FILE", help="TOML file: preset, seed, speed, effects, faults")
     parser.add_argument("--preset", help="tissue under the probe; see --list")
     parser.add_argument("--seed", type=int, help="seed of the sensor noise")
     parser.add_argument("--speed", type=float, help="device seconds per second, 1 is real time")

@@ -175,7 +175,8 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {why(first)}") from error
+        known = Scenario.model_fields if len(first["loc"]) == 1 else ()
+        raise ValueError(f"the scenario's {where or 'figures'} cannot be used: {why(first, known)}") from error
     if scenario.preset not in preset_names():
         raise ValueError(f"no preset {scenario.preset!r}; there are: {', '.join(preset_names())}")
     return scenario

@@ -45,7 +45,7 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
-            raise ValueError(f"{where} cannot be used: {why(first)}") from error
+            raise ValueError(f"{where} cannot be used: {why(first, EFFECTS[name].model_fields)}") from error
     return in_order(found)
 
 

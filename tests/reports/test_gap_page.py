@@ -1,7 +1,9 @@
 """The page of a diagnosis, on a short recording of the simulated laboratory."""
 
+import re
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +15,9 @@ from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
 from tissueid.gap.observing import observe
 from tissueid.gap.workers import Alone
-from tissueid.reports.gap import gap_html, write_gap_report
-from tissueid.reports.gap_panels import gap_panels
-from tissueid.sessions import Session, Test
+from tissueid.reports.gap import Origin, gap_html, headline_of, next_steps_of, write_gap_report
+from tissueid.reports.gap_panels import gap_panels, unseen_stretch
+from tissueid.sessions import Session, Subject, Test
 
 EFFECT = "quadratic_drag"
 SAMPLES = 3000
@@ -78,7 +80,7 @@ def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
     found = replace(found, where=replace(found.where, regions=regions))
     text = checked(gap_html(found)).text
     assert "at currents of 0.2 to 0.6 A" in text
-    assert "had a size of 1.5 to 2.5 N" in text
+    assert "at an amplitude (of the stimulus over the last 0.1 s) of 1.5 to 2.5 N" in text
     assert "of the mains (50 Hz) of 0 to 90 degrees" in text
     assert "mains" in {panel.key for panel in gap_panels(found)}
 
@@ -107,3 +109,68 @@ def test_the_page_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_gap_report(as_effect(), tmp_path / "missing" / "gap.html")
     assert [item.name for item in tmp_path.iterdir()] == ["gap.html"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_page_says_what_was_diagnosed_and_what_to_type():
+    found = as_effect()
+    tests = tuple(Test(number, "stochastic", {}, 2000.0, site=f"site {number}") for number in (1, 2))
+    session = Session(found.observed.instrument, "2026-03-01T10:00:00", subject=Subject("P-007"), tests=tests)
+    origin = Origin(session, Path("some where/third.h5"))
+    text = checked(gap_html(found, origin=origin)).text
+    for words in ("third.h5", "1 March 2026, 10:00", "P-007", "site 1", "1 stochastic"):
+        assert words in text
+    assert "site 2" not in text, "it was not diagnosed"
+    assert "tissueid gap accept 'some where/third.h5' --out TWIN.toml" in text
+    assert not any("tissueid" in line for line in next_steps_of(found)), "in the window a button does it"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_words_are_explained_and_stages_are_called_alike():
+    text = checked(gap_html(as_effect())).text
+    assert "floors" not in text
+    assert "announced" not in text
+    assert "predicted on the data used for the choice" in text
+    assert "as a multiple of the noise" in text
+    assert "moving part (mechanics)" in text
+    assert "These are not the shares of the stages" in text
+
+
+def test_a_named_cause_is_good_news_and_none_asks_for_a_look():
+    assert headline_of(as_effect())[1] == "good"
+    assert headline_of(replace(as_effect(), verdict="unexplained", combination=()))[1] == "check"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_parameters_have_three_digits_their_deviation_unit_and_meaning():
+    found = replace(as_effect(), best=next(iter(as_effect().found.singles)))
+    text = " ".join(checked(gap_html(found)).text.split())
+    assert re.search(r"Force \d[\d.]* ± [\d.]+ N force at 50 mm/s", text)
+    assert re.search(r"Exponent \d\.\d{0,2} ± [\d.]+ power of speed", text)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_column_that_is_empty_in_every_row_is_left_out():
+    full = as_effect()
+    bare = tuple(replace(item, indistinguishable=(), closed_ci=(np.nan, np.nan)) for item in full.ranking)
+    assert '<th scope="col">Alike</th>' in gap_html(full)
+    page = gap_html(replace(full, ranking=bare))
+    assert '<th scope="col">Alike</th>' not in page
+    assert '<th scope="col">95 %</th>' not in page
+    assert '<th scope="col">Closed</th>' in page
+
+
+def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
+    found = as_effect()
+    test, first, last = unseen_stretch(found, "position")
+    shifted = test.signals["position"].copy()
+    rest = next(
+        start
+        for start in range(0, shifted.size - 500, 250)
+        if (test.purpose[start : start + 500] > 1).all() and not first - 500 < start < last
+    )
+    shifted[rest : rest + 500] = shifted[rest] + 0.05
+    resting = replace(test, signals=test.signals | {"position": shifted})
+    chosen = unseen_stretch(replace(found, observed=replace(found.observed, tests=(resting,))), "position")
+    assert chosen[1:] != (rest, rest + 500)
+    assert np.std(shifted[chosen[1] : chosen[2]]) > 1e-4

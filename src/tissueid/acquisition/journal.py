@@ -19,6 +19,7 @@ from typing import IO
 
 from tissueid.acquisition.entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
 from tissueid.errors import TissueIDError
+from tissueid.sessions.members import journal_path
 from tissueid.whole_file import sync_folder, write_all
 
 __all__ = [
@@ -45,11 +46,6 @@ _LOOK_S = 0.05
 
 class JournalError(TissueIDError):
     """The journal cannot be written: the disk is full, or failed. The test is stopped, what is synced is kept."""
-
-
-def journal_path(session: Path) -> Path:
-    """Where the journal of a session lies: beside it."""
-    return session.with_name(session.name + ".journal")
 
 
 @dataclass

@@ -16,7 +16,7 @@ from tissueid.audit.line import fields_of
 from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
 
-audit = typer.Typer(help="The audit log: who did what when, and whether it is as it was written.", no_args_is_help=True)
+audit = typer.Typer(help="The audit log: who did what when, and whether it is whole.", no_args_is_help=True)
 
 LogFile = Annotated[Path | None, typer.Option("--log", metavar="FILE", help="the log; this computer's without")]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]

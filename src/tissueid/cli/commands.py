@@ -35,7 +35,9 @@ DeviceUrl = Annotated[
         "--device", metavar="URL", help="a port, socket://HOST:PORT or simulated://forearm; see 'tissueid devices'"
     ),
 ]
-Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="such as lms or wiener; a wrong one lists all")]
+Engine = Annotated[
+    str | None, typer.Option("--engine", metavar="NAME", help="needed: such as lms or wiener; without it lists all")
+]
 OneTest = Annotated[int | None, typer.Option("--test", metavar="N", help="test to fit; the first stochastic one")]
 MoreTests = Annotated[
     list[int] | None, typer.Option("--also", metavar="N", help="another test to fit together with it; may be repeated")
@@ -80,7 +82,10 @@ def demo(
     preset: Annotated[str, typer.Option(help="tissue; see 'tissueid-firmware-sim --list'")] = "left-posterior-forearm",
     json_file: JsonFile = None,
 ) -> None:
-    """Run one guided test on a simulated forearm, from the cable to the report. Needs no hardware."""
+    """Run one guided test on a simulated forearm; needs no hardware.
+
+    From the cable to the report.
+    """
     from tissueid.cli.demo import run_demo
 
     run_demo(out, seed, preset, json_file)
@@ -91,7 +96,7 @@ def devices(
     probe: Annotated[bool, typer.Option("--probe/--no-probe", help="shake hands with each")] = True,
     json_file: JsonFile = None,
 ) -> None:
-    """List the instruments that can be reached, simulated ones included."""
+    """List the instruments that can be reached, simulated ones too."""
     from tissueid.cli.devices import list_devices
 
     list_devices(probe, json_file)
@@ -209,7 +214,10 @@ def quality(
     test: Annotated[int | None, typer.Option("--test", metavar="N", help="one test; all without it")] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Judge the tests of a saved session anew: can they be believed, and what to do about those that cannot."""
+    """Judge the tests of a saved session anew: can they be believed?
+
+    And what to do about those that cannot.
+    """
     from tissueid.cli.quality import run_quality
 
     run_quality(session, test, json_file)
@@ -242,7 +250,10 @@ def stimulus(
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
     json_file: JsonFile = None,
 ) -> None:
-    """Design a stimulus, or check a saved one: what it is, what it does to the coil, and its figures."""
+    """Design a stimulus, or check a saved one.
+
+    What it is, what it does to the coil, and its figures.
+    """
     from tissueid.cli.stimulus import run_stimulus
     from tissueid.cli.stimulus_options import CommonOptions
     from tissueid.cli.stimulus_targets import Targets
@@ -262,7 +273,7 @@ def stimulus(
 @app.command()
 def identify(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    engine: Engine,
+    engine: Engine = None,
     test: OneTest = None,
     also: MoreTests = None,
     validate: Validate = None,
@@ -274,7 +285,10 @@ def identify(
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Fit one engine to one saved test, and validate it on data that was not fitted."""
+    """Fit one engine to one saved test, and validate it.
+
+    It is validated on data that was not fitted.
+    """
     from tissueid.cli.identify import run_identify
 
     run_identify(session, engine, test, also or [], validate, input_name, output_name, memory, option or [], json_file)
@@ -304,7 +318,10 @@ def compare(
         Path | None, typer.Option("--figures", metavar="DIR", help="folder for every figure as SVG and PNG")
     ] = None,
 ) -> None:
-    """Fit every engine to one saved test: scores side by side, and which description the test supports."""
+    """Fit every engine to one saved test, scores side by side.
+
+    And which description the test supports.
+    """
     from tissueid.cli.compare import run_compare
 
     run_compare(
@@ -332,7 +349,10 @@ def recover(
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Finish a session whose host died: everything that had reached the disk is kept."""
+    """Finish a session whose host died.
+
+    Everything that had reached the disk is kept.
+    """
     from tissueid.cli.recover import run_recover
 
     run_recover(path, out, json_file)
@@ -348,7 +368,10 @@ def report(
     ] = None,
     pdf: Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="and, in short, a PDF to print")] = None,
 ) -> None:
-    """Make the report of one saved test: a self-contained HTML page, and a PDF where one is asked for."""
+    """Make the report of one saved test, an HTML page.
+
+    The page is self-contained; a PDF is made where one is asked for.
+    """
     from tissueid.cli.report import run_report
 
     run_report(session, out, test, engines, pdf)

@@ -30,7 +30,10 @@ def diagnose_command(
     workers: Workers = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Where the gap of a session lies, which effect causes it, and how far it shrinks once that is added."""
+    """Where the gap of a session lies, and which effect causes it.
+
+    And how far it shrinks once that is added.
+    """
     from tissueid.cli.gap_diagnosis import diagnose_session
 
     diagnose_session(session, fit, check, out, twin, twin_out, workers, json_file)
@@ -42,7 +45,10 @@ def batch_command(
     json_file: Annotated[Path, typer.Option("--json", metavar="FILE", help="answers by file name")],
     workers: Workers = None,
 ) -> None:
-    """Diagnose every session of a folder; a file that cannot be used is answered by the reason."""
+    """Diagnose every session of a folder.
+
+    A file that cannot be used is answered by the reason.
+    """
     from tissueid.cli.gap_diagnosis import diagnose_folder
 
     diagnose_folder(folder, json_file, workers)
@@ -62,7 +68,10 @@ def accept_command(
     workers: Workers = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Put what a diagnosis finds, or the effect that you name, into a twin that is saved."""
+    """Put what a diagnosis finds into a twin that is saved.
+
+    Or the effect that you name.
+    """
     from tissueid.cli.gap_accept import run_accept
 
     run_accept(session, out, effects or [], name, twin, fit, check, workers, json_file)
@@ -91,7 +100,10 @@ def blind_check_command(
     workers: Workers = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Score the diagnosis on scenarios of the simulated laboratory whose labels are sealed until it has answered."""
+    """Score the diagnosis on scenarios with sealed labels.
+
+    They are of the simulated laboratory, and stay sealed until it has answered.
+    """
     from tissueid.cli.gap_blind import BlindPlan, run_blind_check
 
     run_blind_check(BlindPlan(n, seed, full_share, workers, take_out, keep, resume, out, json_file))

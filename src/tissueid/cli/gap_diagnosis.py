@@ -19,6 +19,7 @@ from tissueid.gap.search import Progress
 from tissueid.gap.workers import Alone
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.sessions import read_session
+from tissueid.twin.effect import STAGE_NAMES
 from tissueid.wording import MISSING
 
 VERDICTS = {
@@ -53,9 +54,9 @@ def diagnose_session(
     with interruptible(), progress_bars() as show:
         found = run_diagnose(session, fit, check, workers, show, saved)
         if out is not None:
-            from tissueid.reports.gap import write_gap_report
+            from tissueid.reports.gap import Origin, write_gap_report
 
-            write_gap_report(found, out)
+            write_gap_report(found, out, origin=Origin(read_session(session), session))
     console = people_read(json_file)
     for line in in_words(found):
         console.print(line, markup=False)
@@ -178,7 +179,7 @@ def in_words(found: Diagnosis) -> list[str]:
             f"Ceiling: {found.ceiling:.0%}, what a flexible regression closes, or a candidate if that is more."
         )
     if found.verdict != "no_gap":
-        lines.append(f"It lies in the stage: {found.where.stage or MISSING}.")
+        lines.append(f"It lies in the stage: {STAGE_NAMES.get(found.where.stage, MISSING)}.")
     if found.next_experiment is not None:
         lines.append(f"Next: {found.next_experiment.kind}. {found.next_experiment.why}")
         if found.next_experiment.command_line:

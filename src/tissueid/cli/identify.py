@@ -18,6 +18,7 @@ from tissueid.cli.quality import doubted
 from tissueid.configuration import travel_word
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.identification.registry import engine_names
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
@@ -29,7 +30,7 @@ _MOST_DEPTHS = 16
 
 def run_identify(
     path: Path,
-    engine: str,
+    engine: str | None,
     test: int | None,
     also: Sequence[int],
     validate: int | None,
@@ -39,7 +40,13 @@ def run_identify(
     options: Sequence[str],
     json_file: Path | None,
 ) -> None:
-    """Fit, validate, print, and write the JSON of the contract."""
+    """Fit, validate, print, and write the JSON of the contract.
+
+    Raises:
+        UnusableInputError: no engine is named, or the session, an option or the target cannot be used.
+    """
+    if engine is None:
+        raise UnusableInputError(f"name an engine: --engine with one of {', '.join(engine_names())}")
     check_json(json_file)
     chosen = parse_options(options)
     if memory is not None:

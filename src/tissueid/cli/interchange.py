@@ -95,7 +95,10 @@ def export_command(
     kind: Annotated[str, typer.Option("--format", metavar="NAME", help="csv, mat or parquet")],
     json_file: _JsonFile = None,
 ) -> None:
-    """Write a session for other programs: one file a test, and its attributes in JSON beside it."""
+    """Write a session for other programs, one file a test.
+
+    The attributes of a test are in JSON beside it.
+    """
     from tissueid.cli.importing import run_export
 
     run_export(session, out, kind, json_file)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.whole_file import whole_file
 
 console = Console(stderr=True, highlight=False)
+_BETWEEN_LINES_S = 3.0
 
 
 def people_read(json_file: Path | None) -> Console:
@@ -105,7 +107,13 @@ def _finite(value: Any) -> Any:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, float], None]]:
-    """Bars by name: call with a description and how much of it is done, 0 to 1."""
+    """Bars by name: call with a description and how much of it is done, 0 to 1.
+
+    Where standard error is no terminal there is a line in their place every few seconds, written out at once.
+    """
+    if not console.is_terminal:
+        yield _lines()
+        return
     columns = (TextColumn("{task.description:<34}"), BarColumn(bar_width=32), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
         tasks: dict[str, Any] = {}
@@ -118,6 +126,20 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
             progress.update(tasks[description], completed=fraction)
 
         yield show
+
+
+def _lines() -> Callable[[str, float], None]:
+    latest: float | None = None
+
+    def show(description: str, fraction: float) -> None:
+        nonlocal latest
+        now = time.monotonic()
+        if latest is None or now - latest >= _BETWEEN_LINES_S:
+            latest = now
+            console.print(f"{description}: {fraction:.0%}", markup=False, soft_wrap=True)
+            console.file.flush()
+
+    return show
 
 
 class PlainTable(Table):

@@ -2,38 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from tissueid import __version__
-from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.reports.blocks import FigureGroup
+from tissueid.reports.gap_figures import tables_of, times_noise
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
-from tissueid.reports.tables import Table
+from tissueid.reports.tables import Table, readable_date
+from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.effect import STAGES
-from tissueid.wording import fixed, named_value, number
+from tissueid.twin.effect import STAGE_NAMES, STAGES
+from tissueid.wording import MISSING, fixed, number
 
 Level = Literal["good", "check", "poor"]
 
-STAGE_WORDS = {
-    "drive": "the amplifier (command to voltage)",
-    "coil": "the coil (voltage to current and force)",
-    "mechanics": "the moving part (force to motion, without tissue)",
-    "tissue": "the tissue",
-    "sensing": "the sensors (motion to recorded number)",
-    "environment": "the surroundings",
-}
+STAGE_WORDS = {stage: f"the {name}" for stage, name in STAGE_NAMES.items()}
+"""The stages as they stand in a sentence."""
 _DIRECTIONS = {"into": "while the probe goes in", "out": "while the probe comes out", "both": "in both directions"}
 _LISTED = 8
 
 
-def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
-    """The page as HTML text: where, which, how far, and what to do next."""
+@dataclass(frozen=True)
+class Origin:
+    """What was diagnosed: the session and the file that it was read from."""
+
+    session: Session
+    file: Path
+
+
+def gap_html(found: Diagnosis, title: str = "Simulated and recorded", origin: Origin | None = None) -> str:
+    """The page as HTML text: where, which, how far, and what to do next.
+
+    Args:
+        found: the diagnosis.
+        title: heading of the page.
+        origin: what was diagnosed, to be named on the page and in what to type next.
+    """
     figures = {panel.key: panel.picture().block for panel in gap_panels(found)}
     places = ("frequency", "depth", "speed", "surface", "time", "current", "amplitude", "mains", "where")
     groups = (
@@ -46,7 +58,7 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
         title=title,
         research_line=RESEARCH_LINE,
         software=f"tissueid {__version__}",
-        facts=_facts(found),
+        facts=tuple(_facts(found, origin)),
         headline=headline,
         level=level,
         sentences=tuple(sentences_of(found)),
@@ -55,19 +67,21 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded") -> str:
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(next_steps_of(found)),
-        tables=tuple(_tables(found)),
+        remedies=tuple(next_steps_of(found, origin)),
+        tables=tuple(tables_of(found, effect_words)),
         remarks=found.remarks,
     )
 
 
-def write_gap_report(found: Diagnosis, path: Path, title: str = "Simulated and recorded") -> None:
+def write_gap_report(
+    found: Diagnosis, path: Path, title: str = "Simulated and recorded", origin: Origin | None = None
+) -> None:
     """Write the page so that ``path`` is whole or untouched.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    write_whole(path, gap_html(found, title))
+    write_whole(path, gap_html(found, title, origin))
 
 
 def effect_words(name: str) -> str:
@@ -81,9 +95,9 @@ def headline_of(found: Diagnosis) -> tuple[str, Level]:
     if found.verdict == "no_gap":
         return "No gap: the twin explains this recording down to its noise", "good"
     if found.verdict == "unexplained":
-        return f"There is a gap that no known effect explains; it arises in {STAGE_WORDS[found.where.stage]}", "poor"
+        return f"There is a gap that no known effect explains; it arises in {STAGE_WORDS[found.where.stage]}", "check"
     causes = "; ".join(effect_words(name) for name in found.combination)
-    return f"The gap is explained: {causes}", "check"
+    return f"The gap is explained: {causes}", "good"
 
 
 def sentences_of(found: Diagnosis) -> Iterator[str]:
@@ -93,7 +107,7 @@ def sentences_of(found: Diagnosis) -> Iterator[str]:
         share = 100.0 * where.shares[where.stage]
         suspected = max(STAGES, key=where.shares.__getitem__)
         if where.shares[where.stage] >= where.shares[suspected]:
-            yield f"It arises in {STAGE_WORDS[where.stage]}: {fixed(share, 0)} % of what stands above the floor."
+            yield f"It arises in {STAGE_WORDS[where.stage]}: {fixed(share, 0)} % of what noise does not explain."
         else:
             yield (
                 f"It arises in {STAGE_WORDS[where.stage]}, where the cause belongs. The stages alone would have "
@@ -108,7 +122,7 @@ def sentences_of(found: Diagnosis) -> Iterator[str]:
     if regions.current_a:
         told.append("at currents of " + _spans(regions.current_a, 1.0, "A"))
     if regions.amplitude_n:
-        told.append("where the last 0.1 s of the stimulus had a size of " + _spans(regions.amplitude_n, 1.0, "N"))
+        told.append("at an amplitude (of the stimulus over the last 0.1 s) of " + _spans(regions.amplitude_n, 1.0, "N"))
     if regions.mains_phase_rad:
         told.append(
             f"at phases of the mains ({number(regions.mains_hz, 3)} Hz) of "
@@ -136,7 +150,7 @@ def _alike(found: Diagnosis) -> tuple[str, ...]:
 
 
 def _spans(intervals: tuple[tuple[float, float], ...], scale: float, unit: str) -> str:
-    return ", ".join(f"{number(scale * low, 2)} to {number(scale * high, 2)}" for low, high in intervals) + f" {unit}"
+    return _listed([f"{number(scale * low, 2)} to {number(scale * high, 2)} {unit}" for low, high in intervals])
 
 
 def _percent(share: float) -> str:
@@ -148,27 +162,36 @@ def _interval(item: tuple[float, float]) -> str:
     return f"{fixed(100 * low, 0)} to {fixed(100 * high, 0)} %" if np.isfinite(low) and np.isfinite(high) else ""
 
 
-def _facts(found: Diagnosis) -> tuple[tuple[str, str], ...]:
-    device = found.observed.instrument
-    kinds = ", ".join(f"{test.number} {test.kind.replace('_', ' ')}" for test in found.observed.tests)
-    return (
-        ("Instrument", f"{device.model}, {device.serial_number}"),
-        ("Tests", kinds),
-        ("Signals", ", ".join(found.observed.channels)),
-        ("Took", f"{fixed(found.seconds, 0)} s"),
-    )
+def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]:
+    device, tests = found.observed.instrument, found.observed.tests
+    if origin is not None:
+        numbers = {test.number for test in tests}
+        sites = dict.fromkeys(test.site for test in origin.session.tests if test.number in numbers and test.site)
+        yield "Session file", origin.file.name
+        yield "Recorded", readable_date(origin.session.created)
+        yield "Site", ", ".join(sites) or MISSING
+        yield "Subject", origin.session.subject.pseudonym or MISSING
+    yield "Instrument", f"{device.model}, {device.serial_number}"
+    yield "Tests", ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
+    yield "Signals", ", ".join(found.observed.channels)
+    yield "Took", f"{fixed(found.seconds, 0)} s"
+
+
+def _kind(kind: str) -> str:
+    return "quiet (nothing is played)" if kind == "quiet" else kind.replace("_", " ")
 
 
 def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """Label, value and note."""
     gap = found.gap
-    yield "Gap before", _share(gap.before), "error over the signal's deviation, held out"
+    yield "Gap before", _share(gap.before), "error over the signal's deviation, on data held out"
     if found.verdict != "no_gap":
         yield "Gap after", _share(gap.after), "with the leading explanation added"
-    yield "Floor", _share(gap.floor), "what noise leaves to anyone"
+    yield "Floor", _share(gap.floor), "what the sensors' noise alone leaves"
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
-        note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else "of what stands above the floor"
-        yield "Closed", _percent(gap.closed), f"{note}; announced {_percent(gap.announced)}"
+        note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else "of what noise does not explain"
+        chosen_by = f"; {_percent(gap.announced)} predicted on the data used for the choice"
+        yield "Closed", _percent(gap.closed), note + (chosen_by if np.isfinite(gap.announced) else "")
 
 
 def _share(value: float) -> str:
@@ -180,29 +203,38 @@ def _findings(found: Diagnosis) -> Table | None:
     if not where.findings:
         return None
     rows = tuple(
-        (item.stage, item.what, item.channel, f"{number(item.error / item.floor, 3)} floors")
+        (STAGE_NAMES[item.stage], item.what, item.channel, times_noise(item.error / item.floor))
         for item in where.findings[:_LISTED]
     )
-    return Table("What speaks against each stage", ("Stage", "Finding", "Signal", "Error"), rows)
+    note = "× noise: error as a multiple of the noise floor, which is what the sensors' noise alone would leave."
+    return Table("What speaks against each stage", ("Stage", "Finding", "Signal", "Error"), rows, note)
 
 
 def _ranking(found: Diagnosis) -> Table | None:
     if not found.ranking:
         return None
-    rows = tuple(_ranked(place, item) for place, item in enumerate(found.ranking[:_LISTED], 1))
-    head = ("", "Effect", "Stage", "Probability", "Closed", "95 %", "Cannot be told from")
-    return Table("Candidates", head, rows)
+    listed = found.ranking[:_LISTED]
+    places = {item.effect: str(place) for place, item in enumerate(listed, 1)}
+    rows = tuple(_ranked(item, places) for item in listed)
+    head = ("", "Effect", "Stage", "Probability", "Closed", "95 %", "Alike")
+    # A column that says nothing in any row only makes the others narrow.
+    kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
+    narrowed = tuple(tuple(row[place] for place in kept) for row in rows)
+    shown = tuple(head[place] for place in kept)
+    note = "Alike: candidates, by number, that this data cannot tell from it." if "Alike" in shown else ""
+    return Table("Candidates", shown, narrowed, note)
 
 
-def _ranked(place: int, item: Ranked) -> tuple[str, ...]:
-    alike = ", ".join(effect_words(name) for name in item.indistinguishable)
+def _ranked(item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
+    alike = ", ".join(places.get(name) or effect_words(name) for name in item.indistinguishable)
     probability = f"{fixed(100.0 * item.probability, 0)} %"
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
-    return (str(place), effect_words(item.effect), item.stage, probability, closed, _interval(item.closed_ci), alike)
+    name, stage = effect_words(item.effect), STAGE_NAMES[item.stage]
+    return (places[item.effect], name, stage, probability, closed, _interval(item.closed_ci), alike)
 
 
-def next_steps_of(found: Diagnosis) -> Iterator[str]:
-    """What to do now, a sentence each."""
+def next_steps_of(found: Diagnosis, origin: Origin | None = None) -> Iterator[str]:
+    """What to do now, a sentence each; with what to type where it is told which file was diagnosed."""
     if found.verdict == "no_gap":
         yield "Nothing needs to be done: the twin may be used as it is."
         return
@@ -216,20 +248,8 @@ def next_steps_of(found: Diagnosis) -> Iterator[str]:
         words = f", which tells {separates}" if len(step.separates) > 1 else ""
         yield f"Play a test of the kind “{step.kind.replace('_', ' ')}”{words}: {step.why.rstrip('.')}."
     if found.verdict == "effect":
-        yield "Add the effect to a named twin, so that simulation and later diagnoses have it."
+        named = "Add the effect to a named twin, so that simulation and later diagnoses have it"
+        file = "" if origin is None else shlex.quote(str(origin.file))
+        yield f"{named}: tissueid gap accept {file} --out TWIN.toml" if file else f"{named}."
     elif found.next_experiment is None:
         yield f"Look at {STAGE_WORDS[found.where.stage]}: the cause is there, and none of the known effects fits it."
-
-
-def _tables(found: Diagnosis) -> Iterator[Table]:
-    rows = tuple((stage, f"{fixed(100.0 * found.where.shares[stage], 0)} %") for stage in STAGES)
-    yield Table("Stages", (), rows, "Shares of what stands above the floor.")
-    for effect in found.combination:
-        # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
-        if found.best is not None and (parameters := parameters_of(found.best, effect)):
-            values = tuple(named_value(name, value) for name, value in parameters.items())
-            yield Table(f"Parameters of {effect_words(effect)}", (), values)
-    if found.where.evidence.errors:
-        errors = tuple((name, f"{number(value, 3)} floors") for name, value in found.where.evidence.errors.items())
-        note = "Each with everything upstream measured; 1 is the floor. Free current: from the voltage alone."
-        yield Table("Errors by question", (), errors, note)

@@ -13,7 +13,7 @@ from tissueid.twin.effect import Stage
 _PLACES: tuple[tuple[Stage, str, float, float], ...] = (
     ("drive", "Amplifier", 1.0, 1.0),
     ("coil", "Coil", 3.0, 1.0),
-    ("mechanics", "Moving part", 5.0, 1.0),
+    ("mechanics", "Moving part\n(mechanics)", 5.0, 1.0),
     ("sensing", "Sensors", 7.0, 1.0),
     ("tissue", "Tissue", 5.0, 0.0),
     ("environment", "Surroundings", 7.0, 0.0),
@@ -75,7 +75,7 @@ def _box(axes: Axes, label: str, x: float, y: float, share: float, *, lit: bool)
         FancyBboxPatch(corner, *size, boxstyle=style, facecolor="none", edgecolor=edge, linewidth=width, zorder=3)
     )
     axes.text(x, y + 0.07, label, ha="center", va="center", zorder=4, weight="bold" if lit else "normal")
-    words = f"{100.0 * share:.0f} %" if share > 0.0 else "at the floor"
+    words = f"{100.0 * share:.0f} %" if share > 0.0 else "only noise"
     axes.text(x, y - 0.12, words, ha="center", va="center", zorder=4, fontsize=8.0)
 
 

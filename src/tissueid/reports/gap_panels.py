@@ -27,6 +27,8 @@ _SIGNALS = {"voltage": ("Voltage (V)", 1.0), "current": ("Current (A)", 1.0), "p
 _OVERLAY_S = 0.25
 _UNSEEN = 0.95
 """A stretch that no fit has seen is held out to this share: its ends may lie a sample or two off."""
+_MOVES = 0.5
+"""A signal moves where its deviation is at least this share of the upper quartile over all stretches."""
 _LISTED = 8
 
 
@@ -38,7 +40,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "The chain and the stage at fault",
         f"Stages from command to recorded numbers; at fault: {found.where.stage}.",
         "Each stage is given what was measured upstream of it and refitted within its calibration; its share is what "
-        "it still leaves, as the logarithm of error over floor. The deeper the colour, the larger the share.",
+        "it still leaves, as the logarithm of error over noise. The deeper the colour, the larger the share.",
         lambda figure: draw_chain(figure, found.where),
         height=2.5,
     )
@@ -59,7 +61,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "depth",
         "By depth",
         f"Error of {of} against depth, with the floor.",
-        "Root-mean-square error in floors. Full dots stand above the floor with significance.",
+        "Root-mean-square error as a multiple of the noise floor (what the sensors' noise alone leaves: 1, dashed). "
+        "Full dots stand above it with significance.",
         lambda figure: draw_profile(figure, regions.profiles["depth_m"], 1e3, "Depth (mm)"),
         wide=False,
         height=2.9,
@@ -77,8 +80,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "surface",
         "Over depth and velocity",
         f"Mean residual of {of} as an image over depth and velocity.",
-        "What is left on average, in floors: a force that goes with depth shows as columns, friction as an upper and a "
-        "lower half (restoring-force surface).",
+        "What is left on average, as a multiple of the noise: a force that goes with depth shows as columns, friction "
+        "as an upper and a lower half (restoring-force surface).",
         lambda figure: draw_surface(figure, found),
         wide=False,
         height=3.2,
@@ -87,7 +90,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "time",
         "In the course of the test",
         f"Error of {of} against time, with the floor.",
-        "Root-mean-square error in floors by quarter second; full dots stand above the floor with significance.",
+        "Root-mean-square error as a multiple of the noise by quarter second; full dots stand above it with "
+        "significance.",
         lambda figure: draw_profile(figure, regions.profiles["time_s"], 1.0, "Time (s)"),
         wide=False,
         height=3.2,
@@ -107,8 +111,8 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "overlay",
         "Before and after",
         "Recorded signals with the simulation before and after the effect was added, and both residuals below.",
-        "A quarter of a second that was held out of the fit, wholly or in part, where the error is largest. Below: "
-        "recorded less simulated; dotted: what noise alone would leave.",
+        "A quarter of a second that was held out of the fit, wholly or in part: of those in which the signal moves, "
+        "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave.",
         lambda figure: draw_overlay(figure, found),
         height=5.0,
     )
@@ -121,9 +125,9 @@ def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
         (
             "amplitude_n",
             "amplitude",
-            "By the size of the stimulus",
+            "By the amplitude of the stimulus",
             1.0,
-            "Size of the last 0.1 s (N)",
+            "Amplitude of the last 0.1 s (N)",
             "The same against the root mean square of what was played in the last tenth of a second, as a force.",
         ),
         (
@@ -160,7 +164,7 @@ def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[flo
         (found.linear, "linear", BLUE, DASHES[1], 1.1),
         (found.even, "even", ORANGE, DASHES[2], 1.1),
         (found.odd, "odd", GREEN, DASHES[3], 1.1),
-        (found.noise, "floor", MUTED, DASHES[1], 1.1),
+        (found.noise, "noise floor", MUTED, DASHES[1], 1.1),
     )
     least = 0.1 * scale * float(np.sqrt(found.noise[0]))
     for power, label, colour, dashes, width in lines:
@@ -176,7 +180,7 @@ def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[flo
 
 
 def draw_profile(figure: FigureBase, found: Profile, scale: float, label: str) -> None:
-    """Error in floors along something."""
+    """Error along something, as a multiple of the noise floor."""
     axes = figure.subplots(1, 1)
     middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
     known = np.isfinite(found.error)
@@ -199,7 +203,7 @@ def draw_profile(figure: FigureBase, found: Profile, scale: float, label: str) -
     else:
         axes.set_ylim(0.0, 1.1 * top)
     axes.set_xlabel(label)
-    axes.set_ylabel("Error (floors)")
+    axes.set_ylabel("Error (× noise)")
 
 
 def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
@@ -212,7 +216,7 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     if surface is None:
         raise UnusableInputError("too little of depth and velocity was visited")
     axes = figure.subplots(1, 1)
-    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, "Residual (floors)")
+    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, "Residual (× noise)")
     axes.set_xlabel("Depth (mm)")
     axes.set_ylabel("Velocity (mm/s)")
 
@@ -297,10 +301,12 @@ def simulated_by(candidate: Candidate, test: ObservedTest, name: str) -> FloatAr
 def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
     """The test and the stretch, first and one past the last sample, held out of the fit with the largest error.
 
+    Stretches in which the signal hardly moves are left out: a rest shows an offset at most.
+
     Raises:
         UnusableInputError: there is none.
     """
-    best: tuple[float, ObservedTest, int, int] | None = None
+    tried: list[tuple[float, float, ObservedTest, int, int]] = []
     for test in found.observed.tests:
         if test.quiet and len(found.observed.tests) > 1:
             continue
@@ -314,8 +320,9 @@ def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, i
             if held[start : start + size].mean() < _UNSEEN or not inside.any():
                 continue
             worth = float(np.sqrt(np.mean(error[start : start + size][inside] ** 2)))
-            if best is None or worth > best[0]:
-                best = (worth, test, start, min(start + size, error.size))
-    if best is None:
+            moved = float(np.std(test.signals[channel][start : start + size][inside]))
+            tried.append((worth, moved, test, start, min(start + size, error.size)))
+    if not tried:
         raise UnusableInputError("every sample was fitted")
-    return best[1:]
+    least = _MOVES * float(np.quantile([item[1] for item in tried], 0.75))
+    return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,11 +30,23 @@ def opened(path: Path) -> Iterator[h5py.File]:
     except SessionFormatError as error:
         raise SessionFormatError(f"{path}: {error}") from error
     except FileNotFoundError as error:
-        raise SessionFormatError(f"{path}: no such file") from error
+        raise SessionFormatError(f"{path}: no such file{_to_recover(path, '')}") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError) as error:
         # h5py tells damage in any of these; whatever it says, the file is of no use.
         kind = "is a folder" if path.is_dir() else "is damaged, or not an HDF5 session"
-        raise SessionFormatError(f"{path} {kind}") from error
+        raise SessionFormatError(f"{path} {kind}{_to_recover(path, 'move it away, and ')}") from error
+
+
+def _to_recover(path: Path, first: str) -> str:
+    journal = journal_path(path)
+    if not journal.is_file():
+        return ""
+    return f"; a journal lies beside it: {first}'tissueid recover {shlex.quote(str(journal))}' makes the session of it"
+
+
+def journal_path(session: Path) -> Path:
+    """Where the journal of a session lies: beside it."""
+    return session.with_name(session.name + ".journal")
 
 
 def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:

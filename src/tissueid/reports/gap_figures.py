@@ -1,0 +1,90 @@
+"""The figures of a diagnosis as tables: shares of the stages, parameters of the cause, errors by question."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from tissueid.errors import UnusableInputError
+from tissueid.gap.diagnosis import Diagnosis, parameters_of
+from tissueid.gap.named import twin_of
+from tissueid.gap.scoring import Candidate
+from tissueid.reports.tables import Table
+from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import STAGE_NAMES, STAGES
+from tissueid.wording import fixed, named_unit, number, people_unit, with_unit
+
+_TASKS = {
+    "drive": "command to voltage",
+    "coil": "voltage to current and force",
+    "mechanics": "force to motion, without tissue",
+    "tissue": "what the probe presses on",
+    "sensing": "motion to recorded number",
+    "environment": "what nobody asked for",
+}
+_QUESTIONS = {
+    "drive": "Voltage, from the command",
+    "coil": "Current, from voltage and motion",
+    "free current": "Current, from the voltage alone",
+    "spring": "Motion off the tissue (spring or air), from the current",
+    "tissue": "Motion on tissue, from the current",
+    "quiet": "Motion while nothing is played (quiet test)",
+}
+_FEWEST_SURE = 1e5
+"""A standard deviation above this, SI, means that the data does not hold the parameter at all."""
+
+
+def times_noise(ratio: float) -> str:
+    """An error as a multiple of the noise floor."""
+    return f"{number(ratio, 3)} × noise"
+
+
+def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]:
+    """The figures of a diagnosis.
+
+    Args:
+        found: the diagnosis.
+        called: what an effect is called in a sentence, by its name.
+    """
+    where = found.where
+    shares = tuple(
+        (f"{STAGE_NAMES[item]}: {_TASKS[item]}", f"{fixed(100.0 * where.shares[item], 0)} %") for item in STAGES
+    )
+    yield Table("Stages", (), shares, "Shares of what noise does not explain, as logarithms of error over noise.")
+    for name in found.combination:
+        # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
+        if found.best is not None and (table := _parameters(found.best, name, called(name))):
+            yield table
+    if where.evidence.errors:
+        asked = where.evidence.errors.items()
+        errors = tuple((_QUESTIONS.get(name, name), times_noise(times)) for name, times in asked)
+        yield Table(
+            "Errors by question",
+            (),
+            errors,
+            "How far one signal is missed when everything upstream of it is as measured; 1 × noise is what noise alone "
+            "leaves. These are not the shares of the stages: an error counts there only by its logarithm, only above "
+            "the noise, and for the stage whose kind of force explains it, so motion on tissue may speak against the "
+            "moving part.",
+        )
+
+
+def _parameters(best: Candidate, name: str, words: str) -> Table | None:
+    values, known = parameters_of(best, name), {item.name: item for item in effect(name).parameters}
+    try:
+        stds = twin_of(best, "twin").stds
+    except UnusableInputError:
+        stds = {}  # a bare record of input and output makes no twin
+    rows = []
+    for key, value in values.items():
+        unit, scale = people_unit("" if known[key].unit == "1" else known[key].unit)
+        std = stds.get(f"{name}.{key}", 0.0)
+        text = number(scale * value, 3)
+        if 0.0 < std < _FEWEST_SURE and np.isfinite(std):
+            text += f" ± {number(scale * std, 2)}"
+        rows.append((named_unit(key)[0], with_unit(text, unit), known[key].meaning))
+    if not rows:
+        return None
+    head = ("Parameter", "Value", "Meaning")
+    return Table(f"Parameters of {words}", head, tuple(rows), "± is one standard deviation, where the fit has one.")
