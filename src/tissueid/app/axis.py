@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import pyqtgraph as pg
 from PySide6.QtCore import QPointF, QRectF
 from PySide6.QtGui import QColor, QPainter, QPen
-from PySide6.QtWidgets import QGraphicsItem, QStyleOptionGraphicsItem, QWidget
+from PySide6.QtWidgets import QGraphicsItem, QGraphicsSceneWheelEvent, QStyleOptionGraphicsItem, QWidget
 
 Line = tuple[QPen, QPointF, QPointF]
 Text = tuple[QRectF, int, str]
@@ -33,6 +33,14 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
         self.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)  # as long as neither range nor size changes
         self.enableAutoSIPrefix(False)  # or pyqtgraph sets a label anew, in HTML, whenever the range changes
         self.setStyle(maxTickLevel=_FINEST)
+
+    def wheelEvent(self, event: QGraphicsSceneWheelEvent) -> None:  # noqa: N802
+        """Zoom by the wheel where the plot does; elsewhere leave it to the page, which scrolls."""
+        view = self.linkedView()
+        if view is None or not any(view.mouseEnabled()):
+            event.ignore()
+            return
+        super().wheelEvent(event)
 
     def set_ground(self, colour: str) -> None:
         """On which colour the grid lies."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from tissueid.app.language import marked
-from tissueid.app.words import sentence
+from tissueid.app.words import for_window, sentence
 from tissueid.calibration.in_force import in_words, warnings_of
 from tissueid.device import DeviceDescription
 
@@ -25,7 +25,7 @@ class CalibrationState:
 def calibration_state(device: DeviceDescription, now: datetime | None = None) -> CalibrationState:
     """The state of the calibration that a device goes by; ``now`` has a zone."""
     good = device.calibration.get("state") == "valid"
-    warnings = tuple(sentence(line) for line in warnings_of(device))
+    warnings = tuple(sentence(for_window(line)) for line in warnings_of(device))
     # One line of the form holds it so.
-    words = sentence(in_words(device, now)).removesuffix(".").replace("linear from", "linear")
+    words = sentence(for_window(in_words(device, now))).removesuffix(".").replace("linear from", "linear")
     return CalibrationState(words, "good" if good else "check", warnings)

@@ -56,7 +56,8 @@ class Calibrator(QObject):
         self._page.expect(kind)
         window.ui.guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
         work = functools.partial(calibrate, plan, talk, stop, around.opener, trail, around.now)
-        window.jobs.do(work, self._ended, self._failed)
+        why = _("A calibration is running on Measure: stop it there, or wait.")
+        window.jobs.do(work, self._ended, self._failed, why=why)
         window.ui.stop.setFocus()
 
     def _show(self) -> None:

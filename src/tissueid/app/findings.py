@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.app.language import _
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.quality import Quality
+from tissueid.wording import clean
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
     from tissueid.reports.verdict import Verdict
 
 Array = NDArray[np.float64]
+LONGEST = 80
+"""Letters of a site or of a pseudonym that are shown."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,13 @@ class Findings:
     bode: Curves
     nonlinearity: Curves
     prediction: Curves
+
+
+def whose(findings: Findings) -> str:
+    """Site and pseudonym of what was measured, which may be another's than the form's."""
+    site = clean(findings.test.site)[:LONGEST] or _("Site not recorded")
+    pseudonym = clean(findings.session.subject.pseudonym)[:LONGEST] or _("Subject not recorded")
+    return f"{site}  ·  {pseudonym}"
 
 
 def find(path: Path, session: Session | None = None, number: int | None = None) -> Findings:

@@ -98,6 +98,11 @@ class PlanForm(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(10)
+        self.apart = QLabel(_("For the next test, not of the result that is shown"))
+        self.apart.setProperty("role", "muted")
+        self.apart.setWordWrap(True)
+        self.apart.hide()
+        layout.addWidget(self.apart)
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
         _add(layout, _("Si&te"), where, focus=self.site)
         _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
@@ -155,6 +160,10 @@ class PlanForm(QWidget):
         if self._forces_n.get(url) != greatest_n:
             self._forces_n[url] = greatest_n
             self._apply_limits()
+
+    def tell_apart(self, apart: bool) -> None:
+        """Say whether the result that is shown is of another test than the form's."""
+        self.apart.setVisible(apart)
 
     def renew_path(self) -> None:
         """Go on to a file that is not there yet, beside the last one."""

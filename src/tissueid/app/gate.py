@@ -8,6 +8,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushBut
 
 from tissueid.app.language import _, marked
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
+from tissueid.app.words import for_window
 from tissueid.sessions.quality import Quality, Verdict
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
@@ -78,7 +79,7 @@ class QualityGate(QFrame):
     @property
     def words(self) -> tuple[str, ...]:
         """Everything that it says, those findings included that are not shown at once."""
-        return (_(UNJUDGED),) if self._quality is None else self._quality.lines
+        return (_(UNJUDGED),) if self._quality is None else tuple(for_window(line) for line in self._quality.lines)
 
     def _fill(self) -> None:
         while (item := self._grid.takeAt(0)) is not None:
@@ -95,8 +96,8 @@ class QualityGate(QFrame):
         self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
         shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
         for row, finding in enumerate(shown):
-            self._grid.addWidget(_text(finding.words, ""), row, 0)
-            self._grid.addWidget(_text(finding.advice, "muted"), row, 1)
+            self._grid.addWidget(_text(for_window(finding.words), ""), row, 0)
+            self._grid.addWidget(_text(for_window(finding.advice), "muted"), row, 1)
 
 
 def _text(text: str, role: str) -> QLabel:

@@ -7,6 +7,7 @@ from typing import Any
 
 from PySide6.QtCore import QObject, QThread, Signal
 
+from tissueid.app.language import _
 from tissueid.app.words import in_words
 
 
@@ -42,19 +43,35 @@ class Jobs(QObject):
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
-        self._running: set[Job] = set()
+        self._running: dict[Job, str] = {}
 
     def __bool__(self) -> bool:
         return bool(self._running)
 
-    def do(self, work: Callable[[], Any], succeeded: Callable[[Any], None], failed: Callable[[str], None]) -> None:
-        """Begin a piece of work; one of the two methods is called at its end."""
+    @property
+    def why(self) -> str:
+        """What goes on and where it can be ended, in words, for whoever waits for it; empty where nothing goes on."""
+        said = [why for why in self._running.values() if why]
+        return said[0] if said else _("Something is being finished: wait a moment.") if self._running else ""
+
+    def do(
+        self,
+        work: Callable[[], Any],
+        succeeded: Callable[[Any], None],
+        failed: Callable[[str], None],
+        *,
+        why: str = "",
+    ) -> None:
+        """Begin a piece of work; one of the two methods is called at its end.
+
+        ``why`` says to others what they wait for meanwhile, and where it can be ended; work of moments needs none.
+        """
         job = Job(work, self)
         job.succeeded.connect(succeeded)
         job.failed.connect(failed)
         job.failed.connect(self.failed)
         job.finished.connect(self._finished)
-        self._running.add(job)
+        self._running[job] = why
         self.changed.emit()
         job.start()
 
@@ -62,6 +79,6 @@ class Jobs(QObject):
         job = self.sender()
         if isinstance(job, Job):
             job.wait()
-            self._running.discard(job)
+            self._running.pop(job, None)
             job.deleteLater()
         self.changed.emit()

@@ -170,6 +170,14 @@ class Layout:
         self.result.test.setEnabled(not busy)
         self.notice.offer.setEnabled(not busy)
 
+    @property
+    def waiting(self) -> tuple[QWidget, ...]:
+        """What is grey while something goes on elsewhere: on these it is said what that is."""
+        of_test = self.start, self.guidance.lamp.watch, self.form.instrument.refresh, self.gate.run_again
+        of_result = self.open, self.report, self.result.pdf, self.result.test
+        of_sitting = self.gate.repeats.repeat, self.gate.repeats.accept
+        return *of_test, *of_result, *of_sitting, *self.calibration.begin.values()
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.signals.paint_with(theme)

@@ -29,6 +29,7 @@ PERCENT = 100.0
 _NOTHING = np.zeros(0)
 _FINE = 200
 _WAITING = marked("Waiting for the stimulus.")
+_ENDED = marked("The test ended before there was enough of it.")
 _ORANGE = marked("Orange: mass, damping and stiffness")
 _QUANTITIES: dict[Parameter, str] = {
     "mass": "mass_kg",
@@ -111,6 +112,15 @@ class LiveAnalysis(QWidget):
             self.show_view(view)
         if identification.problem:
             self._say(_("{problem} The test goes on without it.").format(problem=sentence(identification.problem)))
+
+    def rest(self) -> None:
+        """The test is over: nothing waits for its stimulus any more."""
+        if self._shown is None:
+            self.hide()
+            return
+        missing = sentence(self._shown.missing) or _(_ENDED)
+        self._show_curve(self._shown.curve, missing)
+        self._show_course(self._shown.course, missing)
 
     def show_view(self, view: LiveView) -> None:
         """Draw one view."""

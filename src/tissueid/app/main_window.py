@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QCoreApplication, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
-from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
+from tissueid.acquisition.playing import Phase
+from tissueid.app import ending
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
 from tissueid.app.errands import write_report_beside
-from tissueid.app.findings import Findings, find
+from tissueid.app.findings import Findings, find, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.language import _, speak
 from tissueid.app.language_choice import chosen
@@ -23,6 +25,7 @@ from tissueid.app.layout import MEASURE, Layout
 from tissueid.app.live import LiveSignals
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
+from tissueid.app.place_to_save import check_place
 from tissueid.app.plan import Plan
 from tissueid.app.remembered import remembered_role
 from tissueid.app.searching import Searching
@@ -31,18 +34,17 @@ from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
 from tissueid.app.unit_choice import take_kept
 from tissueid.app.views.clinician.clinician import Clinician
+from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words
 from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
-from tissueid.wording import clean
 
 if TYPE_CHECKING:
     from tissueid.app.measuring import Outcome
 
 FRAME_MS = 33
-LONGEST_SITE = 80
 
 
 class MainWindow(QMainWindow):
@@ -93,15 +95,19 @@ class MainWindow(QMainWindow):
 
         if self.clinician.watcher.start_after() or self.busy:
             return
+        form = self.ui.form
+        wrong: QWidget = form.site
         try:
-            plan = self.ui.form.plan()
+            plan = form.plan()
             plan.check()
             if plan.path.parent == self.around.folder:
                 plan.path.parent.mkdir(parents=True, exist_ok=True)
+            wrong = form.path
+            check_place(plan.path)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
-            if not self.ui.form.site.currentText().strip():
-                self.ui.form.site.setFocus()
+            if wrong is form.path or not form.site.currentText().strip():
+                wrong.setFocus()
             return
         self._plan, self._live = plan, LiveSignals()
         plan = self.clinician.planned(plan)
@@ -129,7 +135,8 @@ class MainWindow(QMainWindow):
             calibrate=self.around.calibrate,
             earlier=self.clinician.earlier,
         )
-        self.jobs.do(work, self._test_ended, self._test_failed)
+        why = _("A test is running on Measure: stop it there, or wait.")
+        self.jobs.do(work, self._test_ended, self._test_failed, why=why)
         self.ui.stop.setFocus()
 
     def energise(self, draw: Callable[[], None]) -> EmergencyStop:
@@ -182,7 +189,7 @@ class MainWindow(QMainWindow):
     def _show_frame(self) -> None:
         glance = self._live.look()
         self.ui.signals.show_live(glance)
-        self.ui.safety.show_safety(glance.safety)
+        self.ui.safety.show_safety(glance.safety, free=glance.phase is Phase.RELEASE)
         if self._live.device is not None and self._plan is not None:
             self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self._live.device))
             if self._live.greatest_force_n is not None:
@@ -197,15 +204,8 @@ class MainWindow(QMainWindow):
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
-        saved = _("The recorded part is saved in {path}.").format(path=outcome.path) if session else ""
-        if outcome.stopped:
-            by_button = _("Stopped by the button on the instrument, and the coil is released.")
-            how = by_button if outcome.by_button else _("Stopped, and the coil is released.")
-            words = [how, saved or outcome.trouble or _("Nothing was recorded yet.")]
-        else:
-            words = [outcome.problem, saved if outcome.problem else ""]
-        if said := " ".join(filter(None, [*words, outcome.unlogged])):
-            failed = bool(outcome.trouble or outcome.unlogged or (outcome.problem and not outcome.stopped))
+        said, failed = ending.in_words(outcome)
+        if said:
             self.ui.notice.say(said, problem=failed, page=MEASURE)
         if outcome.instrument_failed:
             self._doubt_instrument()
@@ -234,6 +234,8 @@ class MainWindow(QMainWindow):
         self.free()
         self._show_frame()
         self.ui.safety.rest()
+        self.ui.analysis.rest()
+        self.clinician.freed()  # the last frame tells of a probe that is followed no more
 
     # -- sessions and results ------------------------------------------------------------------------------
 
@@ -250,7 +252,8 @@ class MainWindow(QMainWindow):
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
-        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed)
+        why = _("A test is being analysed on Measure: wait a few seconds.")
+        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed, why=why)
 
     def _show_findings(self, findings: Findings) -> None:
         self.findings, self._report = findings, None
@@ -262,6 +265,7 @@ class MainWindow(QMainWindow):
         self.ui.signals.show_test(findings.test, findings.session.instrument)
         self._show_gate(findings.test)
         self.ui.result.show_findings(findings)
+        self.ui.form.tell_apart(self._plan is None or self._plan.path != findings.path)
         self.clinician.found(findings, self._plan)
         self.ui.pages.setTabVisible(1, True)
         self.ui.pages.setCurrentWidget(self.ui.result)
@@ -276,8 +280,7 @@ class MainWindow(QMainWindow):
         """Nothing goes on: name what is shown, or say how to begin."""
         self.ui.guidance.rest()
         if self.findings is not None:
-            site = clean(self.findings.test.site)[:LONGEST_SITE] or _("Site not recorded")
-            self.ui.guidance.say(f"{site}  ·  {self.findings.path.name}")
+            self.ui.guidance.say(f"{whose(self.findings)}  ·  {self.findings.path.name}")
 
     def say_failed(self, words: str) -> None:
         """Some work ended badly: say so, and show again what was shown."""
@@ -345,6 +348,7 @@ class MainWindow(QMainWindow):
         self.ui.settle(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
         self.clinician.settle(busy=self.busy, testing=self.testing)
         self.pages.settle(busy=self.busy, testing=self.testing)
+        tell_why(self.ui.waiting, self.jobs.why)
         if self._closing and not self.jobs:
             self.close()
 
@@ -394,6 +398,7 @@ class MainWindow(QMainWindow):
         ui.result.test_chosen.connect(self._analyse_other)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
-        escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
-        escape.setContext(Qt.ShortcutContext.ApplicationShortcut)
-        escape.activated.connect(self._stop_by_key)
+        for keys, then in ((Qt.Key.Key_Escape, self._stop_by_key), ("Ctrl+Q", self.close)):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
+            shortcut.activated.connect(then)

@@ -42,6 +42,7 @@ class Outcome:
     """How a test ended: what was saved, if anything, and what went wrong, in words.
 
     ``stopped`` is true where a person stopped it, ``by_button`` where that was with the button of the instrument.
+    ``unanswered`` is true where the window stood still for too long.
     ``instrument_failed`` is true where what went wrong was the instrument or its cable, not this computer's disk.
     ``trouble``, which is in ``problem`` too, is why the recording could not be saved; ``unlogged`` why the audit log
     lacks something.
@@ -52,6 +53,7 @@ class Outcome:
     problem: str = ""
     stopped: bool = False
     by_button: bool = False
+    unanswered: bool = False
     instrument_failed: bool = False
     trouble: str = ""
     unlogged: str = ""
@@ -130,14 +132,15 @@ def measure(
     session, trouble = _keep(recorder, problem)
     said = _said(problem, session, trouble)
     by_button = isinstance(problem, FirmwareFaultError) and describe_faults(Fault.BUTTON) in str(problem)
-    by_person = isinstance(problem, CancelledError) and stop.reason != NO_ANSWER
+    cancelled = isinstance(problem, CancelledError)
     lacking = "" if trail is None else trail.settle()
     return Outcome(
         plan.path,
         session,
         " ".join(filter(None, [said, trouble])),
-        stopped=by_button or by_person,
+        stopped=by_button or (cancelled and stop.reason != NO_ANSWER),
         by_button=by_button,
+        unanswered=cancelled and stop.reason == NO_ANSWER,
         instrument_failed=not isinstance(problem, NoneType | CancelledError | JournalError) and not by_button,
         trouble=trouble,
         unlogged=sentence(_("not in the audit log: {problem}").format(problem=lacking)) if lacking else "",

@@ -20,6 +20,7 @@ from tissueid.app.remembered import put_back, remember, remembered_page
 from tissueid.app.theme import Theme, palette_of
 from tissueid.app.views.start.view import StartView
 from tissueid.app.views.view import Desk, View
+from tissueid.app.waiting import tell_why
 from tissueid.audit import Role
 from tissueid.wording import clean
 
@@ -121,6 +122,7 @@ class Pages(QObject):
         """Let every page do what now makes sense."""
         for view in self.views:
             view.settle(busy=busy, testing=testing)
+            tell_why(view.waiting(), self._window.jobs.why)
 
     def take_role(self, role: Role) -> None:
         """Somebody else sits there."""
@@ -150,6 +152,7 @@ class Pages(QObject):
         self._window.ui.add_page(name, view)
         view.take_role(self._window.ui.role.role)
         view.settle(busy=self._window.busy, testing=self._window.testing)
+        tell_why(view.waiting(), self._window.jobs.why)
         if self._theme is not None:
             _paint(view, self._theme)
 

@@ -76,8 +76,6 @@ class Plan(NoiseChoice):
                     low=self.min_force_n, high=self.max_force_n
                 )
             )
-        if not self.path.name:
-            raise UnusableInputError(_("say where to save the session"))
         self.set_up()
 
     def within(self, greatest_n: float) -> Plan:

@@ -23,7 +23,7 @@ class SafetyReadouts(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self._frame = 0
+        self._frame, self._free = 0, True
         self.force, self.coil, self.contact, self.keys = (QLabel() for _ in range(4))
         grid = QGridLayout(self)
         grid.setContentsMargins(10, 6, 10, 6)
@@ -45,7 +45,7 @@ class SafetyReadouts(QFrame):
 
     def rest(self) -> None:
         """No test runs: nothing is known."""
-        self._frame = 0
+        self._frame, self._free = 0, True
         for label in (self.force, self.coil, self.contact):
             _say(label, MISSING)
         _say(self.keys, _("The coil is free"))
@@ -53,15 +53,20 @@ class SafetyReadouts(QFrame):
     def expect(self) -> None:
         """A test begins."""
         self.rest()
+        self._free = False
         _say(self.keys, _(KEYS_REACH))
 
     def tell_keys(self, *, reach: bool) -> None:
-        """Whether the keys that stop come to this window."""
+        """Whether the keys that stop come to this window; of no account once the coil is free."""
+        if self._free:
+            return
         _say(self.keys, _(KEYS_REACH) if reach else _(KEYS_LOST), "" if reach else "check")
 
-    def show_safety(self, safety: Safety | None) -> None:
-        """Show how things stand; called with every frame."""
-        if safety is None:
+    def show_safety(self, safety: Safety | None, *, free: bool = False) -> None:
+        """Show how things stand; called with every frame. Of a coil that is ``free`` again nothing is to be told."""
+        if free:
+            self.rest()
+        if safety is None or self._free:
             return
         _say(self.contact, *_contact(safety))
         self._frame += 1

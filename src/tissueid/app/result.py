@@ -17,13 +17,15 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.findings import Curves, Findings, Number
+from tissueid.app.elided import ElidedLabel
+from tissueid.app.findings import Curves, Findings, Number, whose
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
+from tissueid.app.words import for_window
 from tissueid.sessions import Test
 
 _TILES = 5
@@ -77,12 +79,14 @@ class ResultPage(QScrollArea):
             widget.style().unpolish(widget)
             widget.style().polish(widget)
         self.headline.setText(_(verdict.headline))
+        self.whose.setText(whose(findings))
+        self.whose.setToolTip(self.whose.text())
         # What the quality gate said stands above already.
         told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
         reasons = [reason for reason in verdict.reasons if reason not in told]
         if verdict.reasons and not reasons:
             reasons = [_(SEE_ABOVE)]
-        self.reasons.setText("\n".join([*reasons, *findings.cautions]))
+        self.reasons.setText("\n".join(for_window(line) for line in [*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
         self.facts.setText(" ".join(text for text in (findings.ended, findings.visited) if text))
         for place, tile in enumerate(self._tiles):
@@ -115,6 +119,8 @@ class ResultPage(QScrollArea):
         self._verdict.setProperty("role", "verdict")
         self.headline = QLabel()
         self.headline.setProperty("role", "headline")
+        self.whose = ElidedLabel()
+        self.whose.setProperty("role", "headline")
         self.facts = QLabel()
         self.facts.setProperty("role", "muted")
         self.reasons = QLabel()
@@ -130,7 +136,8 @@ class ResultPage(QScrollArea):
         top = QHBoxLayout()
         self.pdf = QPushButton(_("PDF report"))
         self.pdf.setToolTip(_("One or two pages to print, beside the session"))
-        top.addWidget(self.headline, 1)
+        top.addWidget(self.headline)
+        top.addWidget(self.whose, 1)
         top.addWidget(self.test)
         top.addWidget(self.pdf)
         layout = QVBoxLayout(self._verdict)

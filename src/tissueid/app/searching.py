@@ -38,7 +38,8 @@ class Searching(QObject):
         self._window.ui.notice.retract()
         around = self._window.around
         work = functools.partial(survey, around.finder, around.opener, around.calibrate)
-        self._window.jobs.do(work, self._found, self._finding_failed)
+        why = _("Every port is being asked whether an instrument answers: wait a few seconds.")
+        self._window.jobs.do(work, self._found, self._finding_failed, why=why)
 
     def list_instruments(self) -> None:
         """Offer what can be seen without asking; a system that cannot list its ports still has typed addresses."""

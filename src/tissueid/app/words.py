@@ -22,6 +22,49 @@ SAID_BY_CORE = (
 )
 """Verdicts and names that the core says in always the same words; whoever shows them looks them up."""
 
+SAID_FOR_SHELL = (
+    (
+        "Run 'tissueid calibrate static', and 'tissueid calibrate sweep' where its date has passed.",
+        marked("Calibrate on the page Instrument: static, and the sweep where its date has passed."),
+    ),
+    (
+        "Run 'tissueid calibrate static' before the next test.",
+        marked("Calibrate on the page Instrument before the next test."),
+    ),
+    (
+        "Run 'tissueid calibrate static' before measurements that are to be compared.",
+        marked("Calibrate on the page Instrument before measurements that are to be compared."),
+    ),
+    (
+        "Check that the coil is connected, then run 'tissueid calibrate static'.",
+        marked("Check that the coil is connected, then calibrate on the page Instrument."),
+    ),
+    (
+        "there is no static calibration: run 'tissueid calibrate static'",
+        marked("there is no static calibration: calibrate on the page Instrument"),
+    ),
+    (
+        "the linear region is not known: run 'tissueid calibrate sweep'",
+        marked("the linear region is not known: do a sweep on the page Instrument"),
+    ),
+    ("run 'tissueid calibrate static'", marked("calibrate on the page Instrument")),
+    ("run 'tissueid calibrate sweep'", marked("do a sweep on the page Instrument")),
+)
+"""What the core advises to somebody at a shell, longest first, and what is to be done instead in the window."""
+
+
+def for_window(text: str) -> str:
+    """Advice of the core without commands: what to do about it in the window, in its language."""
+    for shell, window in SAID_FOR_SHELL:
+        if "'tissueid calibrate" not in text:
+            break
+        text = text.replace(shell, _(window)).replace(_capital(shell), _capital(_(window)))
+    return text
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
+
 
 def sentence(text: str) -> str:
     """Text with a capital and a full stop."""
@@ -34,7 +77,7 @@ def sentence(text: str) -> str:
 def in_words(error: BaseException) -> str:
     """What went wrong, for the person in front of the window; a defect's details go to a file that is named."""
     if isinstance(error, TissueIDError):
-        return sentence(str(error))
+        return sentence(for_window(str(error)))
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return sentence(f"{where}{error.strerror or error}")

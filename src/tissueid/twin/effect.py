@@ -19,12 +19,12 @@ Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"
 STAGES: tuple[Stage, ...] = ("drive", "coil", "mechanics", "tissue", "sensing", "environment")
 """In the order of the chain."""
 STAGE_NAMES: Mapping[Stage, str] = {
-    "drive": "amplifier (drive)",
+    "drive": "amplifier",
     "coil": "coil",
     "mechanics": "moving part (mechanics)",
     "tissue": "tissue",
-    "sensing": "sensors (sensing)",
-    "environment": "surroundings (environment)",
+    "sensing": "sensors",
+    "environment": "surroundings",
 }
 """What people read for a stage."""
 

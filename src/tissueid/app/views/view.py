@@ -76,6 +76,10 @@ class View(QWidget):
     def settle(self, *, busy: bool, testing: bool) -> None:
         """Enable what makes sense now: nothing that works beside a running test."""
 
+    def waiting(self) -> tuple[QWidget, ...]:
+        """The controls that are grey while something goes on elsewhere; on them it is said what that is."""
+        return ()
+
     def take_role(self, role: Role) -> None:
         """Somebody else sits there now."""
 

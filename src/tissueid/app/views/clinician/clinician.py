@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject
 
+from tissueid.acquisition.playing import Phase
 from tissueid.app.findings import Findings
 from tissueid.app.language import _, plural
 from tissueid.app.layout import MEASURE
@@ -66,11 +67,13 @@ class Clinician(QObject):
 
     def follow(self, glance: Glance, device: DeviceDescription | None) -> None:
         """A test runs."""
+        self._window.ui.guidance.lamp.quiet(glance.phase is Phase.RELEASE)
         if device is not None:
             self._window.ui.guidance.lamp.show_contact(contact_in_test(glance, device))
 
     def freed(self) -> None:
         """Nothing is energised any more."""
+        self._window.ui.guidance.lamp.quiet(False)
         self._window.ui.guidance.lamp.show_contact(Contact.UNWATCHED)
 
     def found(self, findings: Findings, plan: Plan | None) -> None:
@@ -170,7 +173,8 @@ class Clinician(QObject):
             self._shelf,
             self._cancelled,
         )
-        self._window.jobs.do(work, self._compared, self._not_compared)
+        why = _("Earlier sittings are being compared on Measure: cancel that there, or wait.")
+        self._window.jobs.do(work, self._compared, self._not_compared, why=why)
 
     def _compared(self, comparison: Comparison) -> None:
         self._comparison = comparison

@@ -40,6 +40,11 @@ class ContactLamp(QWidget):
         self.setMinimumHeight(34)
         self.show_contact(Contact.UNWATCHED)
 
+    def quiet(self, on: bool) -> None:
+        """Say nothing where the instruction beside it says all: the test is over, and nobody asks for the contact."""
+        self.light.setVisible(not on)
+        self.words.setVisible(not on)
+
     def show_contact(self, contact: Contact) -> None:
         """Show how the probe stands."""
         if contact is self.contact:

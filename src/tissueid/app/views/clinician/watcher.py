@@ -82,7 +82,8 @@ class Watcher(QObject):
         self._lamp.show_contact(Contact.FINDING)
         self._looks.start()
         work = functools.partial(watch, self._url, sight, self._stop, around.opener, around.calibrate)
-        self._window.jobs.do(work, self._ended, self._failed)
+        why = _("Contact is being watched on Measure: stop watching there first.")
+        self._window.jobs.do(work, self._ended, self._failed, why=why)
 
     def _look(self) -> None:
         sight = self._sight

@@ -12,6 +12,7 @@ from tissueid.app.language import _
 from tissueid.app.views.gap.diagnosing import Result
 from tissueid.audit import Trail
 from tissueid.errors import UnusableInputError
+from tissueid.sessions import read_session
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean
 
@@ -75,11 +76,13 @@ def report_beside(result: Result) -> Path:
 
     Raises:
         OSError: it cannot be written there.
+        SessionFormatError: the session cannot be read any more.
     """
-    from tissueid.reports.gap import write_gap_report
+    from tissueid.reports.gap import Origin, write_gap_report
 
-    path = result.asked.session.with_name(f"{result.asked.session.stem}-gap.html")
-    write_gap_report(result.diagnosis, path)
+    session = result.asked.session
+    path = session.with_name(f"{session.stem}-gap.html")
+    write_gap_report(result.diagnosis, path, origin=Origin(read_session(session), session))
     return path
 
 

@@ -27,6 +27,7 @@ from tissueid.app.views.gap.keeping import (
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.views.view import Desk, View
+from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
 
@@ -84,6 +85,10 @@ class GapView(View):
         self.asking.settle(busy=busy, testing=testing)
         self.result.settle(busy=busy, testing=testing)
 
+    def waiting(self) -> tuple[QWidget, ...]:
+        """Run, and what keeps a result."""
+        return self.asking.run, self.result.accept, self.result.report, self.result.export
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.result.paint_with(theme)
@@ -111,7 +116,8 @@ class GapView(View):
         self._cancelled, self._running = threading.Event(), True
         self.asking.begin()
         work = functools.partial(run, asked, self.stepped.emit, self._cancelled.is_set, apart=self.desk.around.apart)
-        self.desk.jobs.do(work, self._ended, self._failed)
+        why = _("A diagnosis is running on Gap: cancel it there, or wait.")
+        self.desk.jobs.do(work, self._ended, self._failed, why=why)
         self.asking.stop.setFocus()
 
     def stop(self) -> None:
@@ -281,6 +287,7 @@ class GapView(View):
 
     def _resettle(self) -> None:
         self.settle(busy=self._busy, testing=self._testing)
+        tell_why(self.waiting(), self.desk.jobs.why)
 
 
 def _dropped(event: QDropEvent) -> Path | None:

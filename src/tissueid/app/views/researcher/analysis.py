@@ -13,13 +13,13 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QFileDialog,
-    QLabel,
     QProgressBar,
     QPushButton,
     QTabWidget,
     QWidget,
 )
 
+from tissueid.app.elided import ElidedLabel
 from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.arranging import arrange
@@ -37,6 +37,7 @@ from tissueid.app.views.researcher.saver import Saver
 from tissueid.app.views.researcher.state import STATE, recall, remembered
 from tissueid.app.views.researcher.task import MOST_TESTS, Task, TestRef
 from tissueid.app.views.view import Desk
+from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.options import reason
@@ -106,6 +107,11 @@ class AnalysisPanel(QWidget):
         self._busy, self._testing = busy, testing
         self._enable()
 
+    @property
+    def waiting(self) -> tuple[QWidget, ...]:
+        """What is grey while something goes on elsewhere."""
+        return self.run, self.compare, self.folder, self.save_table, self.save_figure
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.results.paint_with(theme)
@@ -139,7 +145,8 @@ class AnalysisPanel(QWidget):
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
-        self.desk.jobs.do(work, self._done, self._failed)
+        why = _("An analysis is running on Research: cancel it there, or wait.")
+        self.desk.jobs.do(work, self._done, self._failed, why=why)
 
     def _task(self, **changes: Any) -> Task | None:
         """What the form asks for, or None where it cannot be, which is then said."""
@@ -302,6 +309,7 @@ class AnalysisPanel(QWidget):
         self.save_figure.setEnabled(free and there)
         self.clear.setEnabled(there and self._work is None)
         self.past.settle(busy=not free)
+        tell_why(self.waiting, self.desk.jobs.why)
 
     def _connect(self) -> None:
         self.run.clicked.connect(self._run)
@@ -320,10 +328,8 @@ class AnalysisPanel(QWidget):
         self.past.wanted.connect(self._take_task)
 
 
-def _line() -> QLabel:
-    """Words that change as work goes on, and are cut off where there is no room."""
-    label = QLabel()
+def _line() -> ElidedLabel:
+    """Words that change as work goes on, and are cut in their middle where there is no room."""
+    label = ElidedLabel()
     label.setProperty("role", "muted")
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setMinimumWidth(1)
     return label

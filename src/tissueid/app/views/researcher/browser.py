@@ -102,7 +102,8 @@ class Browser(QWidget):
         self._seen: set[Path] = set()
         self._strip.watch(self._search)
         self._drain.start()
-        self._desk.jobs.do(self._search.run, self._ended, self._failed)
+        why = _("Sessions are being read on Research: cancel it there, or wait.")
+        self._desk.jobs.do(self._search.run, self._ended, self._failed, why=why)
         return True
 
     def heard_of(self, path: Path) -> None:

@@ -36,8 +36,14 @@ SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
 """Roles of the theme in which results are drawn; no more can be told apart."""
 
 _FIXED = (marked("Engine"), marked("Test"), marked("VAF fitted (%)"), marked("VAF held out (%)"))
+_HELD_OUT = 3
+_ANSWER = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+"""What a person looks for first: it stands beside the engine and how well that predicts, without scrolling."""
 _LAST = (marked("Subject"), marked("Site"))
 _ROW = 22
+_PADDING = 12
+_ENGINE_WIDTH, _WIDEST = 132, 220
+"""Pixels; what is longer is cut off, and its tip has all of it."""
 _LEAST = 96
 _SORT = Qt.ItemDataRole.UserRole
 _LONGEST = 60
@@ -70,7 +76,9 @@ class ResultsTable(QTableView):
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(_ROW)
         header = self.horizontalHeader()
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        wrapped = int(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter) | int(Qt.TextFlag.TextWordWrap)
+        header.setDefaultAlignment(Qt.AlignmentFlag(wrapped))
+        header.setMinimumHeight(2 * header.fontMetrics().height() + _PADDING)
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setHighlightSections(False)
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
@@ -135,9 +143,20 @@ class ResultsTable(QTableView):
         super().keyPressEvent(event)
 
     def _fit_columns(self) -> None:
-        self.resizeColumnsToContents()
+        """Columns as wide as their figures and the longest word above; the answer first, then what is told of it."""
+        header, metrics = self.horizontalHeader(), self.horizontalHeader().fontMetrics()
+        answer = [
+            len(_FIXED) + self._model.parameters.index(name) for name in _ANSWER if name in self._model.parameters
+        ]
+        order = [0, _HELD_OUT, *answer]
+        order += [column for column in range(self._sorted.columnCount()) if column not in order]
+        for place, column in enumerate(order if self._model.outcomes else ()):
+            header.moveSection(header.visualIndex(column), place)
         for column in range(self._sorted.columnCount()):
-            self.setColumnWidth(column, min(220, self.columnWidth(column) + 6))
+            words = str(self._sorted.headerData(column, Qt.Orientation.Horizontal)).split()
+            least = max((metrics.horizontalAdvance(word) for word in words), default=0) + _PADDING
+            most = _ENGINE_WIDTH if column == 0 else _WIDEST
+            self.setColumnWidth(column, min(most, max(least, self.sizeHintForColumn(column) + _PADDING // 2)))
 
     def _source(self, row: int) -> int:
         return self._sorted.mapToSource(self._sorted.index(row, 0)).row()
@@ -230,7 +249,7 @@ class _Results(QAbstractTableModel):
             about = first.pseudonym, first.site
             return clean(about[column - len(_FIXED) - len(self.parameters)])[:_LONGEST]
         if report is None:
-            return "refused" if column == 2 else MISSING
+            return "refused" if column in (2, _HELD_OUT) else MISSING
         if column < len(_FIXED):
             return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
         name = self.parameters[column - len(_FIXED)]

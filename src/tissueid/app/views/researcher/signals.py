@@ -100,7 +100,8 @@ class SignalsPanel(QWidget):
         self._reading = Reading(self._wanted, {test.chosen: test for test in self.loaded})
         self._wanted = None
         self._strip.watch(self._reading)
-        self._desk.jobs.do(self._reading.run, self._read, self._failed)
+        why = _("Sessions are being read on Research: cancel it there, or wait.")
+        self._desk.jobs.do(self._reading.run, self._read, self._failed, why=why)
         return True
 
     def settle(self, *, busy: bool, testing: bool) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from PySide6.QtCore import QObject, Signal
 
+from tissueid.app.language import _
 from tissueid.app.views.view import Desk
 from tissueid.errors import CancelledError
 
@@ -59,7 +60,8 @@ class Errands(QObject):
             except CancelledError:
                 return _GivenUp()
 
-        self._desk.jobs.do(run, self._succeeded, self._broke)
+        why = _("Work goes on on the page Instrument: cancel it there, or wait.")
+        self._desk.jobs.do(run, self._succeeded, self._broke, why=why)
         self.changed.emit()
         return True
 

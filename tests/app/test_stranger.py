@@ -1,0 +1,265 @@
+"""What somebody meets who is new to the window: told before it is too late, and no longer than it holds."""
+
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app.benches import WAIT_MS, Gate
+from app.test_window import idle, press, type_site, wait_for_result
+from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtGui import QWheelEvent
+from PySide6.QtWidgets import QApplication, QPushButton, QScrollArea, QWidget
+
+from tissueid.acquisition import journal_path
+from tissueid.app.elided import ElidedLabel
+from tissueid.app.ending import in_words
+from tissueid.app.jobs import Jobs
+from tissueid.app.measuring import Outcome
+from tissueid.app.place_to_save import check_place
+from tissueid.app.plotting import PlotCard
+from tissueid.app.readouts import SafetyReadouts
+from tissueid.app.safety import Safety
+from tissueid.app.views.clinician.contact import Contact
+from tissueid.app.waiting import tell_why
+from tissueid.app.words import for_window
+from tissueid.errors import UnusableInputError
+from tissueid.instrument.limits import PROFILES
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+# -- where to save ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nowhere/s.h5", "there is no folder"),
+        ("test.h5", "never overwritten"),
+        ("folder.h5", "is a folder"),
+        ("s.txt", "ends in .h5"),
+        ("left.h5", "unfinished"),
+        ("", "say where to save"),
+    ],
+)
+def test_a_place_that_no_session_can_be_saved_to(tmp_path, name, words):
+    (tmp_path / "test.h5").write_text("text")
+    (tmp_path / "folder.h5").mkdir()
+    journal_path(tmp_path / "left.h5").write_bytes(b"")
+    there = sorted(tmp_path.iterdir())
+    with pytest.raises(UnusableInputError, match=words) as refused:
+        check_place(tmp_path / name if name else Path())
+    assert "\n" not in str(refused.value)
+    assert sorted(tmp_path.iterdir()) == there
+
+
+def test_a_place_that_is_good_is_left_as_it_was(tmp_path):
+    check_place(tmp_path / "new.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that nobody can write to")
+def test_a_folder_that_cannot_be_written_to():
+    with pytest.raises(UnusableInputError, match="cannot be written to"):
+        check_place(Path("/proc/new.h5"))
+
+
+def test_a_bad_place_is_said_before_an_instrument_is_opened(qtbot, window, bench, tmp_path):
+    type_site(qtbot, window)
+    window.ui.form.path.setText(str(tmp_path / "nowhere" / "s.h5"))
+    window.ui.form._take_own_path()
+    press(qtbot, window.ui.start)
+    assert not window.testing
+    assert bench.opened == []
+    assert "There is no folder" in window.ui.notice.text.text()
+    assert window.ui.form.path.hasFocus()
+    window.ui.form.path.setText(str(tmp_path / "s.h5"))
+    assert window.ui.notice.isHidden()
+
+
+# -- what is waited for -----------------------------------------------------------------------------------------------
+
+
+def test_what_is_grey_says_what_is_waited_for(qtbot):
+    home, button, other = QWidget(), QPushButton("Start"), QPushButton("Stop")
+    qtbot.addWidget(home)
+    button.setParent(home)
+    other.setParent(home)
+    button.setToolTip("begins")
+    button.setEnabled(False)
+    for _round in range(2):
+        tell_why((button, other), "An analysis is running")
+        assert (button.toolTip(), button.accessibleDescription()) == ("An analysis is running",) * 2
+        assert other.toolTip() == ""
+    button.setEnabled(True)
+    tell_why((button, other), "")
+    assert (button.toolTip(), button.accessibleDescription()) == ("begins", "")
+
+
+def test_jobs_tell_why(qtbot):
+    home = QWidget()
+    qtbot.addWidget(home)
+    jobs, go = Jobs(home), threading.Event()
+    assert jobs.why == ""
+    jobs.do(go.wait, _ignore, _ignore)
+    assert jobs.why == "Something is being finished: wait a moment."
+    jobs.do(go.wait, _ignore, _ignore, why="A test is running.")
+    assert jobs.why == "A test is running."
+    go.set()
+    qtbot.waitUntil(lambda: not jobs, timeout=WAIT_MS)
+    assert jobs.why == ""
+
+
+def _ignore(_):
+    pass
+
+
+def test_every_page_says_it_while_an_analysis_runs(qtbot, window):
+    window.pages.show("gap")
+    window.pages.show("measure")
+    go = threading.Event()
+    why = "An analysis is running on Research: cancel it there, or wait."
+    window.jobs.do(go.wait, _ignore, _ignore, why=why)
+    ui, gap = window.ui, window.pages.views[-1]
+    grey = [ui.start, ui.guidance.lamp.watch, ui.form.instrument.refresh, ui.open, ui.result.pdf, gap.asking.run]
+    own = ui.stop.toolTip()
+    assert [control.toolTip() for control in grey] == [why] * len(grey)
+    go.set()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert all(control.toolTip() != why for control in grey)
+    assert ui.stop.toolTip() == own
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "Run 'tissueid calibrate static', and 'tissueid calibrate sweep' where its date has passed.",
+        "Run 'tissueid calibrate static' before the next test.",
+        "Check that the coil is connected, then run 'tissueid calibrate static'.",
+        "the linear region is not known: run 'tissueid calibrate sweep'",
+        "no static calibration holds the mass: nominal; run 'tissueid calibrate static'",
+    ],
+)
+def test_the_window_names_its_page_and_no_command(said):
+    shown = for_window(said)
+    assert "tissueid" not in shown
+    assert "on the page Instrument" in shown
+    assert shown[0].isupper() == said[0].isupper()
+
+
+@pytest.mark.parametrize("saved", [True, False])
+def test_a_window_that_hung_says_what_is_kept_and_what_to_do(tmp_path, saved):
+    path = tmp_path / "s.h5"
+    session = object() if saved else None
+    problem = "The window did not answer; the coil was released."
+    words, failed = in_words(Outcome(path, session, problem, unanswered=True))
+    assert failed
+    assert words.startswith("The window did not answer; the coil was released. ")
+    assert ("The recorded part is saved in" if saved else "Nothing was recorded") in words
+    assert words.endswith("then press Start again.")
+
+
+def test_after_a_window_that_hung_nothing_is_waited_for(qtbot, open_window, clock):
+    gate = Gate(passed=4)
+    window = open_window(wait=gate.wait)
+    type_site(qtbot, window)
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(gate.reached.is_set, timeout=WAIT_MS)
+    clock.now += 2.0
+    gate.opened.set()
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    ui = window.ui
+    assert "press Start again" in ui.notice.text.text()
+    assert ui.guidance.lamp.contact is Contact.UNWATCHED
+    assert not ui.analysis.isVisible()
+    assert ui.safety.keys.text() == "The coil is free"
+
+
+def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
+    shown = SafetyReadouts()
+    qtbot.addWidget(shown)
+    safety = Safety(PROFILES["clinical"], force_n=9.3, temperature_c=25.0, contact=True)
+    shown.expect()
+    shown.show_safety(safety)
+    assert shown.contact.text() == "on the skin"
+    shown.show_safety(safety, free=True)
+    shown.tell_keys(reach=True)
+    assert shown.keys.text() == "The coil is free"
+    assert "9.3" not in shown.force.text()
+    assert shown.contact.text() != "on the skin"
+    shown.expect()
+    shown.tell_keys(reach=True)
+    assert shown.keys.text() == "Esc or Space stops"
+
+
+# -- whose result -----------------------------------------------------------------------------------------------------
+
+
+def test_a_reopened_session_says_whose_it_is(qtbot, window, saved):
+    window.ui.form.subject.setText("P-999")
+    window.open_session(saved)
+    wait_for_result(qtbot, window)
+    ui = window.ui
+    assert ui.result.whose.text() == "left calf  ·  anonymous"
+    assert "left calf  ·  anonymous" in ui.guidance.instruction.text()
+    assert ui.form.apart.isVisible()
+
+
+# -- looks ------------------------------------------------------------------------------------------------------------
+
+
+def wheel(over, place):
+    """A turn of the wheel over a place of a widget."""
+    event = QWheelEvent(
+        QPointF(place),
+        QPointF(over.mapToGlobal(place)),
+        QPoint(),
+        QPoint(0, -120),
+        Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier,
+        Qt.ScrollPhase.NoScrollPhase,
+        False,
+    )
+    QApplication.sendEvent(over, event)
+
+
+def test_the_wheel_over_an_axis_scrolls_the_page(qtbot):
+    area, card = QScrollArea(), PlotCard("Force", "Time (s)", "N")
+    qtbot.addWidget(area)
+    card.line("measured").setData(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    card.setFixedSize(300, 900)
+    area.setWidget(card)
+    area.resize(330, 300)
+    area.show()
+    view = card.plot.viewport()
+    wheel(view, QPoint(10, 100))  # over the numbers of the left axis
+    assert area.verticalScrollBar().value() > 0
+    card.plot.setMouseEnabled(x=False, y=True)
+    before = card.plot.viewRange()[1], area.verticalScrollBar().value()
+    wheel(view, QPoint(10, 400))
+    assert card.plot.viewRange()[1] != before[0]
+    assert area.verticalScrollBar().value() == before[1]
+
+
+def test_a_line_that_is_cut_keeps_its_beginning_and_its_end(qtbot):
+    label = ElidedLabel()
+    qtbot.addWidget(label)
+    label.setText("Fitting P-001, left forearm, posterior: test 3 of 12")
+    label.resize(160, 20)
+    label.show()
+    assert label.shown.startswith("Fit")
+    assert label.shown.endswith("12")
+    assert "…" in label.shown
+    assert label.text().endswith("test 3 of 12")
+    label.resize(900, 20)
+    assert label.shown == label.text()
+
+
+def test_ctrl_q_closes_the_window(qtbot, window):
+    qtbot.keyClick(window, Qt.Key.Key_Q, Qt.KeyboardModifier.ControlModifier)
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
