@@ -43,7 +43,8 @@ def read_effects(given: Mapping[str, object]) -> tuple[Effect, ...]:
         try:
             found.append(EFFECTS[name].model_validate(figures))
         except ValidationError as error:
-            first = error.errors()[0]
+            # A misspelt figure is also missing under its right name: the misspelling is what helps.
+            first = min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
             where = ".".join(["effects", name, *(str(part) for part in first["loc"])])
             raise ValueError(f"{where} cannot be used: {why(first, EFFECTS[name].model_fields)}") from error
     return in_order(found)

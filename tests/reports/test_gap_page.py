@@ -115,7 +115,7 @@ def test_the_page_is_written_whole_or_not_at_all(tmp_path):
 def test_the_page_says_what_was_diagnosed_and_what_to_type():
     found = as_effect()
     tests = tuple(Test(number, "stochastic", {}, 2000.0, site=f"site {number}") for number in (1, 2))
-    session = Session(found.observed.instrument, "2026-03-01T10:00:00", subject=Subject("P-007"), tests=tests)
+    session = Session(found.observed.instrument, Subject("P-007"), tests, created="2026-03-01T10:00:00")
     origin = Origin(session, Path("some where/third.h5"))
     text = checked(gap_html(found, origin=origin)).text
     for words in ("third.h5", "1 March 2026, 10:00", "P-007", "site 1", "1 stochastic"):
