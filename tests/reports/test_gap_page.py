@@ -134,6 +134,7 @@ def test_words_are_explained_and_stages_are_called_alike():
     assert "as a multiple of the noise" in text
     assert "moving part (mechanics)" in text
     assert "These are not the shares of the stages" in text
+    assert "quiet test" not in text, "there was none"
 
 
 def test_a_named_cause_is_good_news_and_none_asks_for_a_look():

@@ -57,8 +57,9 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
         if found.best is not None and (table := _parameters(found.best, name, called(name))):
             yield table
     if where.evidence.errors:
-        asked = where.evidence.errors.items()
-        errors = tuple((_QUESTIONS.get(name, name), times_noise(times)) for name, times in asked)
+        unasked = set() if any(test.quiet for test in found.observed.tests) else {"quiet"}
+        asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
+        errors = tuple((_QUESTIONS.get(name, name), times_noise(times)) for name, times in asked.items())
         yield Table(
             "Errors by question",
             (),
