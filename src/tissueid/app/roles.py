@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app.labelled import in_a_row
 from tissueid.app.language import _, marked
 from tissueid.audit import ROLES, Role
 
@@ -29,13 +30,7 @@ class RoleChooser(QWidget):
         for name in ROLES:
             self.choice.addItem(_(ROLE_NAMES[name]), name)
         self.choice.setCurrentIndex(self.choice.findData(role))
-        label = QLabel(_("Role"))
-        label.setProperty("role", "muted")
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(6)
-        row.addWidget(label)
-        row.addWidget(self.choice)
+        in_a_row(self, _("Role"), self.choice, look="muted", apart=6)
         self.choice.currentIndexChanged.connect(self._change)
 
     @property

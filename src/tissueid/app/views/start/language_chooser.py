@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QSettings, Signal
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app.labelled import in_a_row
 from tissueid.app.language import LANGUAGES, _, spoken
 from tissueid.app.language_choice import SETTING
 
@@ -24,14 +25,7 @@ class LanguageChooser(QWidget):
         self.choice.setCurrentIndex(kept if kept >= 0 else self.choice.findData(spoken()))
         self.choice.setAccessibleName(_("Language"))
         self.choice.setToolTip(_("The language of the window, from its next start on"))
-        label = QLabel(_("Language"))
-        label.setProperty("role", "field")
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(14)
-        row.addWidget(label)
-        row.addWidget(self.choice)
-        row.addStretch(1)
+        in_a_row(self, _("Language"), self.choice).addStretch(1)
         self.choice.currentIndexChanged.connect(self._keep)
 
     def _keep(self) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QWidget
+from PySide6.QtWidgets import QComboBox, QWidget
 
+from tissueid.app.labelled import in_a_row
 from tissueid.app.language import _, marked
 from tissueid.app.unit_choice import SETTING, show_everywhere
 from tissueid.app.units import SYSTEMS, System, in_force, use
@@ -24,13 +25,7 @@ class UnitChooser(QWidget):
         self.choice.setCurrentIndex(self.choice.findData(in_force()))
         self.choice.setAccessibleName(_("Units"))
         self.choice.setToolTip(_("Units of plots and tables in the window; files and reports stay as they are"))
-        label = QLabel(_("Units"))
-        label.setProperty("role", "field")
-        row = QHBoxLayout(self)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(14)
-        row.addWidget(label)
-        row.addWidget(self.choice)
+        in_a_row(self, _("Units"), self.choice)
         self.choice.currentIndexChanged.connect(self._take)
 
     def _take(self) -> None:
