@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from tissueid.gap.diagnosis import widened
 from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests, score
 
 
@@ -86,3 +87,20 @@ def test_a_candidate_is_chosen_by_one_part_and_checked_on_the_other():
     candidate = Candidate(("a", "b"), fitted, (error(square=np.e**2),), (error(square=1e6),))  # type: ignore[arg-type]
     assert candidate.score == pytest.approx(1.0)
     assert candidate.order == 3
+
+
+def test_of_four_stretches_nine_intervals_in_ten_hold_the_truth():
+    random = np.random.default_rng(1)
+    before, left, trials, draws, count = 100.0, 4.0, 600, 200, 4
+    common, own = random.normal(size=(2, trials, count))
+    errors = before * np.exp(0.3 * common), left * np.exp(0.3 * (0.5 * common + np.sqrt(0.75) * own))
+    truth = closed(*(np.sqrt(size * np.exp(0.5 * 0.3**2)) for size in (before, left)), 1.0)
+    held = plain = 0
+    for one, other in zip(*errors, strict=True):
+        again = random.integers(count, size=(draws, count))
+        drawn = np.array([closed(np.sqrt(one[k].mean()), np.sqrt(other[k].mean()), 1.0) for k in again])
+        low, high = widened(closed(np.sqrt(one.mean()), np.sqrt(other.mean()), 1.0), drawn, count)
+        held += low <= truth <= high
+        plain += np.quantile(drawn, 0.025) <= truth <= np.quantile(drawn, 0.975)
+    assert plain < 0.82 * trials
+    assert held > 0.92 * trials

@@ -201,11 +201,7 @@ def announced(baseline: Candidate, best: Candidate) -> float:
 
 
 def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) -> tuple[float, float]:
-    """95 % interval of the closed share: the stretches of the check, drawn again with replacement.
-
-    A test has four or five such stretches; drawn again they spread too little, by the factor that parts the deviation
-    of so few from Student's t.
-    """
+    """95 % interval of the closed share: the stretches of the check, drawn again with replacement, and widened."""
     stretches = list(zip(_stretches(baseline), _stretches(best), strict=True))
     if len(stretches) < 2:
         return float("nan"), float("nan")
@@ -220,10 +216,18 @@ def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) ->
     known = np.array(drawn)[np.isfinite(drawn)]
     if known.size < RESAMPLES // 2:
         return float("nan"), float("nan")
-    low, high = np.quantile(known, [0.025, 0.975])
-    count = len(stretches)
-    wider = float(stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975) * np.sqrt(count / (count - 1)))
     middle = closed(gap(baseline.checked_by, quiet), gap(best.checked_by, quiet), floor(baseline.checked_by, quiet))
+    return widened(middle, known, len(stretches))
+
+
+def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]:
+    """95 % interval about a closed share from what ``count`` stretches gave when drawn again, shape (draws,).
+
+    A test has four or five stretches; drawn again they spread too little, by the factor that parts the deviation of so
+    few from Student's t.
+    """
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    wider = float(stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975) * np.sqrt(count / (count - 1)))
     return middle - wider * max(middle - float(low), 0.0), min(middle + wider * max(float(high) - middle, 0.0), 1.0)
 
 

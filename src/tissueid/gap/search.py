@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
+from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit
 from tissueid.gap.impulses import without_impulses_in_the_floor
 from tissueid.gap.observed import Observed, Purpose
@@ -25,12 +26,10 @@ SINGLES = 12
 LEAST_ALIGNMENT = 0.02
 FIRST = 4
 """So many of the starting points are tried first ..."""
-CLEAR = 0.12
-"""... and where one of them leaves less than this (nats), only near rivals are tried and followed: ..."""
 RIVAL_ALIGNMENT = 0.5
-"""... those aligned by this share of the best, ..."""
+"""... and where one of them explains all, only near rivals are tried: those aligned by this share of the best, ..."""
 RIVAL_SCORE = 1.5
-"""... and then those that leave no more than this."""
+"""... and followed: those that leave no more than this, nats."""
 HEAT = 6
 """Steps of the search that every candidate gets; the best of them go on to the end."""
 HEAT_OF_MANY = 10
@@ -171,7 +170,7 @@ class Search:
         signatures = self._screened(baseline.fit, {})
         worth = contenders(signatures)[:SINGLES]
         heats = self._heats("likeliest candidates", baseline, worth[:FIRST])
-        if heats and min(item.score for item in heats) <= CLEAR:
+        if heats and min(item.score for item in heats) <= THRESHOLDS.at_the_floor:
             # Nothing is left: only what shows much the same can be a rival.
             worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
         heats += self._heats("candidates", baseline, worth[FIRST:])
@@ -197,20 +196,17 @@ class Search:
         # The special cases of the leader once more, from where the leader lies.
         if not candidates:
             return ()
-        leader = candidates[0]
-        general = leader.fit.parameters.effects[-1]
-        values = leader.fit.parameters.effect_values(leader.fit.theta, general, 0)
-        by_name = {item.name: float(value) for item, value in zip(general.parameters, values, strict=True)}
+        near = candidates[0].fit
+        general = near.parameters.effects[-1]
+        values = near.parameters.effect_values(near.theta, general, near.parameters.observed.tests[0].number)
+        led = {item.name: float(value) for item, value in zip(general.parameters, values, strict=True)}
         before = [held.starts[0] for held in baseline.fit.parameters.effects]
         tasks = []
-        for name in self._names:
-            case = effect(name)
+        for case in map(effect, self._names):
             if case.special_case_of == general.name:
-                start = tuple(
-                    by_name.get(item.name, at) for item, at in zip(case.parameters, case.starts[0], strict=True)
-                )
-                names = (*baseline.effects, name)
-                tasks.append(Task(self._observed, names, (*before, start), leader.fit, MOST_STEPS))
+                declared = zip(case.parameters, case.starts[0], strict=True)
+                start = tuple(led.get(item.name, at) for item, at in declared)
+                tasks.append(Task(self._observed, (*baseline.effects, case.name), (*before, start), near, MOST_STEPS))
         return _best_of_each([*candidates, *self._tell("special cases", refit, tasks)])
 
     def partners(self, leaders: Sequence[Candidate], signatures: Sequence[Signature] = ()) -> tuple[Candidate, ...]:
@@ -239,7 +235,7 @@ class Search:
 
     def _finals(self, what: str, heats: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
         ranked = _best_of_each(heats)
-        if ranked and ranked[0].score <= CLEAR:
+        if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
         fitting = sorted(ranked, key=lambda item: item.fit.cost)[: min(FINAL_BY_FIT, count)]
         going_on = [

@@ -31,7 +31,7 @@ _QUESTIONS = {
     "tissue": "Motion on tissue, from the current",
     "quiet": "Motion while nothing is played (quiet test)",
 }
-_FEWEST_SURE = 1e5
+_WIDEST_STD = 1e5
 """A standard deviation above this, SI, means that the data does not hold the parameter at all."""
 
 
@@ -82,7 +82,7 @@ def _parameters(best: Candidate, name: str, words: str) -> Table | None:
         unit, scale = people_unit("" if known[key].unit == "1" else known[key].unit)
         std = stds.get(f"{name}.{key}", 0.0)
         text = number(scale * value, 3)
-        if 0.0 < std < _FEWEST_SURE and np.isfinite(std):
+        if 0.0 < std < _WIDEST_STD and np.isfinite(std):
             text += f" ± {number(scale * std, 2)}"
         rows.append((named_unit(key)[0], with_unit(text, unit), known[key].meaning))
     if not rows:

@@ -111,7 +111,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "overlay",
         "Before and after",
         "Recorded signals with the simulation before and after the effect was added, and both residuals below.",
-        "A quarter of a second that was held out of the fit, wholly or in part: of those in which the signal moves, "
+        "A quarter of a second that was held out of the fit: of those in which the signal moves, "
         "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave.",
         lambda figure: draw_overlay(figure, found),
         height=5.0,
