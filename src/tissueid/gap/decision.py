@@ -36,6 +36,9 @@ class Thresholds:
     """That a rival comes near: it costs less than this more, nats."""
     explained_share: float = 0.55
     """... and the share of the score that it may leave at most."""
+    clear_share: float = 0.12
+    """The share of the score that may be left where more is asked: of an effect whose law is exact, and where the
+    stages' own evidence speaks for another stage."""
     pair_gain: float = 0.5
     """What a second effect must lower the score by, in nats ..."""
     pair_leaves: float = 0.36
@@ -61,16 +64,22 @@ def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
 
 
 def probabilities(
-    baseline: Candidate, candidates: Sequence[Candidate], thresholds: Thresholds = THRESHOLDS
+    baseline: Candidate,
+    candidates: Sequence[Candidate],
+    *,
+    clearly: bool = False,
+    thresholds: Thresholds = THRESHOLDS,
 ) -> list[float]:
     """How likely each candidate is the cause, given that one of them or an unlisted effect is.
 
-    An unlisted effect stands among them with the cost at which a candidate would just explain the gap.
+    An unlisted effect stands among them with the cost at which the best candidate would just explain the gap; with
+    ``clearly``, at which it would do so clearly (see ``explains``).
     """
     if not candidates:
         return []
     costs = np.array([cost(item, thresholds) for item in candidates])
-    unlisted = max(thresholds.explained_share * baseline.score, thresholds.least_score)
+    share = thresholds.clear_share if clearly else thresholds.explained_share
+    unlisted = max(share * baseline.score, thresholds.least_score)
     temperature = thresholds.temperature + thresholds.temperature_share * float(min(costs.min(), unlisted))
     weights = np.exp(-(np.append(costs, unlisted) - min(costs.min(), unlisted)) / temperature)
     return [float(value) for value in weights[:-1] / weights.sum()]
@@ -85,7 +94,13 @@ def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds =
 
 
 def explains(
-    baseline: Candidate, best: Candidate, closed: float, lead: float, thresholds: Thresholds = THRESHOLDS
+    baseline: Candidate,
+    best: Candidate,
+    closed: float,
+    lead: float,
+    *,
+    clearly: bool = False,
+    thresholds: Thresholds = THRESHOLDS,
 ) -> bool:
     """Whether a candidate explains the gap on held-out data.
 
@@ -94,11 +109,12 @@ def explains(
         best: the candidate.
         closed: share of the gap that it closes.
         lead: by how much the next rival costs more, nats; 0 for more than one effect.
+        clearly: ask that it leaves little: its law is exact, or other evidence speaks against it.
         thresholds: where words change.
     """
     if best.score <= thresholds.at_the_floor:
         return True
-    if best.score > thresholds.explained_share * baseline.score:
+    if best.score > (thresholds.clear_share if clearly else thresholds.explained_share) * baseline.score:
         return False
     alone = lead >= thresholds.alone_lead and closed >= thresholds.alone_closed
     return alone or closed >= thresholds.explained_closed

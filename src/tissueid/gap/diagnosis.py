@@ -29,6 +29,8 @@ ALIKE_SCORE = 0.10
 RESAMPLES = 400
 CERTAIN = 0.9
 """From this probability on a cause needs no further test."""
+_ELECTRICAL: frozenset[Stage] = frozenset({"drive", "coil"})
+_MOVING: frozenset[Stage] = frozenset({"mechanics", "tissue", "environment"})
 LEADERS = 2
 """So many of the best single effects are tried with a partner."""
 
@@ -112,16 +114,17 @@ def diagnose(
         found, best = _with_partners(search, found, best)
     figures = figures_of(observed, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
-    ranking = _ranking(observed, found)
+    places = where(observed, baseline)
+    ranking = _ranking(observed, found, places)
     if there_is:
-        verdict = "effect" if best is not None and _explained(found, best, figures, ranking) else "unexplained"
+        verdict = "effect" if best is not None and _explained(found, best, figures, ranking, places) else "unexplained"
     return Diagnosis(
         verdict,
         figures,
-        _blamed(where(observed, baseline), best if verdict == "effect" else None, known),
+        _blamed(places, best if verdict == "effect" else None, known),
         ranking,
         tuple(name for name in best.effects if name not in known) if verdict == "effect" and best is not None else (),
-        _next(observed, found, ranking, verdict),
+        _next(observed, found, ranking, places, verdict),
         observed.remarks,
         time.monotonic() - began,
         observed,
@@ -136,21 +139,42 @@ def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
     return float(np.nanmax([flexible, figures.closed])) if np.isfinite([flexible, figures.closed]).any() else flexible
 
 
-def _next(observed: Observed, found: Found, ranking: Sequence[Ranked], verdict: Verdict) -> NextExperiment | None:
+def _next(
+    observed: Observed, found: Found, ranking: Sequence[Ranked], places: Where, verdict: Verdict
+) -> NextExperiment | None:
     # None where nothing is in doubt: no gap, or one cause that stands clear of its rivals.
     if verdict == "no_gap" or (verdict == "effect" and ranking and ranking[0].probability >= CERTAIN):
         return None
     singles = found.singles
-    return next_experiment(observed, singles, probabilities(found.baseline, singles))
+    return next_experiment(observed, singles, _probabilities(found, singles, places))
 
 
-def _explained(found: Found, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked]) -> bool:
+def _probabilities(found: Found, singles: Sequence[Candidate], places: Where) -> list[float]:
+    best = min(singles, key=cost, default=None)
+    clearly = best is not None and more_is_asked(best, places, found.baseline.effects)
+    return probabilities(found.baseline, singles, clearly=clearly)
+
+
+def more_is_asked(best: Candidate, places: Where, known: Sequence[str]) -> bool:
+    """Whether a candidate has to leave little before it counts as the explanation.
+
+    So it is where every effect that it adds to the ``known`` ones is exact; and where the stages by themselves show
+    that the current is not what voltage and motion make, but none of the effects does anything but move the probe.
+    """
+    added = [effect(name).stage for name in best.effects if name not in known]
+    blamed = {stage for stage, share in places.shares.items() if share > 0.0}
+    only_moves = bool(blamed) and blamed <= _ELECTRICAL and not blamed & set(added) and _MOVING.issuperset(added)
+    return only_moves or all(effect(name).exact for name in best.effects if name not in known)
+
+
+def _explained(found: Found, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked], places: Where) -> bool:
     lead = 0.0
     if any(item is best for item in found.singles):
         # What this data cannot tell from it is named beside it, and is no rival.
         alike = {name for item in ranking if item.effect in best.effects for name in item.indistinguishable}
         lead = lead_of(best, [item for item in found.singles if not alike & set(item.effects)])
-    return explains(found.baseline, best, figures.announced, lead)
+    clearly = more_is_asked(best, places, found.baseline.effects)
+    return explains(found.baseline, best, figures.announced, lead, clearly=clearly)
 
 
 def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where:
@@ -245,10 +269,10 @@ def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
     return found
 
 
-def _ranking(observed: Observed, found: Found) -> tuple[Ranked, ...]:
+def _ranking(observed: Observed, found: Found, places: Where) -> tuple[Ranked, ...]:
     known = set(found.baseline.effects)
     singles = sorted(found.singles, key=cost)
-    shares = probabilities(found.baseline, singles)
+    shares = _probabilities(found, singles, places)
     surviving = _surviving(found, singles)
     ranking = []
     for k, item in enumerate(singles[:RANKED]):

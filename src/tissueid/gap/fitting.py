@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ Predictions = list[dict[str, FloatArray]]
 MOST_STEPS = 100
 TOLERANCE = 1e-4
 """A step that lowers the cost by less than this share of it is the last."""
+READINGS = 4
+"""So many times at most an effect is read again."""
 WORST = 1e6
 """Residuals are held below so many noise deviations, so that a simulation that ran away still has a cost."""
 
@@ -85,6 +87,29 @@ def fit(
     low, high = parameters.array("low"), parameters.array("high")
     theta = np.clip(theta, low, high)
     return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
+
+
+def read_again(found: Fit, most_steps: int = MOST_STEPS) -> Fit:
+    """A fit, after what its effects are read to be was read once more from where it lies, if that fits better.
+
+    Args:
+        found: the fit; the same is returned where none of its effects is read again.
+        most_steps: most accepted steps of each fit that follows.
+    """
+    parameters = found.parameters
+    again = [effect for effect in parameters.effects if effect.read_again]
+    for _ in range(READINGS if again else 0):
+        for effect in again:
+            without = predict(found.parameters.without(effect.name), found.theta)
+            parameters = parameters.read_again(effect, without)
+        if parameters.constants == found.parameters.constants:
+            break
+        from_there = replace(found, parameters=parameters)
+        better = fit(parameters.observed, parameters.effects, near=from_there, most_steps=most_steps)
+        if better.cost >= found.cost:
+            break
+        found, parameters = better, better.parameters
+    return found
 
 
 def differences(

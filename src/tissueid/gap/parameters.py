@@ -106,6 +106,21 @@ class Parametrisation:
         held = {name: value for name, value in other.constants.items() if name.partition(".")[0] in both}
         return replace(self, constants=self.constants | held)
 
+    def without(self, name: str) -> Parametrisation:
+        """The same coordinates for a chain without one of the effects."""
+        return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
+
+    def read_again(self, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Parametrisation:
+        """With what an effect is read to be in each test read anew, from what is predicted without it."""
+        tests = self.observed.tests
+        signals = [_signals(test, predicted) for test, predicted in zip(tests, predictions, strict=True)]
+        fresh = {
+            f"{effect.name}.{name}@{test.number}": value
+            for test, read in zip(tests, _read_all(tests, effect, signals), strict=True)
+            for name, value in read.items()
+        }
+        return replace(self, constants={name: fresh.get(name, value) for name, value in self.constants.items()})
+
     def array(self, what: str) -> FloatArray:
         """One property of every coordinate, shape (size,)."""
         return np.array([getattr(item, what) for item in self.coordinates], np.float64)
@@ -200,7 +215,7 @@ def parametrise(
     signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(observed.tests)]
     for k, effect in enumerate(effects):
         start = starts[k] if k < len(starts) else effect.starts[0]
-        read = [_read(effect, known, test.sample_rate_hz) for test, known in zip(observed.tests, signals, strict=True)]
+        read = _read_all(observed.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
             _add(observed, effect, parameter, begin, read, found, constants)
     found = [_believed(item, observed.beliefs) for item in found]
@@ -276,6 +291,30 @@ def _read(effect: Effect, signals: Mapping[str, FloatArray], sample_rate_hz: flo
     if effect.from_test is None or not effect.needs <= set(signals):
         return {}
     return effect.from_test(signals, sample_rate_hz)
+
+
+def _read_all(
+    tests: Sequence[ObservedTest], effect: Effect, signals: Sequence[Mapping[str, FloatArray]]
+) -> list[Mapping[str, float]]:
+    if effect.from_tests is None:
+        return [_read(effect, known, test.sample_rate_hz) for test, known in zip(tests, signals, strict=True)]
+    acts = [
+        k
+        for k, test in enumerate(tests)
+        if (test.fixture == "tissue" or effect.on_spring) and effect.needs <= set(signals[k])
+    ]
+    found: list[Mapping[str, float]] = [{} for _ in tests]
+    used = [_used(tests[k], signals[k]) for k in acts]
+    for k, values in zip(acts, effect.from_tests(used, tests[0].sample_rate_hz), strict=True):
+        found[k] = values
+    return found
+
+
+def _used(test: ObservedTest, signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+    # Without what nothing is made of, behind the end of contact for instance.
+    used = test.purpose != Purpose.NOTHING
+    recorded = {name: np.where(used, values, np.nan) for name, values in test.signals.items()}
+    return {**signals, **recorded}
 
 
 def _add(

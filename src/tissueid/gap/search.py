@@ -8,7 +8,7 @@ from functools import partial
 from typing import TypeVar
 
 from tissueid.gap.decision import THRESHOLDS
-from tissueid.gap.fitting import MOST_STEPS, Fit, fit
+from tissueid.gap.fitting import MOST_STEPS, Fit, fit, read_again
 from tissueid.gap.impulses import without_impulses_in_the_floor
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, judged
@@ -71,7 +71,8 @@ class Task:
 def refit(task: Task) -> Candidate:
     """Do one task; runs in a worker's process."""
     effects = [effect(name) for name in task.names]
-    return judged(fit(task.observed, effects, task.starts, near=task.near, most_steps=task.most_steps))
+    found = fit(task.observed, effects, task.starts, near=task.near, most_steps=task.most_steps)
+    return judged(read_again(found, task.most_steps))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ LEAST_MEMORY = 0.5
 """Correlation of successive differences of position above which the probe moves and does not merely shiver."""
 SETTLING = 600
 """Samples at the start, in which the probe falls into its place and slow commands move it fast."""
+FEW = 4
+"""Samples by which a position may be late or early besides."""
 STRETCH = 1000
 """Samples from which the coil's figures are first taken, where they fit best: likely there is no slip in them."""
 SLOW = 201
@@ -87,35 +89,52 @@ def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]
     return [*_unseen(path, command), *_changes(path)] if after < MOST_LEFT * before else []
 
 
-def of_position(voltage: FloatArray, current: FloatArray, position: FloatArray) -> list[tuple[int, int]]:
+def of_position(
+    voltage: FloatArray, current: FloatArray, position: FloatArray, motion: FloatArray | None = None
+) -> list[tuple[int, int]]:
     """Slips of the position alone against the electrical record, found by the back-EMF, whatever is under the probe.
 
     Over the hold of one sample, ``u = R i + L' di + k dx + e`` with the differences of readings at its ends.
+    ``motion`` is a prediction of the position without slips: as sharp as it is near, it is held against the readings
+    as well.
     """
-    lags = _lags(position)
+    missing = _missing(position)
+    # What is missing at the end was lost on the way; a filter or a clock makes a position late by little.
+    lags = np.arange(-FEW, missing + FEW + 1) if missing else _lags(position)
+    gained = np.diff(position, prepend=position[0])
+    moves = _moves(gained) and int(np.isfinite(voltage + current).sum()) >= STRETCH
+    if motion is None:
+        return _changes(_by_back_emf(voltage, current, gained, lags, 0.0)) if moves else []
+    costs = _costs(position[:, None] - _shifted(motion, lags))
+    return _changes(
+        _by_back_emf(voltage, current, gained, lags, costs) if moves else _cheapest(costs, lags, BACK_EMF_JUMP_COST)
+    )
+
+
+def _by_back_emf(
+    voltage: FloatArray, current: FloatArray, gained: FloatArray, lags: IntArray, beside: FloatArray | float
+) -> IntArray:
+    """The lag at each sample, from the coil's equation and what other costs there are ``beside``."""
     known = np.isfinite(voltage + current)
     # Differences before and after as well, so that a filter or a constant delay of the sensor is no slip.
-    gained = np.diff(position, prepend=position[0])
     moved = np.stack([np.roll(gained, -1), gained, np.roll(gained, 1)], axis=1)
     filled = np.where(known, current, 0.0)
     columns = np.stack([filled, np.diff(filled, prepend=filled[0]), np.ones(current.size)], axis=1)
-    if not _moves(gained) or known.sum() < STRETCH:
-        return []
-    rows = np.arange(position.size)
-    path = np.zeros(position.size, np.int64)
+    rows = np.arange(gained.size)
+    path = np.zeros(gained.size, np.int64)
     whole = (rows >= SETTLING) & np.isfinite(moved).all(axis=1)
     starts = range(SETTLING, rows.size, STRETCH // 2)
     stretches = [whole & (rows >= start) & (rows < start + STRETCH) for start in starts]
     for turn in range(4):
-        index = np.clip(rows + path, 0, position.size - 1)
+        index = np.clip(rows + path, 0, gained.size - 1)
         parts = stretches if turn == 0 else [whole]
         fits = [_coil_equation(columns[index], moved, voltage[index], part & known[index]) for part in parts]
         weights = min(fits, key=lambda fit: fit[0])[1]
         opposing = np.where(known, voltage - columns @ weights[:3], np.nan)
         left = _fast(_shifted(opposing, lags)) - _fast(moved @ weights[3:])[:, None]
         left[:SETTLING] = np.nan
-        path = _lag_path(left, lags, BACK_EMF_JUMP_COST)
-    return _changes(path)
+        path = _cheapest(_costs(left) + beside, lags, BACK_EMF_JUMP_COST)
+    return path
 
 
 def _coil_equation(
@@ -179,14 +198,24 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
 
 def _lag_path(left: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
     """The lag at each sample from the errors at each lag, shape (n, lags), NaN where nothing was recorded."""
+    return _cheapest(_costs(left), lags, jump_cost)
+
+
+def _cheapest(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+    path: IntArray = _path(costs, jump_cost) + lags[0]
+    return path
+
+
+def _costs(left: FloatArray) -> FloatArray:
+    """What errors at each lag, shape (n, lags), speak against it: 0 where nothing was recorded."""
     known = np.isfinite(left)
     squares = np.where(known, left, 0.0) ** 2
     # The noise is that of the best constant lag over short stretches: slips within some of them do not matter.
     stretch = 64
-    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, lags.size).mean(axis=1)
+    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, left.shape[1]).mean(axis=1)
     variance = max(float(np.median(whole.min(axis=1))), 1e-18)
-    path: IntArray = _path(np.minimum(squares / (2.0 * variance), MOST_ERROR), jump_cost) + lags[0]
-    return path
+    costs: FloatArray = np.minimum(squares / (2.0 * variance), MOST_ERROR)
+    return costs
 
 
 def _changes(path: IntArray) -> list[tuple[int, int]]:

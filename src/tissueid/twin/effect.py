@@ -108,6 +108,11 @@ class Effect:
     The signals are ``command``, ``voltage``, ``current`` and ``position`` as recorded, NaN where nothing was, each of
     shape (n,). Beside them may stand ``predicted_voltage``, ``predicted_current`` and ``predicted_position``, the
     baseline's own after its refit: what is estimated is then the sharper for it."""
+    from_tests: Callable[[Sequence[Mapping[str, FloatArray]], float], Sequence[Mapping[str, float]]] | None = None
+    """The same for all tests in which it acts at once, where these have something in common (a rate of breathing)."""
+    read_again: bool = False
+    """Whether ``from_test`` is asked once more where a fit with the effect ended: what is predicted is then what the
+    rest of the chain makes of the test, without the effect."""
     starts_from: Callable[[Sequence[Mapping[str, FloatArray]], float], tuple[tuple[float, ...], ...]] | None = None
     """Further starts, found in the signals of all tests (as ``from_test`` has them) and their sample rate.
 
@@ -122,6 +127,10 @@ class Effect:
     It comes besides the noise: a score that weighs errors by the noise alone would take it for a gap."""
     jointly: bool = False
     """Whether it vanishes only with all its parameters that have a neutral value at theirs, as two quadratures do."""
+    exact: bool = False
+    """Whether its law has one form in every instrument: where it is the cause, little but noise is left.
+
+    Laws of materials differ from one to the next, and leave more."""
     remedy: str = ""
     """What a technician does about it, in one sentence."""
     on_spring: bool = field(default=True)

@@ -40,5 +40,6 @@ EFFECT = Effect(
     recording=recording,
     needs=frozenset({"voltage", "position"}),
     jointly=True,
+    exact=True,
     remedy="Let one clock time all channels; else record its count beside the position.",
 )

@@ -51,5 +51,6 @@ EFFECT = Effect(
     places=(bus.MECHANICS,),
     hook=hook,
     jointly=True,
+    exact=True,
     remedy="Look for iron or magnetic dirt in the gap; map the force along the stroke in free air.",
 )

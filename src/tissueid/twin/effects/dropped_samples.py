@@ -31,11 +31,15 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 
 
 def from_test(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
-    """Slips of the whole record by command against voltage; failing those, of the position by the back-EMF."""
+    """Slips of the whole record by command against voltage; failing those, of the position by the back-EMF.
+
+    And by the motion that was predicted, where there is one.
+    """
     slips = _slips.of_record(signals["command"], signals["voltage"])
     alone = not slips
     if alone:
-        slips = _slips.of_position(signals["voltage"], signals["current"], signals["position"])
+        motion = signals.get("predicted_position")
+        slips = _slips.of_position(signals["voltage"], signals["current"], signals["position"], motion)
     return {"position_alone": float(alone and bool(slips)), **_slips.as_parameters(slips, PLACES)}
 
 
@@ -65,6 +69,7 @@ EFFECT = Effect(
     recording=recording,
     needs=frozenset({"command", "voltage", "current", "position"}),
     from_test=from_test,
+    read_again=True,
     jointly=True,
     remedy="Look at the link's counters and cable; record with sample numbers.",
 )
