@@ -23,7 +23,7 @@ Starts = tuple[tuple[float, ...], ...]
 
 DELAY = "input_delay_s"
 """By how much the output of a bare record comes late, which its sampling leaves open."""
-WITHIN_STDS = 3.0
+WITHIN_STDS = 4.0
 """Instrument figures are looked for so many calibration uncertainties round the nominal ones."""
 
 

@@ -18,16 +18,18 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     angle = 2.0 * math.pi * (b[bus.POSITION] - REFERENCE_M) / p[2]
     sine, cosine = math.sin(angle), math.cos(angle)
     size = math.sqrt(p[0] * p[0] + p[1] * p[1])
-    second = p[3] * 2.0 * sine * cosine + p[4] * (cosine * cosine - sine * sine)
-    b[bus.FORCE] += p[0] * sine + p[1] * cosine + size * second
+    twice_sine, twice_cosine = 2.0 * sine * cosine, cosine * cosine - sine * sine
+    shape = p[3] * twice_sine + p[4] * twice_cosine
+    shape += p[5] * (twice_sine * cosine + twice_cosine * sine) + p[6] * (twice_cosine * cosine - twice_sine * sine)
+    b[bus.FORCE] += p[0] * sine + p[1] * cosine + size * shape
 
 
 EFFECT = Effect(
     name="cogging",
     stage="mechanics",
     title="Periodic force along the stroke",
-    equation="F = a sin(p) + b cos(p) + sqrt(a^2 + b^2) (c sin(2 p) + d cos(2 p)), p = 2 pi (x - 13.5 mm) / l; "
-    "vanishes with a = b = 0",
+    equation="F = a sin(p) + b cos(p) + sqrt(a^2 + b^2) (c sin(2 p) + d cos(2 p) + e sin(3 p) + f cos(3 p)), "
+    "p = 2 pi (x - 13.5 mm) / l; vanishes with a = b = 0",
     signature="a static force that waves with position, the same in every test, tissue or spring; in the ramp position "
     "goes in steps; its stiffness changes sign along the stroke",
     source="Gieras, Piech & Tomczuk, Linear Synchronous Motors (2012) (detent force)",
@@ -39,14 +41,18 @@ EFFECT = Effect(
             "second_sine", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.3, meaning="second harmonic, by the first"
         ),
         Parameter("second_cosine", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.3, meaning="the same, a quarter ahead"),
+        Parameter(
+            "third_sine", "1", None, -0.5, 0.5, prior=0.0, prior_std=0.15, meaning="third harmonic, by the first"
+        ),
+        Parameter("third_cosine", "1", None, -0.5, 0.5, prior=0.0, prior_std=0.15, meaning="the same, a quarter ahead"),
     ),
     starts=(
-        (0.02, 0.02, 8e-3, 0.0, 0.0),
-        (0.02, 0.02, 3.5e-3, 0.0, 0.0),
-        (0.02, 0.02, 2e-3, 0.0, 0.0),
-        (0.02, 0.02, 1.2e-3, 0.0, 0.0),
+        (0.02, 0.02, 8e-3, 0.0, 0.0, 0.0, 0.0),
+        (0.02, 0.02, 3.5e-3, 0.0, 0.0, 0.0, 0.0),
+        (0.02, 0.02, 2e-3, 0.0, 0.0, 0.0, 0.0),
+        (0.02, 0.02, 1.2e-3, 0.0, 0.0, 0.0, 0.0),
     ),
-    scan=tuple((a, b, period, 0.0, 0.0) for period in _PERIODS_M for a, b in ((0.03, 0.0), (0.0, 0.03))),
+    scan=tuple((a, b, period, 0.0, 0.0, 0.0, 0.0) for period in _PERIODS_M for a, b in ((0.03, 0.0), (0.0, 0.03))),
     mistaken_for=("tissue_stiffening", "force_constant_position", "sensor_nonlinearity"),
     places=(bus.MECHANICS,),
     hook=hook,
