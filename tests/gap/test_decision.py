@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tissueid.gap.decision import THRESHOLDS, better_pair, cost, explains, is_gap, lead_of, probabilities
+from tissueid.gap.diagnosis import more_is_asked
 from tissueid.gap.scoring import Candidate, ChannelError
+from tissueid.twin.effect import STAGES
 
 
 def candidate(score: float, order: int = 1) -> Candidate:
@@ -52,6 +54,34 @@ def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
 def test_a_candidate_without_a_rival_need_close_less():
     assert explains(candidate(3.0, 0), candidate(1.0), 0.6, 1.0)
     assert not explains(candidate(3.0, 0), candidate(1.0), 0.6, 0.1)
+
+
+def test_where_more_is_asked_less_may_be_left():
+    baseline, good, better = candidate(3.0, 0), candidate(1.0), candidate(0.9 * 3.0 * THRESHOLDS.clear_share)
+    assert explains(baseline, good, 0.9, 0.0)
+    assert not explains(baseline, good, 0.9, 1.0, clearly=True)
+    assert explains(baseline, better, 0.9, 0.0, clearly=True)
+    assert explains(candidate(0.3, 0), candidate(0.9 * THRESHOLDS.at_the_floor), 0.9, 0.0, clearly=True)
+    assert probabilities(baseline, [good])[0] > 0.9 > 0.1 > probabilities(baseline, [good], clearly=True)[0]
+
+
+@pytest.mark.parametrize(
+    ("effects", "shares", "asked"),
+    [
+        (("cogging",), {"mechanics": 1.0}, True),
+        (("dry_friction",), {"mechanics": 1.0}, False),
+        (("cogging", "dry_friction"), {"mechanics": 1.0}, False),
+        (("preconditioning",), {"coil": 1.0}, True),
+        (("preconditioning",), {"coil": 0.4, "tissue": 0.6}, False),
+        (("preconditioning",), {"mechanics": 1.0}, False),
+        (("preconditioning", "flux_saturation"), {"coil": 1.0}, False),
+        (("sensor_lag",), {"coil": 1.0}, False),
+        (("preconditioning",), {}, False),
+    ],
+)
+def test_more_is_asked_of_exact_laws_and_against_the_evidence_of_the_current(effects, shares, asked):
+    places = SimpleNamespace(shares=dict.fromkeys(STAGES, 0.0) | shares)
+    assert more_is_asked(SimpleNamespace(effects=("mains_hum", *effects)), places, ("mains_hum",)) is asked  # type: ignore[arg-type]
 
 
 def test_the_lead_is_over_the_next_of_another_name():

@@ -208,6 +208,17 @@ def test_slips_of_the_position_alone_are_found_by_the_back_emf():
     assert all(abs(ours - at) < 25 for (ours, _), (at, _) in zip(slips_in(found), true, strict=True))
 
 
+@pytest.mark.parametrize("command", [stochastic(), triangle()], ids=["stochastic", "ramp"])
+def test_slips_of_the_position_alone_are_found_closely_where_the_motion_is_known(command):
+    signals, clean = played(command)
+    moving = command.size == 9000 and np.ptp(np.diff(command)) > 1.0
+    true = [(1500, 3), (4000, 1), (6768, 8)] if moving else [(2500, 9), (6800, 6)]
+    signals["position"] = slipped(signals["position"], true)
+    found = slips_in(effect("dropped_samples").from_test(with_prediction(signals, clean), RATE))
+    assert [lost for _, lost in found] == [lost for _, lost in true]
+    assert all(abs(ours - at) < (3 if moving else 120) for (ours, _), (at, _) in zip(found, true, strict=True))
+
+
 def test_no_slips_are_found_where_a_filter_a_delay_or_nothing_is():
     signals, clean = played(stochastic())
     lagging = effect("sensor_lag").recording(clean, np.array([3e-3, 0.4, 0.0])).position
@@ -329,6 +340,21 @@ def test_breathing_pulse_and_tremor_are_read_off_the_record():
     assert found["tremor_hz"] == pytest.approx(9.6, abs=0.05)
     assert math.hypot(found["tremor_cosine_1_m"], found["tremor_sine_1_m"]) == pytest.approx(2e-5, rel=0.1)
     assert set(found) == {parameter.name for parameter in effect("physiological_motion").parameters}
+
+
+def test_rates_are_those_of_all_tests_and_heights_those_of_each():
+    quiet, still = played(np.full(9000, 14.0))
+    signals, clean = played(stochastic())
+    tests = []
+    for (recorded_, met), phase, mean in (((quiet, still), 0.3, 0.0), ((signals, clean), 2.1, 2e-4)):
+        sways = 1e-4 * np.sin(2 * np.pi * 0.27 * met.time + phase) + 1e-5 * np.cos(2 * np.pi * 1.31 * met.time + phase)
+        tests.append(with_prediction(recorded_ | {"position": recorded_["position"] + sways + mean}, met))
+    both = effect("physiological_motion").from_tests(tests, RATE)
+    for found, mean in zip(both, (0.0, 2e-4), strict=True):
+        assert found["breathing_hz"] == pytest.approx(0.27, abs=0.02)
+        assert found["pulse_hz"] == pytest.approx(1.31, abs=0.05)
+        assert found["mean_m"] == pytest.approx(mean, abs=3e-5)
+        assert math.hypot(found["breathing_cosine_1_m"], found["breathing_sine_1_m"]) == pytest.approx(1e-4, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["dropped_samples", "quantization", "mains_hum", "physiological_motion"])
