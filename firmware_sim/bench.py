@@ -226,6 +226,7 @@ class Bench:
             "accelerometer_x": STANDARD_GRAVITY * self._along - reaction,
             "accelerometer_y": STANDARD_GRAVITY * self._across,
         }
-        return np.stack([np.broadcast_to(columns[channel.name], volts.shape) for channel in CHANNELS], axis=1).astype(
-            np.float64
-        )
+        table = np.empty((volts.size, len(CHANNELS)))
+        for k, channel in enumerate(CHANNELS):
+            table[:, k] = columns[channel.name]
+        return table

@@ -29,13 +29,19 @@ class Channel:
 
     def encode(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
         """Nearest codes, and where the converter saturated; both in the shape of ``physical``."""
-        codes = np.rint((physical - self.offset) / self.gain)
-        saturated = (codes < CODE_MIN) | (codes > CODE_MAX)
-        return np.clip(codes, CODE_MIN, CODE_MAX).astype(np.int16), saturated
+        return _encoded(physical, self.gain, self.offset)
 
     def decode(self, codes: NDArray[np.int16]) -> NDArray[np.float64]:
         """Physical values of codes, in ``unit``."""
         return self.gain * codes.astype(np.float64) + self.offset
+
+
+def _encoded(
+    physical: NDArray[np.float64], gain: NDArray[np.float64] | float, offset: NDArray[np.float64] | float
+) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+    codes = np.rint((physical - offset) / gain)
+    saturated = (codes < CODE_MIN) | (codes > CODE_MAX)
+    return codes.clip(CODE_MIN, CODE_MAX).astype(np.int16), saturated
 
 
 def _bipolar(name: str, unit: str, full_scale: float, noise_rms: float) -> Channel:
@@ -96,6 +102,9 @@ class Converters:
         self._scale = 1.0 + np.array([error.gain_error for error in found])
         self._offset = np.array([error.offset for error in found])
         self._noise_rms = np.array([channel.noise_rms for channel in channels])
+        self._gains = np.array([channel.gain for channel in channels])
+        self._zeros = np.array([channel.offset for channel in channels])
+        self._bits = np.array([1 << k for k in range(len(channels))], dtype=np.uint16)
         self._random = np.random.default_rng(seed)
 
     @property
@@ -116,9 +125,5 @@ class Converters:
     def read(self, physical: NDArray[np.float64]) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
         """Noisy codes, shape (n, channels), and saturation flags, shape (n,), bit k for channel k."""
         noisy = self._scale * physical + self._offset + self._noise_rms * self._random.standard_normal(physical.shape)
-        codes = np.empty(physical.shape, dtype=np.int16)
-        flags = np.zeros(physical.shape[0], dtype=np.uint16)
-        for k, channel in enumerate(self.channels):
-            codes[:, k], saturated = channel.encode(noisy[:, k])
-            flags |= saturated.astype(np.uint16) << np.uint16(k)
-        return codes, flags
+        codes, saturated = _encoded(noisy, self._gains, self._zeros)
+        return codes, (saturated * self._bits).sum(axis=1, dtype=np.uint16)

@@ -346,7 +346,8 @@ class Firmware:
             limits=self._armed,
             cursor=self._player.cursor,
         )
-        self._samples = np.concatenate((self._samples, taken.samples))
+        # As a rule a frame is sampled at once; joining means comparing the fields of both parts, which takes long.
+        self._samples = np.concatenate((self._samples, taken.samples)) if self._samples.size else taken.samples
         self.sample_index += taken.samples.size
         if self.state is State.RUNNING:
             self._player.account(taken.command_v, taken.flags)

@@ -114,16 +114,19 @@ class Plausibility:
         return int(np.argmax(broken)) if broken.any() else None
 
     def _summary(self, rows: NDArray[np.float64]) -> _Summary:
-        command, voltage, current, position, current_codes, position_codes = rows.T
+        columns = np.ascontiguousarray(rows.T)
+        asked, measured, drawn = np.abs(columns[:3]).mean(axis=1).tolist()
+        voltage, current, position = columns[1:4].mean(axis=1).tolist()
+        lowest, highest = columns[4:].min(axis=1).tolist(), columns[4:].max(axis=1).tolist()
         return _Summary(
-            float(np.abs(command).mean()),
-            float(np.abs(voltage).mean()),
-            float(voltage.mean()),
-            float(np.abs(current).mean()),
-            float(current.mean()) * self._force_constant,
-            float(position.mean()),
-            (float(current_codes.min()), float(current_codes.max())),
-            (float(position_codes.min()), float(position_codes.max())),
+            asked,
+            measured,
+            voltage,
+            drawn,
+            current * self._force_constant,
+            position,
+            (lowest[0], highest[0]),
+            (lowest[1], highest[1]),
         )
 
     def _judge(self) -> Fault:
@@ -138,25 +141,29 @@ class Plausibility:
             return True
         if len(self._history) < FROZEN_BLOCKS:
             return False
-        swing = np.ptp([item.force_n for item in self._history])
+        swing = _range([item.force_n for item in self._history])
         codes = [code for item in self._history for code in item.position_codes]
         low, high = min(codes), max(codes)
         at_the_end = self._seen_low_end and low == CODE_MIN
         if swing >= FROZEN_SWING_N and low == high and not at_the_end:
             return True
-        still = np.ptp([item.position_m for item in self._history]) <= STILL_M
+        still = _range([item.position_m for item in self._history]) <= STILL_M
         return bool(swing >= STILL_SWING_N and still and not at_the_end)
 
     def _current_is_dead(self) -> bool:
         newest = list(self._history)[-OPEN_BLOCKS:]
         if len(newest) == OPEN_BLOCKS:
             asked, measured, drawn = (
-                float(np.mean([getattr(item, name) for item in newest]))
+                sum(getattr(item, name) for item in newest) / OPEN_BLOCKS
                 for name in ("asked_v", "measured_v", "drawn_a")
             )
             if min(asked, measured) >= OPEN_VOLTS and drawn * self._resistance_ohm < OPEN_SHARE * measured:
                 return True
         newest = list(self._history)[-CURRENT_BLOCKS:]
         codes = [code for item in newest for code in item.current_codes]
-        swing = np.ptp([item.mean_v for item in newest])
+        swing = _range([item.mean_v for item in newest])
         return bool(len(newest) == CURRENT_BLOCKS and min(codes) == max(codes) and swing >= CURRENT_SWING_V)
+
+
+def _range(values: list[float]) -> float:
+    return max(values) - min(values)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,10 +13,17 @@ from tissueid.audit import ENVIRONMENT, ROLE_ENVIRONMENT
 from tissueid.calibration.store import VARIABLE as CALIBRATIONS
 
 
-def pytest_collection_finish() -> None:
-    """What was imported and collected stays to the end: no later search for garbage need look at all of it."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported and collected stays to the end: no search for garbage, now or later, need look at all of it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(20_000, 20, 20)  # numpy makes little garbage: seldom is soon enough
 
 
 @pytest.fixture(scope="session", autouse=True)

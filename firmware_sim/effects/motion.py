@@ -35,7 +35,7 @@ def _sources() -> int:
 
 
 def _build(sources: int) -> Advance:
-    @njit(cache=True)
+    @njit(cache=True, error_model="numpy")
     def advance(
         commands: Array,
         state: Array,

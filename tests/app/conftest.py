@@ -11,6 +11,7 @@ import pytest
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 from app.benches import WAIT_MS, Bench, Clock, found
+from app.fitted import analyse_once
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 
 from tissueid.app.emergency import EmergencyStop
@@ -43,9 +44,10 @@ def calibrations(tmp_path_factory):
 
 
 @pytest.fixture
-def open_window(qtbot, tmp_path, bench, clock, calibrations):
+def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
     windows = []
+    monkeypatch.setattr("tissueid.app.identifying.analyse_all", analyse_once)
 
     def make(**changes):
         around = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}

@@ -89,39 +89,48 @@ class Plausibility:
         low, high = min(row["lowest_m"] for row in self._seen), max(row["highest_m"] for row in self._seen)
         if self._at_low_end and low <= 0.0:
             return
-        swing = float(np.ptp([row["current"] for row in self._seen])) * self._force_constant
+        swing = _spread([row["current"] for row in self._seen]) * self._force_constant
         frozen = low == high and swing >= FROZEN_SWING_N
-        still = float(np.ptp([row["position"] for row in self._seen])) <= STILL_M and swing >= STILL_SWING_N
+        still = _spread([row["position"] for row in self._seen]) <= STILL_M and swing >= STILL_SWING_N
         if frozen or still:
             raise InstrumentError(STUCK_POSITION)
 
     def _judge_current(self) -> None:
         newest = list(self._seen)[-COIL_BLOCKS:]
         asked, measured, drawn = (
-            float(np.mean([row[name] for row in newest])) for name in ("asked_v", "measured_v", "drawn_a")
+            sum(row[name] for row in newest) / len(newest) for name in ("asked_v", "measured_v", "drawn_a")
         )
         weak = drawn * self._resistance_ohm < OPEN_SHARE * measured
         if len(newest) == COIL_BLOCKS and min(asked, measured) >= OPEN_VOLTS and weak:
             raise InstrumentError(DEAD_COIL)
         newest = list(self._seen)[-CURRENT_BLOCKS:]
         frozen = min(row["lowest_a"] for row in newest) == max(row["highest_a"] for row in newest)
-        swing = float(np.ptp([row["voltage"] for row in newest]))
+        swing = _spread([row["voltage"] for row in newest])
         if len(newest) == CURRENT_BLOCKS and frozen and swing >= CURRENT_SWING_V:
             raise InstrumentError(DEAD_COIL)
 
 
+def _spread(few: list[float]) -> float:
+    # Of a handful of numbers; numpy takes ten times as long to begin.
+    return max(few) - min(few)
+
+
 def _summary(block: NDArray[np.float64]) -> dict[str, float]:
-    """10 ms in a few numbers."""
-    command, voltage, current, position = block.T
+    """10 ms in a few numbers. All columns at a time: this is done a hundred times a second, and more in simulation."""
+    columns = np.ascontiguousarray(block.T)
+    _, voltage, current, position = columns.mean(axis=1).tolist()
+    asked, measured, drawn, _ = np.abs(columns).mean(axis=1).tolist()
+    _, _, lowest_a, lowest_m = columns.min(axis=1).tolist()
+    _, _, highest_a, highest_m = columns.max(axis=1).tolist()
     return {
-        "asked_v": float(np.abs(command).mean()),
-        "measured_v": float(np.abs(voltage).mean()),
-        "drawn_a": float(np.abs(current).mean()),
-        "voltage": float(voltage.mean()),
-        "current": float(current.mean()),
-        "position": float(position.mean()),
-        "lowest_a": float(current.min()),
-        "highest_a": float(current.max()),
-        "lowest_m": float(position.min()),
-        "highest_m": float(position.max()),
+        "asked_v": asked,
+        "measured_v": measured,
+        "drawn_a": drawn,
+        "voltage": voltage,
+        "current": current,
+        "position": position,
+        "lowest_a": lowest_a,
+        "highest_a": highest_a,
+        "lowest_m": lowest_m,
+        "highest_m": highest_m,
     }
