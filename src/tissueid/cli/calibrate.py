@@ -55,7 +55,10 @@ def static(
     valid_days: Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="how long it is good for")] = 90,
     json_file: JsonFile = None,
 ) -> None:
-    """Voltage to current to force, position along the stroke, temperature, acceleration, range of motion."""
+    """Find scales and zeros of all channels, force constant and range.
+
+    Voltage to current to force, position along the stroke, temperature, acceleration, range of motion.
+    """
     from tissueid.cli.calibrate_static import StaticOptions, run_static
 
     options = StaticOptions(
@@ -103,7 +106,10 @@ def sweep(
     valid_days: Annotated[int, typer.Option("--valid-days", min=1, max=3650, help="how long it is good for")] = 90,
     json_file: JsonFile = None,
 ) -> None:
-    """Identify the calibration spring along the stroke: where the coil is linear, and its force constant there."""
+    """Find where along the stroke the coil is linear, on the spring.
+
+    The calibration spring is identified place by place, and the coil's force constant with it.
+    """
     from tissueid.cli.calibrate_sweep import SweepOptions, run_sweep
 
     options = SweepOptions(
@@ -131,7 +137,10 @@ def list_known(
     serial: Annotated[str | None, typer.Option("--serial", metavar="TEXT", help="only of this instrument")] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """List the calibrations there are, newest first, and which of them are the newest that passed."""
+    """List the calibrations there are, newest first.
+
+    And which of them are the newest that passed.
+    """
     from tissueid.cli.calibrate_known import list_calibrations
 
     list_calibrations(folder, serial, json_file)

@@ -47,8 +47,9 @@ def run_accept(
             chosen = numbers_of("--fit", fit), numbers_of("--check", check)
             content = accept_named(session, effects, called, saved, workers, show, *chosen)
         else:
-            found = run_diagnose(session, fit, check, workers, show, twin=saved)
-            content = accepted(found, called, read_session(session).session_id, saved)
+            read = read_session(session)
+            found = run_diagnose(read, fit, check, workers, show, twin=saved)
+            content = accepted(found, called, read.session_id, saved)
         write_twin(out, content)
     made = {"file": out.name, "name": content.name, "version": content.version}
     made |= {"effects": [item.name for item in content.effects]}

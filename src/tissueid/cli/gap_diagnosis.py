@@ -18,7 +18,7 @@ from tissueid.gap.named import believing
 from tissueid.gap.search import Progress
 from tissueid.gap.workers import Alone
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
-from tissueid.sessions import read_session
+from tissueid.sessions import Session, read_session
 from tissueid.twin.effect import STAGE_NAMES
 from tissueid.wording import MISSING
 
@@ -52,11 +52,12 @@ def diagnose_session(
         check_twin_writable(twin_out)
     saved = None if twin is None else read_twin(twin)
     with interruptible(), progress_bars() as show:
-        found = run_diagnose(session, fit, check, workers, show, saved)
+        read = read_session(session)
+        found = run_diagnose(read, fit, check, workers, show, saved)
         if out is not None:
             from tissueid.reports.gap import Origin, write_gap_report
 
-            write_gap_report(found, out, origin=Origin(read_session(session), session))
+            write_gap_report(found, out, origin=Origin(read, session))
     console = people_read(json_file)
     for line in in_words(found):
         console.print(line, markup=False)
@@ -67,7 +68,7 @@ def diagnose_session(
         console.print(f"report: {out}", markup=False)
     if twin_out is not None:
         called = saved.name if saved is not None else twin_out.stem
-        write_twin(twin_out, accepted(found, called, read_session(session).session_id, saved))
+        write_twin(twin_out, accepted(found, called, read.session_id, saved))
         console.print(f"twin: {twin_out}", markup=False)
 
 
@@ -109,7 +110,7 @@ def _of_file(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def run_diagnose(
-    path: Path,
+    session: Session,
     fit: str,
     check: str,
     workers: int | None,
@@ -119,9 +120,9 @@ def run_diagnose(
     """Diagnose one session, showing progress; ``twin`` is a saved one to begin with.
 
     Raises:
-        UnusableInputError: the session cannot be read or used.
+        UnusableInputError: the session cannot be used.
     """
-    observed = observe(read_session(path), numbers_of("--fit", fit), numbers_of("--check", check))
+    observed = observe(session, numbers_of("--fit", fit), numbers_of("--check", check))
     known: tuple[str, ...] = ()
     if twin is not None:
         observed, known = believing(observed, twin.twin), twin.twin.effects

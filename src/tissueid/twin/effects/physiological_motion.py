@@ -134,8 +134,7 @@ class _Sway:
     def read(self, hertz: FloatArray) -> Mapping[str, float]:
         """The parameters of the effect in this test, within their bounds."""
         heights = self.fitted(hertz)[1]
-        waves = np.concatenate([_estimates.waves(self.time, *one) for one in zip(hertz, _ORDERS, strict=True)], axis=1)
-        values = np.append(heights, self.mean_m + float((self.left - waves @ heights).mean()))
+        values = np.append(heights, self.mean_m + float(self.without(hertz).left.mean()))
         rates = {f"{kind}_hz": float(one) for (kind, *_), one in zip(KINDS, hertz, strict=True)}
         return rates | dict(zip(_HEIGHTS, np.clip(values, -_MOST, _MOST).tolist(), strict=True))
 
@@ -151,9 +150,9 @@ class _Sway:
         """The same of tremor alone."""
         return self._likelihood(_estimates.fitted(self.left, self.time, [(hertz, _ORDERS[2])])[0])
 
-    def without(self, hertz: Sequence[float]) -> _Sway:
-        """What breathing and pulse leave."""
-        waves = [_estimates.waves(self.time, one, orders) for one, orders in zip(hertz, _ORDERS[:2], strict=False)]
+    def without(self, hertz: Sequence[float] | FloatArray) -> _Sway:
+        """What waves at the rates of the first kinds leave."""
+        waves = [_estimates.waves(self.time, one, orders) for one, orders in zip(hertz, _ORDERS, strict=False)]
         return _Sway(self.left - np.concatenate(waves, axis=1) @ self.fitted(hertz)[1], self.time)
 
     def _likelihood(self, taken: float) -> float:
