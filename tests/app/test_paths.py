@@ -93,14 +93,14 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     assert ui.gate.headline.text() == "Good test"
     assert ui.result.headline.text() == "Good measurement"
     bar = ui.gate.repeats
-    assert (bar.repeat.text(), bar.accept.text()) == ("Repeat 2 of 5", "Accept")
+    assert (bar.repeat.text(), bar.accept.text()) == ("Measure again (2 of 5)", "Finish: use this test")
     press(qtbot, bar.repeat)
     assert window.testing
     rest(qtbot, window)
-    assert bar.accept.text() == "Accept 2 repeats"
+    assert bar.accept.text() == "Finish: mean of 2"
     press(qtbot, bar.accept)
     rest(qtbot, window)
-    assert ui.result.summary.heading.text() == "Accepted: mean of 2 repeats"
+    assert ui.result.summary.heading.text() == "Result: mean of 2 repeats"
     assert ui.result.pdf.hasFocus()
     qtbot.keyClick(ui.result.pdf, Qt.Key.Key_Space)
     rest(qtbot, window)

@@ -66,7 +66,7 @@ def test_the_whole_path_by_keyboard(qtbot, window, tmp_path):
     assert numbers["Mass"].unit.startswith("± ")
     assert numbers["Mass"].unit.endswith(" g")
     assert numbers["Stiffness"].unit.endswith(" N/m")
-    assert float(numbers["VAF, Wiener model"].value) > 95
+    assert float(numbers["Explained, Wiener"].value) > 95
     assert path.name in ui.guidance.instruction.text()
     assert not ui.notice.isVisible()
     # A hand that still hammers on Return when the test is over must not begin the next one.

@@ -54,7 +54,7 @@ def test_the_page_tells_where_which_how_far_and_what_next():
         "Play a test of the kind “spring”",
         "This data cannot tell it from",
         "Gap before",
-        "Floor",
+        "Noise alone",
     ):
         assert words in text
 

@@ -125,7 +125,7 @@ class CalibrationPage(QWidget):
     @property
     def fields(self) -> list[QWidget]:
         """What the tab key visits, in order."""
-        first = [self.begin["static"], self.fixed, self.room_known, self.room]
+        first = [self.fixed, self.room_known, self.room, self.begin["static"]]
         return [*first, self.begin["sweep"], self.done, self.report]
 
     @property

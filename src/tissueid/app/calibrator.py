@@ -92,4 +92,4 @@ class Calibrator(QObject):
 
     def _open_report(self) -> None:
         if self._report is not None:
-            self._window.show_report(self._report)
+            self._window.reports.show(self._report)

@@ -29,6 +29,7 @@ from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.language import _, marked
 from tissueid.app.number_field import NumberField
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
+from tissueid.app.pseudonym import reads_like_name
 from tissueid.instrument import PROFILES
 
 _CALLED = {
@@ -39,6 +40,9 @@ _CALLED = {
     "rayleigh": marked("Rayleigh"),
     "exponential": marked("Exponential"),
 }
+_LIKE_NAME = marked(
+    "This looks like a person's name. Better a pseudonym, such as P-001: files and reports keep what stands here."
+)
 _USUAL_FORCE_N = Plan.max_force_n
 
 _SHORTEST_S = 0.5
@@ -65,6 +69,12 @@ class PlanForm(QWidget):
         self.instrument = InstrumentChooser()
         self.subject = QLineEdit(ANONYMOUS)
         self.subject.setToolTip(_("A pseudonym, never a name"))
+        self.like_name = QLabel(_(_LIKE_NAME))
+        self.like_name.setProperty("role", "readout")
+        self.like_name.setProperty("level", "check")
+        self.like_name.setWordWrap(True)
+        self.like_name.setMinimumWidth(1)
+        self.like_name.hide()
         self.site = QComboBox()
         self.site.setEditable(True)
         self.site.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
@@ -106,6 +116,7 @@ class PlanForm(QWidget):
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
         _add(layout, _("Si&te"), where, focus=self.site)
         _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
+        layout.addWidget(self.like_name)
         layout.addWidget(self.set_up)
         _add(layout, _("&Limits"), self.limits)
         self._add_settings(layout)
@@ -125,6 +136,7 @@ class PlanForm(QWidget):
         for field in (self.min_force, self.max_force, self.seconds, self.set_up.spring):
             field.valueChanged.connect(self.changed)
         self.set_up.name.currentIndexChanged.connect(self.changed)
+        self.subject.textChanged.connect(self._look_at_subject)
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
@@ -281,6 +293,12 @@ class PlanForm(QWidget):
                 seed=self.seed.value(),
             )
         )
+
+    def _look_at_subject(self, text: str) -> None:
+        """Warn of what reads like a name; it is kept all the same, since a pseudonym may look like one."""
+        doubtful = reads_like_name(text)
+        self.like_name.setVisible(doubtful)
+        self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")
 
     def _take_own_force(self) -> None:
         self._own_force = self._own_force or not self._applying

@@ -30,6 +30,8 @@ class QualityGate(QFrame):
         self.light.setProperty("role", "headline")
         self.headline = QLabel()
         self.headline.setProperty("role", "headline")
+        self.headline.setWordWrap(True)
+        self.headline.setMinimumWidth(1)
         self.more = QPushButton()
         self.more.setCheckable(True)
         self.more.setAccessibleName(_("All findings"))

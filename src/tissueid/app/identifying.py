@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.language import _, marked
-from tissueid.app.words import sentence
+from tissueid.app.words import for_window, sentence
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
@@ -63,7 +63,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         verdict=judge(test, analyses),
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),
-        visited=visited(analyses, surface_of(test)),
+        visited=for_window(visited(analyses, surface_of(test))),
         cautions=tuple(sentence(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in refusals.items()),
         impulse=_drawn(_impulse, analyses),
         bode=_drawn(_bode, analyses),
@@ -83,7 +83,7 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
             value, deviation, power = estimate(parameters[quantity], scale)
             rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
             yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit)
-    for engine, label in ((linear, _("VAF, linear model")), ("wiener", _("VAF, Wiener model"))):
+    for engine, label in ((linear, _("Explained, linear")), ("wiener", _("Explained, Wiener"))):
         if engine in analyses:
             report = analyses[engine].model.report
             note = _("unseen; fitted {vaf} %").format(vaf=fixed(report.vaf_percent, 1))
@@ -103,7 +103,7 @@ def how_it_ended(test: Test) -> str:
         return _("Recovered after an interruption: {seconds:.1f} s, {missing}.").format(
             seconds=seconds, missing=missing
         )
-    reason = sentence(str(test.notes.get("reason", "")))
+    reason = sentence(for_window(str(test.notes.get("reason", ""))))
     return (
         _("Ended early after {seconds:.1f} s, {missing}. {reason}")
         .format(seconds=seconds, missing=missing, reason=reason)

@@ -95,6 +95,7 @@ class Layout:
         # One stop of the tab key, not two: the bar alone.
         self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.pages.tabBar().setAccessibleName(_("Signals and result"))
         self.rail = Rail()
         self.halt = QPushButton(_("STOP"))
         self.halt.setProperty("role", "halt")
@@ -127,7 +128,7 @@ class Layout:
         order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
         order += [self.gate.more, self.gate.run_again, self.gate.repeats.repeat, self.gate.repeats.accept]
-        order += [self.pages.tabBar(), self.result.test, self.result.pdf, self.result.comparison.cancel]
+        order += [self.pages.tabBar(), self.result, self.result.test, self.result.pdf, self.result.comparison.cancel]
         order += self.calibration.fields
         order += [*self.rail.buttons.values(), *self.rail.feet]
         for before, after in pairwise(order):

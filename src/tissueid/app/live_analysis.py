@@ -84,8 +84,10 @@ class LiveAnalysis(QWidget):
         self._course_bands = {name: self.course.band(_ROLES[name]) for name in _QUANTITIES}
         self._courses = {name: self.course.line(_ROLES[name], width=2) for name in _QUANTITIES}
         self.numbers = {name: _Figure(_(named_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
-        self.vaf = _Figure(_("VAF, linear"))
-        self.vaf.setToolTip(_("Variance accounted for: how much of the motion so far the impulse response explains"))
+        self.vaf = _Figure(_("Explained, linear"))
+        self.vaf.setToolTip(
+            _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
+        )
         self.said = QLabel()
         self.said.setProperty("role", "muted")
         self.said.setWordWrap(True)

@@ -16,7 +16,6 @@ from tissueid.app import ending
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
-from tissueid.app.errands import write_report_beside
 from tissueid.app.findings import Findings, find, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.language import _, speak
@@ -28,6 +27,7 @@ from tissueid.app.panels import Panels
 from tissueid.app.place_to_save import check_place
 from tissueid.app.plan import Plan
 from tissueid.app.remembered import remembered_role
+from tissueid.app.reporting import Reports
 from tissueid.app.searching import Searching
 from tissueid.app.stop_keys import StopKeys
 from tissueid.app.surroundings import Surroundings
@@ -59,7 +59,6 @@ class MainWindow(QMainWindow):
         self._live = LiveSignals()
         self._plan: Plan | None = None
         self.findings: Findings | None = None
-        self._report: Path | None = None
         self._closing = False
         self._theme: Theme | None = None
         QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_UseStyleSheetPropagationInWidgetStyles)
@@ -75,6 +74,7 @@ class MainWindow(QMainWindow):
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
         self._calibrator = Calibrator(self)
+        self.reports = Reports(self)
         self.clinician = Clinician(self)
         self.panels = Panels(self)
         self.searching = Searching(self)
@@ -256,7 +256,8 @@ class MainWindow(QMainWindow):
         self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed, why=why)
 
     def _show_findings(self, findings: Findings) -> None:
-        self.findings, self._report = findings, None
+        self.findings = findings
+        self.reports.forget()
         self.panels.log.note(
             _("{path}, test {number}: {headline}.").format(
                 path=findings.path, number=findings.test.number, headline=_(findings.verdict.headline)
@@ -301,30 +302,6 @@ class MainWindow(QMainWindow):
         if self.findings is not None:
             self.ui.analysis.hide()
             self._identify(self.findings.path, self.findings.session, number)
-
-    # -- report -------------------------------------------------------------------------------------------
-
-    def open_report(self) -> None:
-        """Write the report of the shown result beside its session, and open it."""
-        if self.findings is None or self.busy:
-            return
-        if self._report is not None and self._report.exists():
-            self.show_report(self._report)
-            return
-        self.ui.guidance.say(_("Writing the report."))
-        self.jobs.do(functools.partial(write_report_beside, self.findings), self._report_written, self.say_failed)
-
-    def _report_written(self, path: Path) -> None:
-        self._report = path
-        self.rest()
-        self.show_report(path)
-
-    def show_report(self, path: Path) -> None:
-        """Open a report, and say where it is."""
-        if self.around.show_file(path):
-            self.ui.notice.say(_("The report is saved in {path}.").format(path=path))
-        else:
-            self.ui.notice.say(_("The report is saved in {path}; open it in a browser.").format(path=path))
 
     # -- roles and jobs -----------------------------------------------------------------------------------------------
 
@@ -394,7 +371,6 @@ class MainWindow(QMainWindow):
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)
         ui.open.clicked.connect(self._choose_session)
-        ui.report.clicked.connect(self.open_report)
         ui.result.test_chosen.connect(self._analyse_other)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)

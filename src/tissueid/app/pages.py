@@ -73,7 +73,7 @@ class Pages(QObject):
             self.show,
             self._open_session,
             self._prepare_test,
-            window.show_report,
+            window.reports.show,
             lambda: window.ui.form.instrument.url,
             self._go_calibrate,
         )

@@ -31,8 +31,13 @@ from tissueid.sessions import Test
 _TILES = 5
 _ROOM_FOR_TILES = 720
 _ROOM_FOR_TWO_PLOTS = 840
+_APART = 16
 """Pixels."""
 SEE_ABOVE = marked("For the reasons above.")
+_METHODS = marked(
+    "LMS: a linear model by least squares. Spectral: the same by frequency. Wiener: a linear model with a curve behind "
+    "it."
+)
 _NOTHING = np.zeros(0)
 
 
@@ -44,6 +49,7 @@ class ResultPage(QScrollArea):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWidgetResizable(True)
+        self.setAccessibleName(_("Result, to scroll by the arrow keys"))
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFrameShape(QFrame.Shape.NoFrame)
         page = QWidget()
@@ -55,7 +61,7 @@ class ResultPage(QScrollArea):
         self._tiles = [_Tile() for _ in range(_TILES)]
         for tile in self._tiles[-2:]:
             tile.setToolTip(
-                _("Variance accounted for: how much of the motion a simulation explains that sees only the force")
+                _("Variance accounted for (VAF): how much of the motion a simulation explains that sees only the force")
             )
         self.summary = SittingSummary()
         layout.addWidget(self.summary)
@@ -124,6 +130,7 @@ class ResultPage(QScrollArea):
         self.facts = QLabel()
         self.facts.setProperty("role", "muted")
         self.reasons = QLabel()
+        self.reasons.setToolTip(_(_METHODS))
         self.test = QComboBox()
         self.test.setAccessibleName(_("Test of this session"))
         self.test.setMaximumWidth(260)
@@ -134,6 +141,7 @@ class ResultPage(QScrollArea):
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         top = QHBoxLayout()
+        top.setSpacing(_APART)
         self.pdf = QPushButton(_("PDF report"))
         self.pdf.setToolTip(_("One or two pages to print, beside the session"))
         top.addWidget(self.headline)

@@ -6,6 +6,7 @@ import traceback
 
 from platformdirs import user_log_path
 
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _, marked
 from tissueid.errors import TissueIDError
 
@@ -54,7 +55,8 @@ SAID_FOR_SHELL = (
 
 
 def for_window(text: str) -> str:
-    """Advice of the core without commands: what to do about it in the window, in its language."""
+    """What the core says, without commands: what it is and what to do about it in the window, in its language."""
+    text = said_by_core(text)
     for shell, window in SAID_FOR_SHELL:
         if "'tissueid calibrate" not in text:
             break

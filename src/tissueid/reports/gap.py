@@ -187,7 +187,7 @@ def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     yield "Gap before", _share(gap.before), "error over the signal's deviation, on data held out"
     if found.verdict != "no_gap":
         yield "Gap after", _share(gap.after), "with the leading explanation added"
-    yield "Floor", _share(gap.floor), "what the sensors' noise alone leaves"
+    yield "Noise alone", _share(gap.floor), "what the sensors' noise alone leaves"
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
         note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else "of what noise does not explain"
         chosen_by = f"; {_percent(gap.announced)} predicted on the data used for the choice"
@@ -206,7 +206,7 @@ def _findings(found: Diagnosis) -> Table | None:
         (STAGE_NAMES[item.stage], item.what, item.channel, times_noise(item.error / item.floor))
         for item in where.findings[:_LISTED]
     )
-    note = "× noise: error as a multiple of the noise floor, which is what the sensors' noise alone would leave."
+    note = "× noise: error as a multiple of the noise, which is what the sensors' noise alone would leave."
     return Table("What speaks against each stage", ("Stage", "Finding", "Signal", "Error"), rows, note)
 
 

@@ -53,15 +53,15 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         "By frequency",
         f"Power of {of} and of what the baseline leaves of it against frequency, with its linear, even and odd parts.",
         "What the refitted baseline leaves, and of it the parts that are coherent with the command (linear), with its "
-        "square (even) and with its cube (odd). Shaded: bands that stand above the floor.",
+        "square (even) and with its cube (odd). Shaded: bands that stand above the noise.",
         lambda figure: draw_spectrum(figure, _spectrum(found), regions.bands_hz),
         height=3.4,
     )
     yield Panel(
         "depth",
         "By depth",
-        f"Error of {of} against depth, with the floor.",
-        "Root-mean-square error as a multiple of the noise floor (what the sensors' noise alone leaves: 1, dashed). "
+        f"Error of {of} against depth, beside the noise.",
+        "Root-mean-square error as a multiple of the noise (what the sensors' noise alone leaves: 1, dashed). "
         "Full dots stand above it with significance.",
         lambda figure: draw_profile(figure, regions.profiles["depth_m"], 1e3, "Depth (mm)"),
         wide=False,
@@ -70,7 +70,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     yield Panel(
         "speed",
         "By speed and direction",
-        f"Error of {of} against velocity, with the floor.",
+        f"Error of {of} against velocity, beside the noise.",
         "The same against velocity; positive is into the tissue.",
         lambda figure: draw_profile(figure, regions.profiles["velocity_m_s"], 1e3, "Velocity (mm/s)"),
         wide=False,
@@ -89,7 +89,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     yield Panel(
         "time",
         "In the course of the test",
-        f"Error of {of} against time, with the floor.",
+        f"Error of {of} against time, beside the noise.",
         "Root-mean-square error as a multiple of the noise by quarter second; full dots stand above it with "
         "significance.",
         lambda figure: draw_profile(figure, regions.profiles["time_s"], 1.0, "Time (s)"),
@@ -144,7 +144,7 @@ def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
             yield Panel(
                 key,
                 heading,
-                f"Error of {of} against {heading.removeprefix('By ').removeprefix('the ')}, with the floor.",
+                f"Error of {of} against {heading.removeprefix('By ').removeprefix('the ')}, beside the noise.",
                 caption,
                 partial(draw_profile, found=regions.profiles[name], scale=scale, label=label),
                 wide=False,
@@ -164,7 +164,7 @@ def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[flo
         (found.linear, "linear", BLUE, DASHES[1], 1.1),
         (found.even, "even", ORANGE, DASHES[2], 1.1),
         (found.odd, "odd", GREEN, DASHES[3], 1.1),
-        (found.noise, "noise floor", MUTED, DASHES[1], 1.1),
+        (found.noise, "noise alone", MUTED, DASHES[1], 1.1),
     )
     least = 0.1 * scale * float(np.sqrt(found.noise[0]))
     for power, label, colour, dashes, width in lines:

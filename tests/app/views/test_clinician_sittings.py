@@ -29,11 +29,11 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     ui.form.site.setCurrentText("left calf")
     run_test(qtbot, window, ui.start)
     assert bar.isVisible()
-    assert bar.repeat.text() == "Repeat 2 of 5"
-    assert bar.accept.text() == "Accept"
+    assert bar.repeat.text() == "Measure again (2 of 5)"
+    assert bar.accept.text() == "Finish: use this test"
     assert ui.result.summary.isHidden()
     run_test(qtbot, window, bar.repeat)
-    assert bar.repeat.text() == "Repeat 3 of 5"
+    assert bar.repeat.text() == "Measure again (3 of 5)"
     assert bar.dots.accessibleName().startswith("2 of 5 repeats: 1 good, 2 good")
     assert ui.result.summary.heading.text() == "Mean so far of 2 repeats"
     tests = [read_session(path).test() for path in sorted(tmp_path.glob("*.h5"))]
@@ -43,7 +43,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bar.repeat.isHidden()
-    assert ui.result.summary.heading.text() == "Accepted: mean of 2 repeats"
+    assert ui.result.summary.heading.text() == "Result: mean of 2 repeats"
     assert any(line.what == "sitting.accepted" for line in _logged(window))
     run_test(qtbot, window, ui.start)
     assert bar.dots.accessibleName().startswith("1 of 5")

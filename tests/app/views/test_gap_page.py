@@ -6,11 +6,13 @@ import threading
 
 import pytest
 from app.benches import WAIT_MS
+from app.tabbing import check_tabs
 from gap_records import recorded
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
+from tissueid.app.language import speak
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.proposal import Proposal
 from tissueid.audit import AuditLog, last_lines
@@ -100,6 +102,44 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     for card in (*result.where.cards, *result.far.cards):
         assert card.plot.accessibleName().startswith("Plot: ")
     assert not page.asking.stop.isVisible()
+
+
+def test_the_tab_key_visits_every_tab_of_a_diagnosis(qtbot, diagnosed):
+    window, page = diagnosed()
+    for place in range(page.result.tabs.count()):
+        page.result.tabs.setCurrentIndex(place)
+        seen = check_tabs(qtbot, window)
+        assert {page.history.list, page.result.accept, page.result.tabs.tabBar()} <= set(seen)
+
+
+def test_no_word_is_known_to_its_makers_alone(qtbot, diagnosed):
+    _, page = diagnosed()
+    result = page.result
+    said = [label.text() for label in result.findChildren(QLabel)]
+    for box in result.chain.stages.values():
+        said += [box.text(), box.toolTip(), box.accessibleName()]
+        press(qtbot, box)
+        said += [result.evidence.text()]
+    for card in (*result.where.cards, *result.far.cards):
+        said += [card.toolTip(), card.accessibleDescription(), card.plot.accessibleName()]
+    told = " ".join([*said, result.far.closing.text(), result.far.bars.accessibleName()]).lower()
+    assert "floor" not in told
+    assert "announced" not in told
+    for words in ("times the noise", "only noise", "of what noise does not explain", "noise alone", "predicted on"):
+        assert words in told
+
+
+def test_in_german_it_is_as_wide_as_there_is_room(diagnosed, qapp):
+    try:
+        window, page = diagnosed(language="de")
+        window.resize(1280, 720)
+        qapp.processEvents()
+        result = page.result
+        assert result.widget().minimumSizeHint().width() <= result.viewport().width()
+        assert result.headline.text().startswith("Die Abweichung ist erklärt: ")
+        assert "Übernehmen Sie den Effekt in einen benannten Zwilling" in result.todo.text()
+    finally:
+        speak("en")
 
 
 def test_stages_are_chosen_by_mouse_and_by_arrow_keys(qtbot, diagnosed):
@@ -320,11 +360,13 @@ def test_names_sizes_and_keys(qtbot, diagnosed, qapp):
     qapp.processEvents()
     assert page.result.widget().minimumSizeHint().width() <= page.result.viewport().width()
     visited = []
-    page.asking.session.choice.setFocus()
-    for _ in range(12):
+    page.history.list.setFocus()
+    for _ in range(13):
         visited.append(window.focusWidget())
         qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Tab)
     asking, result = page.asking, page.result
-    expected = [asking.session.choice, asking.session.open, asking.twin.choice, asking.twin.open, asking.run]
-    expected += [asking.fold, page.history.list, page.history.remove, result.accept, result.report, result.export]
-    assert visited[:11] == expected
+    expected = [page.history.list, page.history.remove]
+    expected += [asking.session.choice, asking.session.open, asking.twin.choice, asking.twin.open, asking.run]
+    expected += [asking.fold, result.accept, result.report, result.export]
+    expected += [result.chain.stages["mechanics"], result.tabs.tabBar()]
+    assert visited == expected

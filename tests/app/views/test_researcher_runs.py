@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 
+import numpy as np
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_panels import answer, choose, chosen_of, press, run, wait
@@ -40,7 +41,8 @@ def test_engine_and_run_give_table_plots_and_a_line_of_history(qtbot, panel, str
         assert float(row["mass_kg_std"]) > 0.0
         assert float(row["vaf_validation_percent"]) > 95.0
     model = panel.results.model()
-    heads = [model.headerData(column, Qt.Orientation.Horizontal) for column in range(model.columnCount())]
+    columns = range(model.columnCount())
+    heads = [model.headerData(column, Qt.Orientation.Horizontal).replace("\n", " ") for column in columns]
     assert "Mass (g)" in heads
     assert "±" in model.index(0, heads.index("Mass (g)")).data()
     lines = [outcome.drawn.lines for outcome in panel.results.outcomes]
@@ -98,7 +100,15 @@ def test_kernels_and_depth_can_be_seen(qtbot, panel, two):
     assert kernel.values.shape == (kernel.x.size, kernel.y.size)
     assert kernel.unit == "mm/(N²·s²)"
     assert direction.drawn.lines["damping"].out_x is not None
-    assert panel.pictures.kernel.choice.count() == 2
+    kernels, magnitude = direction.drawn.images
+    assert magnitude.unit == "mm/N"
+    assert magnitude.values.shape == (magnitude.x.size, kernels.y.size)
+    # Without motion the tissue is a spring: its compliance is one over the stiffness, 3 N/mm.
+    assert magnitude.x[0] == 0.0
+    assert np.median(magnitude.values[0]) == pytest.approx(1.0 / 3.0, rel=0.25)
+    assert magnitude.values[-1].max() < 0.05 * magnitude.values.max()
+    assert 50.0 < magnitude.x[-1] < 600.0
+    assert panel.pictures.kernel.choice.count() == 3
     panel.pictures.choice.setCurrentIndex(panel.pictures.choice.count() - 1)
     assert panel.pictures.kernel.card.plot.isVisible()
     assert panel.pictures.kernel.image is kernel

@@ -137,8 +137,8 @@ class Clinician(QObject):
         count = sitting.counted
         window.ui.notice.say(
             plural(
-                "One test accepted. The next test begins a new sitting.",
-                "{count} repeats accepted. The next test begins a new sitting.",
+                "Finished: this test is the result. The next test begins a new sitting.",
+                "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
                 count,
             ).format(count=count)
         )
@@ -186,7 +186,7 @@ class Clinician(QObject):
 
     def _written(self, path: Path) -> None:
         self._window.rest()
-        self._window.show_report(path)
+        self._window.reports.show(path)
 
     def _failed(self, words: str) -> None:
         self._window.rest()

@@ -20,6 +20,8 @@ _WORDS = {
     None: marked("not judged"),
 }
 
+_FINISH_ONE = marked("Finish: use this test")
+
 
 class RepeatBar(QWidget):
     """Hidden where there is no sitting. ``again`` and ``accepted`` are sent by its two buttons."""
@@ -34,10 +36,17 @@ class RepeatBar(QWidget):
         self._left = 0
         self.dots = QLabel()
         self.dots.setTextFormat(Qt.TextFormat.RichText)
-        self.repeat = QPushButton(_("Repeat"))
-        self.repeat.setToolTip(_("The same test once more, into a file of its own"))
-        self.accept = QPushButton(_("Accept"))
-        self.accept.setToolTip(_("Enough was measured: the sitting ends, and its mean is the result"))
+        self.repeat = QPushButton(_("Measure again"))
+        self.repeat.setToolTip(
+            _("The same test once more, into a file of its own. Five are usual: their mean is steadier than one test")
+        )
+        self.accept = QPushButton(_(_FINISH_ONE))
+        self.accept.setToolTip(
+            _(
+                "Enough was measured here: the mean of the tests that count is the result, and the next test begins a "
+                "new sitting. No file is changed or deleted"
+            )
+        )
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(8)
@@ -55,14 +64,14 @@ class RepeatBar(QWidget):
         self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
         self._left = max(0, NORM - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
-        self.repeat.setText(_("Repeat {number} of {count}").format(number=sitting.counted + 1, count=NORM))
+        self.repeat.setText(_("Measure again ({number} of {count})").format(number=sitting.counted + 1, count=NORM))
         self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(
-            _("Accept") if sitting.counted == 1 else _("Accept {count} repeats").format(count=sitting.counted)
+            _(_FINISH_ONE) if sitting.counted == 1 else _("Finish: mean of {count}").format(count=sitting.counted)
         )
         said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
-        count = _("{done} of {count} repeats accepted") if sitting.accepted else _("{done} of {count} repeats")
+        count = _("{done} of {count} repeats, finished") if sitting.accepted else _("{done} of {count} repeats")
         count = count.format(done=sitting.counted, count=NORM)
         self.dots.setAccessibleName(f"{count}: {said}")
         self.dots.setToolTip(

@@ -56,7 +56,7 @@ class SittingSummary(QFrame):
         self.setVisible(bool(rows))
         if sitting is None or not rows:
             return
-        done = _("Accepted: mean") if sitting.accepted else _("Mean so far")
+        done = _("Result: mean") if sitting.accepted else _("Mean so far")
         self.heading.setText(_("{done} of {count} repeats").format(done=done, count=sitting.counted))
         for quantity, cells in self.cells.items():
             texts = rows.get(quantity, ("", "", "", ""))

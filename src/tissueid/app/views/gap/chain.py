@@ -52,13 +52,15 @@ class Chain(QWidget):
             box.clicked.connect(lambda _checked=False, stage=stage: self.chosen.emit(stage))
 
     def show_shares(self, shares: Sequence[tuple[Stage, float, bool]]) -> None:
-        """Each stage's share of what stands above the floor, and whether it is the one at fault."""
+        """Each stage's share of what noise does not explain, and whether it is the one at fault."""
         for stage, share, lit in shares:
             self.stages[stage].show_share(share, lit=lit)
 
     def choose(self, stage: Stage) -> None:
         """Show a stage as chosen."""
         self.stages[stage].setChecked(True)
+        for name, box in self.stages.items():  # the tab key comes to the chosen one, the arrow keys to the others
+            box.setFocusPolicy(Qt.FocusPolicy.StrongFocus if name == stage else Qt.FocusPolicy.ClickFocus)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -174,10 +176,10 @@ class _Box(QAbstractButton):
     def show_share(self, share: float, *, lit: bool) -> None:
         """Its share, and whether it is at fault."""
         self._share, self._lit = share, lit
-        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("at the floor")
+        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("only noise")
         self.setText(words)
         fault = _(", at fault") if lit else ""
-        of = _("of what stands above the floor") if share > 0.0 else ""
+        of = _("of what noise does not explain") if share > 0.0 else ""
         self.setAccessibleName(
             _("Stage {title}, {share} {of}").format(title=self._title, share=words, of=of).strip() + fault
         )

@@ -1,4 +1,4 @@
-"""How far the gap closes: before, after and floor, and recorded against simulated."""
+"""How far the gap closes: before, after and what noise alone leaves, and recorded against simulated."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class FarTab(QWidget):
 
 
 class _GapBars(QWidget):
-    """Before, after and floor as bars with their figures."""
+    """Before, after and what noise alone leaves, as bars with their figures."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -128,12 +128,12 @@ class _GapBars(QWidget):
         self._rows: list[tuple[str, float, str]] = []
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
-    def show_gap(self, before: float, after: float | None, floor: float) -> None:
+    def show_gap(self, before: float, after: float | None, noise: float) -> None:
         """Show three shares, or two."""
         self._rows = [(_("Before"), before, "model")]
         if after is not None:
             self._rows.append((_("After"), after, "measured"))
-        self._rows.append((_("Floor"), floor, "check"))
+        self._rows.append((_("Noise alone"), noise, "check"))
         told = ", ".join(f"{name.lower()} {_percent(share)}" for name, share, _ in self._rows)
         self.setAccessibleName(_("Gap: {told}").format(told=told))
         self.updateGeometry()

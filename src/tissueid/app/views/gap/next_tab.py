@@ -42,6 +42,13 @@ class NextTab(QWidget):
         self.copy = QPushButton(_("Copy"))
         self.copy.setAccessibleName(_("Copy the command line"))
         self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Worth (nats a channel)")), 1)
+        if (head := self.gains.horizontalHeaderItem(1)) is not None:
+            head.setToolTip(
+                _(
+                    "How clearly the test would tell the candidates apart: 3 is about twenty to one, less than 1 is "
+                    "little"
+                )
+            )
         self.prepare.clicked.connect(self.wanted)
         self.copy.clicked.connect(self._copy)
         self._arrange()

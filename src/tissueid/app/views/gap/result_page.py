@@ -50,6 +50,10 @@ class ResultPage(QScrollArea):
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
+        # One stop of the tab key, not two: the second would lead back to the bar, and never past it.
+        self.tabs.setFocusProxy(None)  # type: ignore[arg-type]
+        self.tabs.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.tabs.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.tabs.tabBar().setAccessibleName(_("Where, which, how far, what next"))
         for title, tab in (
             (_("Where"), self.where),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tissueid.app.language import _
 from tissueid.app.views.gap.overlay import Overlay, overlays_of
 from tissueid.app.views.gap.proposal import Proposal, proposal_of
-from tissueid.app.words import sentence
+from tissueid.app.words import for_window, sentence
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.evidence import MARGIN
@@ -29,12 +29,12 @@ Array = NDArray[np.float64]
 
 FINE_UNITS = {"voltage": ("mV", 1e3), "current": ("mA", 1e3), "position": ("µm", 1e6)}
 _PROFILES = (("depth_m", 1e3), ("velocity_m_s", 1e3), ("time_s", 1.0))
-_LEAST_FLOORS = 0.01
+_LEAST_ERROR = 0.01
 
 
 @dataclass(frozen=True)
 class StageStory:
-    """One stage of the chain: its share of what stands above the floor, 0 to 1, and what speaks against it."""
+    """One stage of the chain: its share of what noise does not explain, 0 to 1, and what speaks against it."""
 
     stage: Stage
     share: float
@@ -59,7 +59,7 @@ class SpectrumStory:
 
 @dataclass(frozen=True)
 class ProfileStory:
-    """Error along something: ``middle`` of each bin, decimal logarithm of the ``error`` in floors, shape (bins,)."""
+    """Error along something: ``middle`` of each bin, decimal logarithm of ``error`` over noise, shape (bins,)."""
 
     middle: Array
     error: Array
@@ -92,7 +92,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Story:
-    """A diagnosis as the page tells it. ``gap`` is before, after (None without a candidate) and floor, as shares."""
+    """A diagnosis as the page tells it. ``gap`` is before, after (None without a candidate) and noise, as shares."""
 
     verdict: Literal["effect", "no_gap", "unexplained"]
     effect: str
@@ -121,10 +121,10 @@ def story_of(found: Diagnosis, session: Session) -> Story:
     return Story(
         found.verdict,
         ", ".join(effect_words(name) for name in found.combination),
-        headline,
+        for_window(headline),
         level,
-        tuple(sentences_of(found)),
-        tuple(next_steps_of(found)),
+        tuple(for_window(line) for line in sentences_of(found)),
+        tuple(for_window(line) for line in next_steps_of(found)),
         tuple(sentence(clean(remark)) for remark in found.remarks),
         tuple(_stage(found, stage) for stage in STAGES),
         found.where.stage,
@@ -142,7 +142,7 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     where = found.where
     lit = found.verdict != "no_gap" and where.above_floor and stage == where.stage
     lines = [
-        _("{finding}: {error} floors of the {channel}.").format(
+        _("{finding}: {error} times the noise of the {channel}.").format(
             finding=sentence(item.what).rstrip("."), error=number(item.error / item.floor, 3), channel=_(item.channel)
         )
         for item in where.findings
@@ -155,7 +155,7 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     ]
     if not lines and stage in where.evidence.nearest:
         times = where.evidence.nearest[stage]
-        left = _("what it leaves is {times} times the floor").format(times=number(times, 3))
+        left = _("what it leaves is {times} times the noise").format(times=number(times, 3))
         lines.append(
             (
                 _("Nothing speaks against it: {left}.")
@@ -180,7 +180,7 @@ def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> Spe
 def _profile(found: Profile, scale: float) -> ProfileStory:
     known = np.isfinite(found.error)
     middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
-    error = np.log10(np.maximum(found.error[known], _LEAST_FLOORS))
+    error = np.log10(np.maximum(found.error[known], _LEAST_ERROR))
     return ProfileStory(middle[known], error, np.asarray(found.above[known]))
 
 
@@ -231,12 +231,16 @@ def _closing(found: Diagnosis) -> str:
     if not np.isfinite(gap.closed):
         return _("No candidate was fitted to it.")
     low, high = gap.closed_ci
-    words = _("Closed: {closed}\u00a0% of what stands above the floor").format(closed=_percent(gap.closed))
+    words = _("Closed: {closed}\u00a0% of what noise does not explain").format(closed=_percent(gap.closed))
     if np.isfinite(low) and np.isfinite(high):
         words += _(" (95 %: {low} to {high}\u00a0%)").format(low=_percent(low), high=_percent(high))
-    words += _(", announced {announced}\u00a0%.").format(announced=_percent(gap.announced))
+    words += _("; {predicted}\u00a0% predicted on the data used for the choice.").format(
+        predicted=_percent(gap.announced)
+    )
     if np.isfinite(found.ceiling):
-        words += _(" Something flexible would close {ceiling}\u00a0%.").format(ceiling=_percent(found.ceiling))
+        words += _(" The most that any model closed, physical or not: {ceiling}\u00a0%.").format(
+            ceiling=_percent(found.ceiling)
+        )
     return words
 
 

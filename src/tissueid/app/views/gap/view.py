@@ -264,7 +264,7 @@ class GapView(View):
         columns.setSpacing(10)
         columns.addWidget(self.history)
         columns.addLayout(right, 1)
-        order = [*self.asking.fields, self.history.list, self.history.remove, *self.result.fields]
+        order = [self.history.list, self.history.remove, *self.asking.fields, *self.result.fields]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 

@@ -1,4 +1,4 @@
-"""Where the gap lies: against frequency, depth, velocity and time, with the floor."""
+"""Where the gap lies: against frequency, depth, velocity and time, beside the noise."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LINES = {
     "linear": (marked("linear"), "measured", 1),
     "even": (marked("even"), "model", 1),
     "odd": (marked("odd"), "good", 1),
-    "noise": (marked("floor"), "check", 1),
+    "noise": (marked("noise"), "check", 1),
 }
 """Line: what it is called, the role of its colour, and its width."""
-_ABOVE = {marked("above floor"): "poor"}
+_ABOVE = {marked("above noise"): "poor"}
 _NOTHING = np.zeros(0)
 _NOT_THERE = marked("Nothing was left to look at.")
 _FAR = 20.0
@@ -39,7 +39,7 @@ class WhereTab(QWidget):
         self.frequency = PlotCard(_("By frequency"), _("Frequency (Hz)"), "", key=key, log_axes=("bottom", "left"))
         self._bands = self.frequency.band("poor", alpha=28)
         self._lines = {name: self.frequency.line(role, width=width) for name, (_label, role, width) in _LINES.items()}
-        self.frequency.setToolTip(_("Shaded: bands that stand above the floor with significance"))
+        self.frequency.setToolTip(_("Shaded: bands that stand above the noise with significance"))
         self.profiles = {
             "depth_m": _profile_card(_("By depth"), _("Depth (mm)")),
             "velocity_m_s": _profile_card(_("By velocity"), _("Velocity (mm/s), positive goes in")),
@@ -50,11 +50,14 @@ class WhereTab(QWidget):
             for name, card in self.profiles.items()
         }
         for card in self.profiles.values():
-            floor = card.mark(upright=False, text=_("floor"))
-            floor.setValue(0.0)
-            floor.show()
+            noise = card.mark(upright=False, text=_("noise"))
+            noise.setValue(0.0)
+            noise.show()
             card.setToolTip(
-                _("Root-mean-square error in floors; 1 is what noise alone leaves. Red: above it with significance")
+                _(
+                    "Root-mean-square error as a multiple of the noise; 1 is what the sensors' noise alone leaves. "
+                    "Red: above it with significance"
+                )
             )
         self.cards: tuple[PlotCard, ...] = (self.frequency, *self.profiles.values())
         grid = QGridLayout(self)
@@ -123,7 +126,8 @@ def _described(profile: ProfileStory, channel: str) -> str:
     most = int(np.argmax(profile.error))
     many = int(profile.above.sum())
     return _(
-        "Error of the {channel}: {many} of {count} bins stand above the floor; most at {place:.3g}, {most:.3g} floors."
+        "Error of the {channel}: {many} of {count} bins stand above the noise; most at {place:.3g}, "
+        "{most:.3g} times it."
     ).format(
         channel=_(channel),
         many=many,
@@ -135,5 +139,5 @@ def _described(profile: ProfileStory, channel: str) -> str:
 
 def _profile_card(title: str, x_label: str) -> PlotCard:
     return PlotCard(
-        title, x_label, _("floors"), key={_(name): role for name, role in _ABOVE.items()}, log_axes=("left",)
+        title, x_label, _("× noise"), key={_(name): role for name, role in _ABOVE.items()}, log_axes=("left",)
     )

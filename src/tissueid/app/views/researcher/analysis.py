@@ -87,6 +87,7 @@ class AnalysisPanel(QWidget):
         self.verdicts = RecommendationView()
         self.past = HistoryList()
         self.tabs = QTabWidget()
+        self.tabs.tabBar().setAccessibleName(_("Results, recommendation and history"))
         self._show_working()
         arrange(self)
         self._looking = QTimer(self)

@@ -30,7 +30,7 @@ _SETTLED_MS = 120
 _DRAIN_MS = 80
 _AT_ONCE = 200
 _LONGEST_LABEL = 60
-_WIDTHS = (134, 74, 116, 72, 46, 84, 70, 100, 180)
+_WIDTHS = (134, 72, 108, 72, 46, 84, 70, 100, 180)
 
 
 class Browser(QWidget):

@@ -1,4 +1,4 @@
-"""Kernels as images: the second-order one of a Volterra series, and those that follow depth."""
+"""Kernels as images: the second-order one of a Volterra series, and those that follow depth with their spectra."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.app.language import _
-from tissueid.app.views.researcher.drawn import Image
+from tissueid.app.views.researcher.drawn import Array, Image
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.wording import people_unit
@@ -15,6 +15,10 @@ _MS = 1e3
 _DEPTHS = 60
 """Rows of an image over depth, whose partitions may be of different widths."""
 _MOST = 400
+_FINER = 4
+"""Frequencies for each that the length of a kernel tells apart: the eye joins them."""
+_LEFT = 0.02
+"""Share of the greatest magnitude below which a frequency is not shown."""
 
 
 def images_of(analysis: Analysis) -> tuple[Image, ...]:
@@ -36,7 +40,22 @@ def images_of(analysis: Analysis) -> tuple[Image, ...]:
         values = out_scale / in_scale * model.operating_kernels[rows].T  # (lags, depths)
         axis = f"{record.output_name.capitalize()} ({out})"
         unit = f"{out}/({into}·s)"
-        return (
-            Image(_("Kernels against depth"), unit, _MS * model.lag_s, out_scale * depth, values, _("Lag (ms)"), axis),
-        )
+        lags = _MS * model.lag_s
+        kernels = Image(_("Kernels against depth"), unit, lags, out_scale * depth, values, _("Lag (ms)"), axis)
+        return kernels, *_magnitude_of(kernels, model.lag_s, f"{out}/{into}")
     return ()
+
+
+def _magnitude_of(kernels: Image, lag_s: Array, unit: str) -> tuple[Image, ...]:
+    """The magnitude of the frequency response at each depth, up to where nothing is left of it at any."""
+    if lag_s.size < 2:
+        return ()
+    count, spacing_s = _FINER * lag_s.size, float(lag_s[1] - lag_s[0])  # lags may be several samples apart
+    magnitude = spacing_s * np.abs(np.fft.rfft(kernels.values, count, axis=0))
+    frequency_hz = np.asarray(np.fft.rfftfreq(count, spacing_s), np.float64)
+    left = magnitude.max(axis=1)
+    last = int(np.flatnonzero(left > _LEFT * left.max())[-1]) + 1
+    step = -(-last // _MOST)
+    shown = slice(0, max(last, _FINER), step)
+    title = _("Bode magnitude against depth")
+    return (Image(title, unit, frequency_hz[shown], kernels.y, magnitude[shown], _("Frequency (Hz)"), kernels.y_label),)

@@ -22,6 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.language import _, marked
+from tissueid.app.views.researcher.results_table import in_two_lines
 from tissueid.app.views.researcher.verdict import COLUMNS, Verdict
 from tissueid.identification import engine_names
 from tissueid.wording import engine_label
@@ -61,7 +62,7 @@ class RecommendationView(QWidget):
         self.words.setTabChangesFocus(True)
         self.words.setAccessibleName(_("Reasons of the recommendation"))
         self.standings = QTableWidget(0, len(COLUMNS))
-        self.standings.setHorizontalHeaderLabels([_(name) for name in COLUMNS])
+        self.standings.setHorizontalHeaderLabels([in_two_lines(_(name)) for name in COLUMNS])
         self.standings.setAccessibleName(_("Engines by how well they do"))
         self.standings.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
         self.standings.setSelectionBehavior(QTableWidget.SelectionBehavior.SelectRows)

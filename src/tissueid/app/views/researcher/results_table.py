@@ -44,6 +44,8 @@ _ROW = 22
 _PADDING = 12
 _ENGINE_WIDTH, _WIDEST = 132, 220
 """Pixels; what is longer is cut off, and its tip has all of it."""
+_ARROW = 16
+"""Pixels that the mark of the sorted column takes."""
 _LEAST = 96
 _SORT = Qt.ItemDataRole.UserRole
 _LONGEST = 60
@@ -76,13 +78,13 @@ class ResultsTable(QTableView):
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(_ROW)
         header = self.horizontalHeader()
-        wrapped = int(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter) | int(Qt.TextFlag.TextWordWrap)
-        header.setDefaultAlignment(Qt.AlignmentFlag(wrapped))
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setMinimumHeight(2 * header.fontMetrics().height() + _PADDING)
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setHighlightSections(False)
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
         self.selectionModel().selectionChanged.connect(self._selected)
+        header.sortIndicatorChanged.connect(self._make_room)
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
@@ -143,8 +145,8 @@ class ResultsTable(QTableView):
         super().keyPressEvent(event)
 
     def _fit_columns(self) -> None:
-        """Columns as wide as their figures and the longest word above; the answer first, then what is told of it."""
-        header, metrics = self.horizontalHeader(), self.horizontalHeader().fontMetrics()
+        """Columns as wide as their figures and the head above; the answer first, then what is told of it."""
+        header = self.horizontalHeader()
         answer = [
             len(_FIXED) + self._model.parameters.index(name) for name in _ANSWER if name in self._model.parameters
         ]
@@ -153,10 +155,20 @@ class ResultsTable(QTableView):
         for place, column in enumerate(order if self._model.outcomes else ()):
             header.moveSection(header.visualIndex(column), place)
         for column in range(self._sorted.columnCount()):
-            words = str(self._sorted.headerData(column, Qt.Orientation.Horizontal)).split()
-            least = max((metrics.horizontalAdvance(word) for word in words), default=0) + _PADDING
             most = _ENGINE_WIDTH if column == 0 else _WIDEST
-            self.setColumnWidth(column, min(most, max(least, self.sizeHintForColumn(column) + _PADDING // 2)))
+            width = max(self._head_width(column), self.sizeHintForColumn(column) + _PADDING // 2)
+            self.setColumnWidth(column, min(most, width))
+
+    def _make_room(self, column: int) -> None:
+        """The mark of the sorted column must not cover its head."""
+        if column >= 0:
+            self.setColumnWidth(column, max(self.columnWidth(column), self._head_width(column)))
+
+    def _head_width(self, column: int) -> int:
+        header = self.horizontalHeader()
+        lines = str(self._sorted.headerData(column, Qt.Orientation.Horizontal)).splitlines()
+        least = max((header.fontMetrics().horizontalAdvance(line) for line in lines), default=0) + _PADDING
+        return least + (_ARROW if column == header.sortIndicatorSection() else 0)
 
     def _source(self, row: int) -> int:
         return self._sorted.mapToSource(self._sorted.index(row, 0)).row()
@@ -214,6 +226,9 @@ class _Results(QAbstractTableModel):
     ) -> Any:
         if orientation is not Qt.Orientation.Horizontal or role != Qt.ItemDataRole.DisplayRole:
             return None
+        return in_two_lines(self._head(section))
+
+    def _head(self, section: int) -> str:
         if section < len(_FIXED):
             return _(_FIXED[section])
         if section >= len(_FIXED) + len(self.parameters):
@@ -267,6 +282,13 @@ class _Results(QAbstractTableModel):
             return float("-inf") if value is None else value
         found = report.parameters.get(self.parameters[column - len(_FIXED)])
         return float("-inf") if found is None else found.value
+
+
+def in_two_lines(head: str) -> str:
+    """A head parted where both lines are shortest; a unit in brackets stays whole."""
+    words = head.split()
+    parted = [(" ".join(words[:place]), " ".join(words[place:])) for place in range(1, len(words))]
+    return "\n".join(min(parted, key=lambda lines: max(map(len, lines)))) if parted else head
 
 
 def _told(outcome: Outcome) -> str:

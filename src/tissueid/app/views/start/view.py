@@ -310,7 +310,7 @@ class StartView(View):
         whole.setContentsMargins(0, 0, 0, 0)
         whole.addWidget(scroll)
         order = [*self.cards.values(), self.recover, self.recent, self.stop_reading, self.open]
-        order += [self.instruments, self.use, self.seek, self.folder, self.language.choice, self.units.choice]
+        order += [self.seek, self.instruments, self.use, self.folder, self.language.choice, self.units.choice]
         for before, after in pairwise(order):
             QWidget.setTabOrder(before, after)
 
