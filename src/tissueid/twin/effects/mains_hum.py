@@ -11,7 +11,7 @@ from scipy import fft, optimize
 from tissueid.twin import _estimates
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
-HARMONICS = (1, 2, 3)
+HARMONICS = (1, 2, 3, 5)
 CHANNELS = (("voltage", "V", 2e-3, 5.0), ("current", "A", 1e-3, 0.5), ("position", "m", 2e-6, 2e-3))
 """Name, unit, noise (by which they are weighed against each other) and the most that is looked for."""
 BANDS_HZ = ((49.0, 51.0), (59.0, 61.0))
@@ -71,10 +71,10 @@ EFFECT = Effect(
     name="mains_hum",
     stage="environment",
     title="Mains hum on the channels",
-    equation="channel + sum over h = 1, 2, 3 of a cos(h w t + phase) + b sin(h w t + phase), w = 2 pi 50 or 60 Hz; "
-    "vanishes with every a = b = 0",
-    signature="sharp lines at 50 or 60 Hz and twice and three times that, in quiet tests as well, unrelated to the "
-    "command; each channel has its own strength, every test its own phase",
+    equation="channel + sum over h = 1, 2, 3, 5 of a cos(h w t + phase) + b sin(h w t + phase), w = 2 pi 50 or 60 "
+    "Hz; vanishes with every a = b = 0",
+    signature="sharp lines at 50 or 60 Hz and twice, three and five times that, in quiet tests as well, unrelated to "
+    "the command; each channel has its own strength, every test its own phase",
     source="Pintelon & Schoukens, System Identification: A Frequency Domain Approach (2012), ch. 2; Horowitz & Hill, "
     "The Art of Electronics (2015), ch. 8",
     parameters=(
