@@ -116,7 +116,7 @@ def test_starts_lie_inside_the_bounds_and_differ(name):
     declared = effect(name)
     assert 1 <= len(declared.starts) <= 4
     assert len(set(declared.starts)) == len(declared.starts)
-    assert 1 <= len(declared.parameters) <= 5
+    assert 1 <= len(declared.parameters) <= (7 if name == "cogging" else 5)  # the shape of a wave takes four
     for start in declared.starts:
         for value, parameter in zip(start, declared.parameters, strict=True):
             assert parameter.low < value < parameter.high, (parameter.name, value)
@@ -284,11 +284,15 @@ def test_two_masses_on_springs_move_as_an_independent_solution_has_them():
 def test_cogging_shifts_equilibria_by_its_force():
     rest = spring(0.012, 1000.0)
     volts = np.full(2000, 6.0)
-    x = play("cogging", (0.3, -0.2, 3e-3, 0.0, 0.0), volts, tissue=rest, on_tissue=False).readings.position[-1]
+    shape = (0.3, -0.2, 3e-3, 0.2, 0.1, -0.1, 0.05)
+    x = play("cogging", shape, volts, tissue=rest, on_tissue=False).readings.position[-1]
     angle = 2 * math.pi * (x - 0.0135) / 3e-3
     wave = 0.3 * math.sin(angle) - 0.2 * math.cos(angle)
+    second = 0.2 * math.sin(2 * angle) + 0.1 * math.cos(2 * angle)
+    third = -0.1 * math.sin(3 * angle) + 0.05 * math.cos(3 * angle)
+    wave += math.hypot(0.3, -0.2) * (second + third)
     assert 1000.0 * (x - 0.012) == pytest.approx(3.0 * 0.5 + 0.2 + wave, abs=1e-6)
-    told = moved("cogging", (0.3, -0.2, 3e-3, 0.0, 0.0), 0.0135 + np.linspace(0.0, 3e-3, 3001), 1e-3)[:, bus.FORCE]
+    told = moved("cogging", shape, 0.0135 + np.linspace(0.0, 3e-3, 3001), 1e-3)[:, bus.FORCE]
     assert np.trapezoid(told, dx=1e-6) == pytest.approx(0.0, abs=1e-9)  # no work round a period
 
 

@@ -9,6 +9,9 @@ from __future__ import annotations
 import functools
 import re
 
+from tissueid.app.core_diagnosis import FINDINGS, MEANINGS, MENU, NEXT, PLACES, REMARKS, SPANS
+from tissueid.app.core_effects import TITLES
+from tissueid.app.core_recommendation import ADVICE
 from tissueid.app.language import ENGLISH, _, marked, spoken
 
 GATE = (
@@ -240,27 +243,67 @@ _LONGEST = 2000
 """Letters of a text that is looked at; what is longer is no sentence of the core."""
 
 
+_LISTS = ("; ", ", ", marked(" and "))
+_OF_SPANS = re.compile("(, | and )")
+_CAUSES = TITLES | {title[:1].lower() + title[1:]: title for title in TITLES.values()}
+"""The other forms in which the core names an effect: by its name, and by its title within a sentence."""
+_FORMS = {"rival": "|".join([*map(re.escape, _CAUSES), ".+?"]), "spans": ".+"}
+"""Fields that are no shortest match: a title may hold a colon, and spans commas, as the sentences around them do."""
+_DEEDS = {words[:1].upper() + words[1:]: words for words in MENU}
+"""What is done in a test that could be run next, as it stands at the beginning of a sentence."""
+
+
 def said_by_core(text: str) -> str:
     """A sentence of the core in the language of the window; as it is where that is English, or nobody knows it."""
     if spoken() == ENGLISH or len(text) > _LONGEST:
         return text
     if (said := _(text)) != text:
         return said
-    for template, pattern in _patterns():
+    if text in _CAUSES:
+        return _(_CAUSES[text])
+    if text in _DEEDS:
+        said = _(_DEEDS[text])
+        return said[:1].upper() + said[1:]
+    return _by_templates(text, _patterns())
+
+
+def _by_templates(text: str, known: tuple[tuple[str, re.Pattern[str]], ...]) -> str:
+    for template, pattern in known:
         if (found := pattern.fullmatch(text)) is not None:
-            return _(template).format(**{name: said_by_core(value) for name, value in found.groupdict().items()})
+            return _(template).format(**{name: _value(name, value) for name, value in found.groupdict().items()})
     return text
+
+
+def _value(name: str, value: str) -> str:
+    """What stands in a field: a text of its own, a list of such, or what is as it is in every language."""
+    if name == "spans":
+        parts = _OF_SPANS.split(value)
+        return "".join(_(" and ") if part == " and " else _by_templates(part, _spans()) for part in parts)
+    if (said := said_by_core(value)) != value:
+        return said
+    between = next((mark for mark in _LISTS if mark in value), None)
+    if between is None:
+        return value
+    parts = value.split(between)
+    each = [_value("", part) for part in parts]
+    known = all(one != part for one, part in zip(each, parts, strict=True))
+    return _(between).join(each) if known else value
 
 
 @functools.cache
 def _patterns() -> tuple[tuple[str, re.Pattern[str]], ...]:
     """The templates with fields, in their order: the first that fits is meant."""
-    every = (*GATE, *VERDICT, *CALIBRATION, *ERRORS, *GAP)
+    every = (*GATE, *VERDICT, *CALIBRATION, *ERRORS, *GAP, *FINDINGS, *PLACES, *NEXT, *REMARKS, *MEANINGS, *ADVICE)
     return tuple((template, _pattern(template)) for template in every if _FIELD.search(template))
+
+
+@functools.cache
+def _spans() -> tuple[tuple[str, re.Pattern[str]], ...]:
+    return tuple((template, _pattern(template)) for template in SPANS)
 
 
 def _pattern(template: str) -> re.Pattern[str]:
     parts = _FIELD.split(template)
     fixed, names = parts[::2], parts[1::2]
-    fields = [f"(?P<{name}>.+?)" for name in names] + [""]
+    fields = [f"(?P<{name}>{_FORMS.get(name, '.+?')})" for name in names] + [""]
     return re.compile("".join(re.escape(text) + field for text, field in zip(fixed, fields, strict=True)), re.DOTALL)

@@ -12,7 +12,7 @@ from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
-from tissueid.app.language import speak
+from tissueid.app.language import speak, spoken
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.proposal import Proposal
 from tissueid.audit import AuditLog, last_lines
@@ -53,7 +53,7 @@ def friction(tmp_path):
 
 @pytest.fixture(scope="module")
 def answers():
-    """Diagnoses by session, so that only the first test of each waits for it."""
+    """Diagnoses by language, so that only the first test of each waits for it."""
     return {}
 
 
@@ -64,12 +64,13 @@ def diagnosed(qtbot, open_window, friction, answers, monkeypatch):
     def make(**changes):
         window = open_window(first_page="gap", **changes)
         page = page_of(window)
-        if not answers:
+        language = spoken()
+        if language not in answers:
             press(qtbot, page.asking.run)
             wait(qtbot, window)
-            answers["friction"] = page.history.result
+            answers[language] = page.history.result
         else:
-            found = answers["friction"]
+            found = answers[language]
             asked = diagnosing.Asked(friction)
             page.history.add(diagnosing.replace(found, asked=asked))
         return window, page
@@ -138,6 +139,13 @@ def test_in_german_it_is_as_wide_as_there_is_room(diagnosed, qapp):
         assert result.widget().minimumSizeHint().width() <= result.viewport().width()
         assert result.headline.text().startswith("Die Abweichung ist erklärt: ")
         assert "Übernehmen Sie den Effekt in einen benannten Zwilling" in result.todo.text()
+        assert "Reinigen Sie das Lager" in result.todo.text()
+        assert "eine Kraft der Art „Reibung" in result.evidence.text()
+        assert result.which.table.item(0, 0).text() == "Trockenreibung im Lager"
+        assert result.which.leaves.text().startswith("Was er hinterlässt: Die Position hinkt")
+        assert result.which.figures.text().splitlines()[1].startswith("Reibkraft in Bewegung: ")
+        said = [label.text() for label in result.findChildren(QLabel)]
+        assert not [text for text in said if {"the", "and", "of", "is"} & set(text.split())]
     finally:
         speak("en")
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import count, pairwise
 from typing import Any
 
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _
 from tissueid.app.words import sentence
 from tissueid.gap.diagnosis import Diagnosis
@@ -42,13 +43,13 @@ def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
     step = found.next_experiment
     if step is None:
         return None
-    words = {item.kind: sentence(item.words).rstrip(".") for item in menu(found.observed)}
+    words = {item.kind: sentence(said_by_core(item.words)).rstrip(".") for item in menu(found.observed)}
     gains = sorted((step.gains or {step.kind: step.gain_nats}).items(), key=lambda item: -item[1])
     title = words.get(step.kind, step.kind.replace("_", " ").capitalize())
     fields = _fields(step.command_line, session) if step.kind in _BY_FORM and step.command_line else None
     return Proposal(
         title,
-        sentence(step.why),
+        sentence(said_by_core(step.why.rstrip("."))),
         tuple((words.get(kind, kind.replace("_", " ").capitalize()), gain) for kind, gain in gains),
         fields,
         "" if fields is not None else _by_hand(title, step.command_line),

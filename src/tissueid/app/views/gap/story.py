@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _
 from tissueid.app.views.gap.overlay import Overlay, overlays_of
 from tissueid.app.views.gap.proposal import Proposal, proposal_of
@@ -120,12 +121,12 @@ def story_of(found: Diagnosis, session: Session) -> Story:
     profiles = {name: _profile(regions.profiles[name], scale) for name, scale in _PROFILES if name in regions.profiles}
     return Story(
         found.verdict,
-        ", ".join(effect_words(name) for name in found.combination),
+        ", ".join(_cause(name) for name in found.combination),
         for_window(headline),
         level,
         tuple(for_window(line) for line in sentences_of(found)),
         tuple(for_window(line) for line in next_steps_of(found)),
-        tuple(sentence(clean(remark)) for remark in found.remarks),
+        tuple(sentence(said_by_core(clean(remark))) for remark in found.remarks),
         tuple(_stage(found, stage) for stage in STAGES),
         found.where.stage,
         _spectrum(spectra[0], regions.bands_hz) if spectra else None,
@@ -143,13 +144,15 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     lit = found.verdict != "no_gap" and where.above_floor and stage == where.stage
     lines = [
         _("{finding}: {error} times the noise of the {channel}.").format(
-            finding=sentence(item.what).rstrip("."), error=number(item.error / item.floor, 3), channel=_(item.channel)
+            finding=sentence(said_by_core(item.what)).rstrip("."),
+            error=number(item.error / item.floor, 3),
+            channel=_(item.channel),
         )
         for item in where.findings
         if item.stage == stage
     ]
     lines += [
-        _("The effect that explains the gap belongs here: {name}.").format(name=effect_words(name))
+        _("The effect that explains the gap belongs here: {name}.").format(name=_cause(name))
         for name in found.combination
         if name in all_effects() and all_effects()[name].stage == stage
     ]
@@ -193,14 +196,14 @@ def _rival(found: Diagnosis, item: Ranked) -> Rival:
         else ""
     )
     return Rival(
-        sentence(effect_words(item.effect)).rstrip("."),
+        sentence(_cause(item.effect)).rstrip("."),
         item.stage,
         item.effect in found.combination,
         item.probability,
         f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else _("cannot be told"),
-        ", ".join(effect_words(name) for name in item.indistinguishable),
-        "" if known is None else sentence(known.signature),
-        "" if known is None else sentence(known.remedy),
+        ", ".join(_cause(name) for name in item.indistinguishable),
+        "" if known is None else sentence(said_by_core(known.signature)),
+        "" if known is None else sentence(said_by_core(known.remedy)),
         _figures(found, item),
     )
 
@@ -218,7 +221,7 @@ def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
     rows = []
     for name, value in values.items():
         meaning = about[name].meaning if name in about else ""
-        label = sentence(meaning or name.replace("_", " ")).rstrip(".")
+        label = sentence(said_by_core(meaning) or name.replace("_", " ")).rstrip(".")
         std = stds.get(f"{item.effect}.{name}")
         rows.append(Fitted(label, Estimate(value, std), about[name].unit if name in about else ""))
     return tuple(rows)
@@ -242,6 +245,10 @@ def _closing(found: Diagnosis) -> str:
             ceiling=_percent(found.ceiling)
         )
     return words
+
+
+def _cause(name: str) -> str:
+    return said_by_core(effect_words(name))
 
 
 def _percent(share: float) -> str:

@@ -21,6 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _
 from tissueid.app.views.researcher.fields import OptionField
 from tissueid.app.words import sentence
@@ -48,8 +49,7 @@ class EngineForm(QWidget):
         self.engine.setAccessibleName(_("Identification engine"))
         for name in engine_names():
             self.engine.addItem(engine_label(name), name)
-            about = " ".join((get_engine(name).__doc__ or "").split("\n\n")[0].split())
-            self.engine.setItemData(self.engine.count() - 1, about, Qt.ItemDataRole.ToolTipRole)
+            self.engine.setItemData(self.engine.count() - 1, _about(name), Qt.ItemDataRole.ToolTipRole)
         self.about = QLabel()
         self.about.setProperty("role", "field")
         self.about.setWordWrap(True)
@@ -237,7 +237,7 @@ class EngineForm(QWidget):
                 widget.deleteLater()
         kind = get_engine(engine)
         self._fields = {}
-        self.about.setText(" ".join((kind.__doc__ or "").split("\n\n")[0].split()))
+        self.about.setText(_about(engine))
         before: QWidget = self.engine
         for row, (name, info) in enumerate(kind.model_fields.items()):
             field = OptionField(name, info, self)
@@ -245,7 +245,7 @@ class EngineForm(QWidget):
             label = QLabel(field.label)
             label.setProperty("role", "field")
             label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setToolTip(f"<qt>{html.escape(info.description)}</qt>" if info.description else "")
+            label.setToolTip(f"<qt>{html.escape(said_by_core(info.description))}</qt>" if info.description else "")
             self._grid.addWidget(label, 2 * row, 0)
             self._grid.addWidget(field, 2 * row + 1, 0)
             field.edited.connect(self._edited)
@@ -316,6 +316,10 @@ class _Change(QUndoCommand):
     def redo(self) -> None:
         """As it became."""
         self._form.apply(self._engine, self._after)
+
+
+def _about(engine: str) -> str:
+    return said_by_core(" ".join((get_engine(engine).__doc__ or "").split("\n\n")[0].split()))
 
 
 def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:

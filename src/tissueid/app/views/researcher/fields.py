@@ -15,6 +15,7 @@ from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _
 from tissueid.errors import UnusableInputError
 from tissueid.wording import named_unit, people_unit
@@ -60,7 +61,7 @@ class OptionField(QWidget):
             self._automatic.setAccessibleName(_("{label}, automatic").format(label=label))
             self._automatic.toggled.connect(self._switch)
             row.addWidget(self._automatic)
-        description = info.description or ""
+        description = said_by_core(info.description or "")
         for widget in self.controls:
             widget.setToolTip(f"<qt>{html.escape(description)}</qt>" if description else "")
             widget.installEventFilter(self)

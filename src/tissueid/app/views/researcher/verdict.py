@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tissueid.analysis import EngineComparison
+from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.words import sentence
@@ -46,7 +47,7 @@ def verdict_of(found: EngineComparison, tests: tuple[Chosen, ...]) -> Verdict:
         for entry in found.entries
         if entry.refused
     ]
-    headline, *reasons = said.sentences
+    headline, *reasons = map(said_by_core, said.sentences)
     ceiling = found.ceiling
     if ceiling is not None:
         reasons.append(_("Repeats of the test allow {vaf} % at best.").format(vaf=fixed(ceiling.vaf_percent.value, 2)))
@@ -58,10 +59,10 @@ def verdict_of(found: EngineComparison, tests: tuple[Chosen, ...]) -> Verdict:
     return Verdict(
         label,
         sentence(headline),
-        sentence(_("judged on {data}").format(data=said.judged_on)),
+        sentence(_("judged on {data}").format(data=said_by_core(said.judged_on))),
         tuple(map(sentence, reasons)),
-        tuple(map(sentence, said.doubts)),
-        tuple(map(sentence, said.experiments)),
+        tuple(sentence(said_by_core(doubt)) for doubt in said.doubts),
+        tuple(sentence(said_by_core(words)) for words in said.experiments),
         tuple(rows),
     )
 
@@ -77,5 +78,5 @@ def _row(one: Standing, recommended: bool) -> tuple[str, ...]:
         fixed(one.vaf_fitted_percent, 2),
         how,
         grouped(one.aicc),
-        str(one.family),
+        said_by_core(str(one.family)),
     )

@@ -71,7 +71,8 @@ class Errands(QObject):
 
     def _succeeded(self, result: Any) -> None:
         done, failed = self._over()
-        if isinstance(result, _GivenUp):
+        if isinstance(result, _GivenUp) or self._stop.is_set():
+            # Work that was over before it heard of it is given up as well: nobody waits for its result.
             failed("")
         else:
             done(result)
