@@ -381,4 +381,4 @@ def test_only_what_hooks_into_the_chain_is_held_to_its_number_of_parameters():
 def test_what_is_fixed_or_of_each_test_is_not_counted_as_shared():
     assert effect("dropped_samples").order == 0
     assert effect("quantization").order == 2
-    assert effect("mains_hum").order == 18
+    assert effect("mains_hum").order == 24
