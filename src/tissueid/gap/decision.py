@@ -1,7 +1,8 @@
 """From scores to words: is there a gap, does a candidate explain it, and how sure is that.
 
 The thresholds were set with eighty scenarios of the simulated laboratory in view, those of pairs with 249 (decision
-0025), where more is asked with 523 (decision 0026), all of other draws than the one that docs/gap.md reports.
+0025), where more is asked with the same and parts of another draw (decision 0026): none with the one that docs/gap.md
+reports.
 """
 
 from __future__ import annotations

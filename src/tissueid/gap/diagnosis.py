@@ -161,10 +161,11 @@ def more_is_asked(best: Candidate, places: Where, known: Sequence[str]) -> bool:
     So it is where every effect that it adds to the ``known`` ones is exact; and where the stages by themselves show
     that the current is not what voltage and motion make, but none of the effects does anything but move the probe.
     """
-    added = [effect(name).stage for name in best.effects if name not in known]
+    added = [effect(name) for name in best.effects if name not in known]
+    stages = {item.stage for item in added}
     blamed = {stage for stage, share in places.shares.items() if share > 0.0}
-    only_moves = bool(blamed) and blamed <= _ELECTRICAL and not blamed & set(added) and _MOVING.issuperset(added)
-    return only_moves or all(effect(name).exact for name in best.effects if name not in known)
+    only_moves = bool(blamed) and blamed <= _ELECTRICAL and stages <= _MOVING
+    return only_moves or all(item.exact for item in added)
 
 
 def _explained(found: Found, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked], places: Where) -> bool:

@@ -100,7 +100,7 @@ def of_position(
     """
     missing = _missing(position)
     # What is missing at the end was lost on the way; a filter or a clock makes a position late by little.
-    lags = np.arange(-FEW, missing + FEW + 1) if missing else _lags(position)
+    lags = np.arange(-FEW, missing + FEW + 1) if 0 < missing <= MOST_SLIP else _lags(position)
     gained = np.diff(position, prepend=position[0])
     moves = _moves(gained) and int(np.isfinite(voltage + current).sum()) >= STRETCH
     if motion is None:

@@ -75,7 +75,7 @@ def from_tests(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float)
     seen = [sway for sway in swaying if sway.left.size >= FEWEST]
     middle: FloatArray = np.array(_BANDS, np.float64).mean(axis=1)
     shared = _refined(_roughly(seen), seen) if seen else middle
-    return [sway.read(_refined(shared, [sway], NEAR_HZ)) if sway.left.size >= FEWEST else {} for sway in swaying]
+    return [sway.read(_refined(shared, [sway], NEAR_HZ) if sway.left.size >= FEWEST else shared) for sway in swaying]
 
 
 def _roughly(seen: Sequence[_Sway]) -> FloatArray:
@@ -132,9 +132,10 @@ class _Sway:
         return cls(blocks.mean(axis=1)[known].astype(np.float64), time.astype(np.float64), mean)
 
     def read(self, hertz: FloatArray) -> Mapping[str, float]:
-        """The parameters of the effect in this test, within their bounds."""
-        heights = self.fitted(hertz)[1]
-        values = np.append(heights, self.mean_m + float(self.without(hertz).left.mean()))
+        """The parameters of the effect in this test, within their bounds; no heights where there is little to see."""
+        values = np.zeros(_MOST.size)
+        if self.left.size >= FEWEST:
+            values = np.append(self.fitted(hertz)[1], self.mean_m + float(self.without(hertz).left.mean()))
         rates = {f"{kind}_hz": float(one) for (kind, *_), one in zip(KINDS, hertz, strict=True)}
         return rates | dict(zip(_HEIGHTS, np.clip(values, -_MOST, _MOST).tolist(), strict=True))
 
