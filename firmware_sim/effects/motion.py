@@ -104,7 +104,7 @@ def _build(sources: int) -> Advance:
                     against = velocity + clock[6] + rising
                     off = lifting and memory[base.CONTACT_LOSS, 0] != 0.0
                     if off:
-                        depth_met, speed_met = memory[base.CONTACT_LOSS, 1], 0.0
+                        depth_met, speed_met = memory[base.CONTACT_LOSS, 1], memory[base.CONTACT_LOSS, 2]
                     else:
                         depth_met, speed_met = depth, against
                     if figures[base.PRECONDITIONING, 0] != 0.0:
@@ -118,20 +118,22 @@ def _build(sources: int) -> Advance:
                     added += tissue.tissue(depth_met, speed_met, elastic, damping, step, first, figures, memory, rings)
                     taken_along = tissue_mass(law, depth_met)
                     if lifting:
-                        pressing = elastic + damping * against - added + taken_along * clock[1]
-                        creep = law[kernel.STIFFNESS] / max(law[kernel.DAMPING], 1e-3)
-                        now_off = tissue.lifts(
-                            depth, pressing, step, creep, figures[base.CONTACT_LOSS], memory[base.CONTACT_LOSS]
+                        pushing = plant[kernel.FORCE_CONSTANT] * halfway + plant[kernel.GRAVITY_FORCE] + force
+                        pushing -= plant[kernel.BEARING_DAMPING] * velocity
+                        resisting = elastic + damping * against - added
+                        kept = memory[base.CONTACT_LOSS]
+                        kept[4] = mass
+                        together = resisting + taken_along / (mass + taken_along) * (pushing - resisting)
+                        state[kernel.VELOCITY] += tissue.lifts(
+                            depth, against, together, step, law, figures[base.CONTACT_LOSS], kept
                         )
-                        if off and not now_off:
-                            # Met again, inelastically: the tissue's mass was at rest.
-                            state[kernel.VELOCITY] *= mass / (mass + taken_along)
-                        off = now_off
+                        off = kept[0] != 0.0
                     if off:
                         law[kernel.STIFFNESS] = 0.0
                         law[kernel.DAMPING] = 0.0
                         law[kernel.MASS] = 0.0
                         taken_along = 0.0
+                        force += memory[base.CONTACT_LOSS, 3]
                     elif state[kernel.TOUCHING] > 0.0:
                         # The plant's law is written on the speed against the frame; the rest of the speed is made up.
                         force += added - damping * (against - velocity)

@@ -12,6 +12,7 @@ from firmware_sim import kernel
 from firmware_sim.effects import base
 from firmware_sim.effects.base import Array, Circumstances, Drawn, Effect, Stage, widely, within
 from firmware_sim.effects.drive import delayed
+from firmware_sim.kernel import _exponential, elastic_force, tissue_mass
 
 BRANCHES = 9
 _BRANCH_TIMES = 2e-3 * np.sqrt(10.0) ** np.arange(BRANCHES)  # 2 ms to 20 s
@@ -21,6 +22,8 @@ _STOP_WEIGHTS = (
     np.exp(-0.5 * np.linspace(-1.8, 1.8, STOPS) ** 2) / np.exp(-0.5 * np.linspace(-1.8, 1.8, STOPS) ** 2).sum()
 )
 _STRETCH_FILTER_S = 5e-3
+_SLOWING_GAP_M = 2e-3
+_ADHESION_REACH_M = 5e-5
 
 
 class TissueStiffening(Effect):
@@ -110,9 +113,9 @@ class AddedMass(Effect):
 
 
 class ContactLoss(Effect):
-    """The tissue does not follow a probe that pulls with more than ``adhesion_n``; it creeps back and is met again.
+    """The tissue does not follow a probe that pulls with more than ``adhesion_n``; it comes back and is met again.
 
-    ``level`` is how easily it is left: its reciprocal times the plant's own creep is the speed of recovery.
+    ``level`` is how slowly: by so many times its damping on the probe it is damped more for each 2 mm of gap.
     """
 
     name: ClassVar[str] = "contact_loss"
@@ -246,19 +249,29 @@ def _twitches(depth: float, velocity: float, step: float, first: bool, row: Arra
 
 
 @njit
-def lifts(depth: float, force: float, step: float, creep: float, row: Array, kept: Array) -> bool:
-    """Whether the probe is off the tissue that pushes it with ``force``, N; ``kept`` holds that and the surface.
+def lifts(depth: float, velocity: float, push: float, step: float, law: Array, row: Array, kept: Array) -> float:
+    """By how much the probe's speed jumps as it meets the tissue that it was off, m/s; 0 where it does not.
 
-    ``creep`` is the surface's own rate of return, 1/s, from stiffness over damping.
+    ``depth`` and ``velocity`` are the probe's, ``push`` is what the tissue pushes it with while they are together, N,
+    and ``kept`` holds whether it is off, the surface, the surface's speed, with how much it pulls the probe back, N,
+    and the mass of the probe, kg. Left alone the surface goes on by its own mass, damping and stiffness, from where
+    and as fast as it was left, and pulls ever less the wider the gap: nothing jumps as contact is lost, so that a
+    little more or less force does not make another motion.
     """
-    if kept[0] == 0.0:
-        kept[1] = depth
-        if force >= -row[1]:
-            return False
-        kept[0] = 1.0
-        return True
-    kept[1] *= exp(-step * creep / row[0])
-    if depth >= kept[1]:
-        kept[0], kept[1] = 0.0, depth
-        return False
-    return True
+    jump = 0.0
+    if kept[0] != 0.0:
+        gap = max(kept[1] - depth, 0.0)
+        damping = (1.0 + row[0] * gap / _SLOWING_GAP_M) * max(_exponential(law, kernel.DAMPING, kept[1]), 1e-3)
+        mass = tissue_mass(law, kept[1])
+        creeping = -(elastic_force(law, kept[1]) + kept[3]) / damping
+        entering = kept[2]
+        kept[2] += (creeping - entering) * (1.0 - exp(-step * damping / mass) if mass > 0.0 else 1.0)
+        kept[1] += 0.5 * step * (entering + kept[2])
+        if depth < kept[1] or velocity < kept[2]:
+            kept[3] = row[1] * exp(-max(kept[1] - depth, 0.0) / _ADHESION_REACH_M)
+            return jump
+        # Met again, inelastically: they share their momentum.
+        jump = mass / (kept[4] + mass) * (kept[2] - velocity)
+    kept[0] = 0.0 if push >= -row[1] else 1.0
+    kept[1], kept[2], kept[3] = depth, velocity + jump, row[1]
+    return jump

@@ -266,6 +266,16 @@ def test_tissue_softens_as_it_is_worked(baseline):
     assert abs(deeper[:20]).max() < 0.1 * deeper[-200:].mean()
 
 
+@pytest.mark.parametrize("level", [0.5, 4.0])
+@pytest.mark.parametrize("adhesion_n", [0.0, 0.02, 0.3])
+def test_lifting_off_and_landing_is_found_in_time(level, adhesion_n):
+    # Three thousandths of the motion; the least that a scenario shows of lifting off is ten times as much.
+    lost = EFFECTS["contact_loss"](level=level, adhesion_n=adhesion_n)
+    one, fine = (recorded([lost], figures=SHALLOW, substeps=n) for n in (20, 80))
+    assert change(one, fine, "position") < 3e-3
+    assert change(one, recorded(figures=SHALLOW), "position") > 0.01
+
+
 def test_the_probe_leaves_tissue_that_only_pushes():
     pulled = np.full(600, -6.0)
     off = Laboratory([EFFECTS["contact_loss"](level=1.0)], clean=True).record("stochastic", pulled)

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tissueid.gap.decision import THRESHOLDS, better_pair, cost, explains, is_gap, lead_of, probabilities
+from tissueid.gap.decision import (
+    THRESHOLDS,
+    better_pair,
+    cost,
+    explains,
+    is_gap,
+    lead_of,
+    probabilities,
+    shows_in_the_check_alone,
+)
 from tissueid.gap.diagnosis import more_is_asked
 from tissueid.gap.scoring import Candidate, ChannelError
 from tissueid.twin.effect import STAGES
@@ -35,6 +45,12 @@ def test_a_small_gap_needs_a_candidate_that_takes_it_away():
     assert is_gap(little, candidate(0.0))
     assert not is_gap(little, None)
     assert not is_gap(little, candidate(1.4 * THRESHOLDS.least_score))
+
+
+def test_what_happens_rarely_may_show_in_the_check_alone():
+    quiet, loud = candidate(0.05, 0), candidate(1.0, 0)
+    assert not shows_in_the_check_alone(quiet)
+    assert shows_in_the_check_alone(replace(quiet, checked_by=loud.checked_by))
 
 
 def test_a_large_gap_needs_none():

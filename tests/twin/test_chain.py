@@ -81,7 +81,7 @@ def test_the_far_end_of_the_stroke_holds_it():
 
 
 def test_a_twin_that_knows_how_the_probe_lifts_off_says_so_itself():
-    sticking = Acting(CONTACT_LOSS, np.array([0.1, 0.1]))
+    sticking = Acting(CONTACT_LOSS, np.array([0.1, 1.0]))
     device = replace(DEVICE, weight_n=-0.6)
     under_way = player(SPRING, device, acting=[sticking])
     under_way.play(np.zeros(6000))

@@ -37,7 +37,8 @@ def commands(size=800):
 
 def play(acting=(), kind="stochastic", substeps=4):
     """One of the tests of a session, with readings at rest on the surface to begin with."""
-    command = {"stochastic": commands(), "spring": 0.8 * (commands() - 14.0), "quiet": np.zeros(400)}[kind]
+    noise = commands() - 14.0
+    command = {"stochastic": 14.0 + noise, "shallow": 5.0 + noise, "spring": 0.8 * noise, "quiet": np.zeros(400)}[kind]
     met = figures.spring(0.012, 1000.0, 0.005, 0.4) if kind == "spring" else TISSUE
     start = simulation.Start(command[0] / INSTRUMENT.resistance_ohm, met.surface_m)
     readings = simulation.simulate(
@@ -97,7 +98,8 @@ def test_its_starts_and_priors_lie_within_its_bounds(one):
 def test_it_leaves_something_in_the_records_at_its_starts(one):
     if one.from_test or one.from_tests or one.starts_from is not None:
         pytest.skip("where it starts is read from the record")
-    change = max(in_noises(play(at(one, s), k), plain(k)) for s in one.starts for k in ("stochastic", "spring"))
+    kinds = ("stochastic", "shallow", "spring")
+    change = max(in_noises(play(at(one, start), kind), plain(kind)) for start in one.starts for kind in kinds)
     quiet = max(in_noises(play(at(one, start), "quiet"), plain("quiet")) for start in one.starts)
     assert max(change, quiet) > 1.0
 
@@ -180,6 +182,8 @@ def test_the_compiled_hook_is_the_one_that_is_written(one):
         (bus.TISSUE_MASS, 0.015),
         (bus.STIFFNESS, 400.0),
         (bus.STIFFNESS_GROWTH, 250.0),
+        (bus.SURFACE_DAMPING, 4.0),
+        (bus.DAMPING_GROWTH, 150.0),
     ):
         given[:, at_] = value * (1.0 + 0.05 * rng.random(steps))
     # A hook that acts in several places is called in their order, step by step.

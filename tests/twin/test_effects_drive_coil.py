@@ -60,7 +60,7 @@ def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
         ("coil_heating", (5.0, 0.7), "current"),
         ("inductance_position", (0.008, 0.013, 0.0, 0.2, 0.4, 1.0, 3.0, 6.0), "current"),
         ("force_constant_position", (0.008, 0.020, 1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6), "position"),
-        ("flux_saturation", (0.04, 2.0, 1.0), "position"),
+        ("flux_saturation", (0.04, 2.0, 1.0, 0.0), "position"),
         ("reluctance_force", (0.05, 0.0), "position"),
     ],
 )
@@ -78,7 +78,7 @@ def test_a_force_alone_leaves_the_current_of_a_given_motion_alone():
     given = simulation.Given(position=position, velocity=np.gradient(position) * RATE)
     plain = play(given=given)
     np.testing.assert_array_equal(play("reluctance_force", (0.1, 0.0), given=given).current, plain.current)
-    changed = play("flux_saturation", (0.1, 2.0, 1.0), given=given).current
+    changed = play("flux_saturation", (0.1, 2.0, 1.0, 0.0), given=given).current
     assert rms(changed - plain.current) > NOISE["current"]
 
 
@@ -287,14 +287,20 @@ def test_curves_along_the_stroke_begin_where_the_probe_went():
         assert all_effects()[name].starts_from([{"position": np.full(9, np.nan), "command": np.zeros(9)}], RATE) == ()
 
 
-def test_flux_saturates_by_current_and_by_its_sign():
+@pytest.mark.parametrize("bias", [0.0, 0.9, -0.6])
+def test_flux_saturates_by_current_and_by_its_sign(bias):
+    def left(current):
+        # Away from the corner, where the law is rounded over 0.05 A.
+        flux = current + bias
+        return 1.0 / (1.0 + 0.05 * (flux**2 + 0.05**2) * (1.0 if flux > 0 else 0.4))
+
+    none = left(0.0) if bias else 1.0
     for volts in (-18.0, -6.0, 6.0, 18.0):
-        away, current = settled("flux_saturation", (0.05, 2.0, 0.4), volts)
-        fall = 0.05 * current**2 * (1.0 if volts > 0 else 0.4)
-        assert 1000.0 * away == pytest.approx(3.0 * current / (1.0 + fall), rel=1e-4)
+        away, current = settled("flux_saturation", (0.05, 2.0, 0.4, bias), volts)
+        assert 1000.0 * away == pytest.approx(3.0 * current * left(current) / none, rel=1e-3)
     moving = simulation.Given(position=np.full(400, 0.012), velocity=np.full(400, 0.05))
-    current = play("flux_saturation", (0.2, 2.0, 0.4), np.full(400, 12.0), given=moving).current[-1]
-    assert 12.0 - 12.0 * current == pytest.approx(3.0 / (1.0 + 0.2 * current**2) * 0.05, rel=1e-4)
+    current = play("flux_saturation", (0.05, 2.0, 0.4, bias), np.full(400, 12.0), given=moving).current[-1]
+    assert 12.0 - 12.0 * current == pytest.approx(3.0 * left(current) / none * 0.05, rel=1e-3)
 
 
 def test_a_reluctance_force_acts_one_way_for_either_current():

@@ -115,8 +115,8 @@ SIGNATURES = (
         "distortion; nothing on the spring"
     ),
     marked(
-        "where the command is lowest the probe flies further out than tissue would let it, and comes back late; "
-        "without a command it drifts off if the device hangs; nothing at depth, nothing on the spring"
+        "where the command is lowest or falls fastest the probe flies further out than tissue would let it, and "
+        "comes back late; without a command it drifts off if the device hangs; nothing at depth, nothing on the spring"
     ),
     marked(
         "even distortion that grows with speed: mean depth falls with amplitude, position faster one way than the "

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from tissueid.gap.scoring import Candidate
+from tissueid.gap.scoring import Candidate, score
 
 Verdict = Literal["effect", "no_gap", "unexplained"]
 
@@ -92,6 +92,14 @@ def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds =
         return True
     gained = 0.0 if best is None else baseline.score - cost(best, thresholds)
     return baseline.score >= thresholds.least_score and gained >= thresholds.least_gain
+
+
+def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
+    """Whether much stands above the floor on the samples of the check, whatever those of the choice show.
+
+    What happens rarely may happen in no stretch by which a candidate could be chosen.
+    """
+    return score(baseline.checked_by) >= 2.0 * thresholds.least_score
 
 
 def explains(

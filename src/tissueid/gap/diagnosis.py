@@ -10,7 +10,17 @@ import numpy as np
 from scipy import stats
 
 from tissueid.gap.ceiling import ceiling
-from tissueid.gap.decision import THRESHOLDS, Verdict, better_pair, cost, explains, is_gap, lead_of, probabilities
+from tissueid.gap.decision import (
+    THRESHOLDS,
+    Verdict,
+    better_pair,
+    cost,
+    explains,
+    is_gap,
+    lead_of,
+    probabilities,
+    shows_in_the_check_alone,
+)
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
@@ -31,6 +41,7 @@ CERTAIN = 0.9
 """From this probability on a cause needs no further test."""
 _ELECTRICAL: frozenset[Stage] = frozenset({"drive", "coil"})
 _MOVING: frozenset[Stage] = frozenset({"mechanics", "tissue", "environment"})
+RARE = "the gap shows in stretches that serve the check alone: record a longer test, or repeat it"
 LEADERS = 2
 """So many of the best single effects are tried with a partner."""
 
@@ -116,8 +127,11 @@ def diagnose(
     verdict: Verdict = "no_gap"
     places = where(observed, baseline)
     ranking = _ranking(observed, found, places)
+    remarks = observed.remarks
     if there_is:
         verdict = "effect" if best is not None and _explained(found, best, figures, ranking, places) else "unexplained"
+    elif shows_in_the_check_alone(baseline):
+        verdict, remarks = "unexplained", (*remarks, RARE)
     return Diagnosis(
         verdict,
         figures,
@@ -125,7 +139,7 @@ def diagnose(
         ranking,
         tuple(name for name in best.effects if name not in known) if verdict == "effect" and best is not None else (),
         _next(observed, found, ranking, places, verdict),
-        observed.remarks,
+        remarks,
         time.monotonic() - began,
         observed,
         found,

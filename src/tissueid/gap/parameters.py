@@ -26,6 +26,9 @@ DELAY = "input_delay_s"
 WITHIN_STDS = 4.0
 """Instrument figures are looked for so many calibration uncertainties round the nominal ones."""
 
+WIDER = 20.0
+"""Derivatives are taken over steps so many times wider where an effect switches: about two hundredths of a value."""
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -218,6 +221,8 @@ def parametrise(
         read = _read_all(observed.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
             _add(observed, effect, parameter, begin, read, found, constants)
+    if any(effect.switches for effect in effects):
+        found = [replace(item, step=WIDER * item.step) for item in found]
     found = [_believed(item, observed.beliefs) for item in found]
     constants |= {name: held.value for name, held in observed.beliefs.items() if name in constants and "@" not in name}
     index = {item.name: k for k, item in enumerate(found)}

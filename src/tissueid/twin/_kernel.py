@@ -136,11 +136,17 @@ def integrate(  # type: ignore[no-untyped-def]
                     _call(b.MECHANICS, effects, places, at_bus, at_parameters, at_states, step)
                 bus[b.STIFFNESS] = tissue[STIFFNESS]
                 bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
+                bus[b.SURFACE_DAMPING] = tissue[TISSUE_DAMPING]
+                bus[b.DAMPING_GROWTH] = tissue[DAMPING_GROWTH]
                 bus[b.TISSUE_FORCE] = grown(tissue[STIFFNESS], tissue[STIFFNESS_GROWTH], depth) * depth
                 bus[b.TISSUE_DAMPING] = grown(tissue[TISSUE_DAMPING], tissue[DAMPING_GROWTH], depth)
                 bus[b.TISSUE_MASS] = tissue[TISSUE_MASS]
                 if used[b.TISSUE]:
+                    bus[b.VELOCITY_JUMP] = 0.0
+                    bus[b.POSITION_SHIFT] = 0.0
                     _call(b.TISSUE, effects, places, at_bus, at_parameters, at_states, step)
+                    velocity += bus[b.VELOCITY_JUMP]
+                    half += 0.5 * step * bus[b.VELOCITY_JUMP] + bus[b.POSITION_SHIFT]
                 mass = bus[b.MASS] + bus[b.TISSUE_MASS]
                 drag = 0.5 * step * (bus[b.DAMPING] + bus[b.TISSUE_DAMPING]) / mass
                 push = step * (bus[b.FORCE] - bus[b.TISSUE_FORCE]) / mass

@@ -53,6 +53,7 @@ TISSUE_MASS = 16
 STIFFNESS = 17
 """The tissue's stiffness at the surface, N/m, for laws that build on it."""
 STIFFNESS_GROWTH = 18
+"""By which exponent it grows with depth, 1/m."""
 ACCELERATION = 19
 """Of the probe, in the step before."""
 STROKE = 20
@@ -62,7 +63,14 @@ VOLTAGE_RISE = 22
 """How far the voltage at the end of the step, which a reading meets, is above VOLTAGE, its mean over the step."""
 VOLTAGE_TILT = 23
 """Half of what the voltage rises within the step, where it does so steadily; the current at its end answers to it."""
-SIZE = 24
+SURFACE_DAMPING = 24
+"""The tissue's damping at the surface, N s/m."""
+DAMPING_GROWTH = 25
+VELOCITY_JUMP = 26
+"""What a blow adds to the probe's velocity at the start of the step: two bodies meet, say."""
+POSITION_SHIFT = 27
+"""What is added to its position besides, where the blow did not fall just at the start of the step."""
+SIZE = 28
 
 MOST_EFFECTS = 4
 """So many effects can act at once."""

@@ -131,6 +131,10 @@ class Effect:
     """Whether its law has one form in every instrument: where it is the cause, little but noise is left.
 
     Laws of materials differ from one to the next, and leave more."""
+    switches: bool = False
+    """Whether something begins or ends at instants that its parameters move.
+
+    A signal then has corners along a parameter, and slopes are taken over wider steps."""
     remedy: str = ""
     """What a technician does about it, in one sentence."""
     on_spring: bool = field(default=True)

@@ -7,16 +7,23 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
+CORNER_A = 0.05
+"""The law's two branches are joined smoothly within so much current."""
+
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Back-EMF by the current at the start of the step, ``s[0]`` its share; the force then by the mean current."""
-    fall, power, other = p[0], p[1], p[2]
+    fall, power, other, bias = p[0], p[1], p[2], p[3]
     current = b[bus.CURRENT]
-    # One law for either sign, joined smoothly within some ten milliamperes.
-    square = current * current + 1e-4
-    strength = fall * math.exp(0.5 * power * math.log(square))
-    strength *= 0.5 * (1.0 + other + (1.0 - other) * current / math.sqrt(square))
-    share = math.exp(-strength) if strength < 0.0 else 1.0 / (1.0 + strength)
+    share = 1.0
+    for k in range(2):
+        # With the current, over what there is without one.
+        flux = current + bias if k == 0 else bias
+        square = flux * flux + CORNER_A * CORNER_A
+        strength = fall * math.exp(0.5 * power * math.log(square))
+        strength *= 0.5 * (1.0 + other + (1.0 - other) * flux / math.sqrt(square))
+        left = math.exp(-strength) if strength < 0.0 else 1.0 / (1.0 + strength)
+        share = left if k == 0 else share / left
     share = min(share, 3.0)
     if where == bus.COIL:
         s[0] = share
@@ -29,16 +36,18 @@ EFFECT = Effect(
     name="flux_saturation",
     stage="coil",
     title="The force constant depends on current",
-    equation="kf = kf0 / (1 + a |i|^n) for i > 0, r a in place of a for i < 0; vanishes with a = 0",
+    equation="kf(i) / kf(0) = f(i + b) / f(b), f(x) = 1 / (1 + a |x|^n), r a in place of a for x < 0; vanishes with "
+    "a = 0",
     signature="force per ampere and back-EMF change with current wherever the probe stands, at once; even distortion "
     "of position under a mean current, odd without one; current itself but little",
     source="Klippel, J. Audio Eng. Soc. 54 (2006) 907-939 (flux modulation)",
     parameters=(
         Parameter("fall", "1/A^n", 0.0, -0.3, 1.0, meaning="relative fall of the force constant at one ampere"),
         Parameter("power", "1", None, 1.0, 5.0, prior=2.0, prior_std=1.0, meaning="how it grows with current"),
-        Parameter("other_sign", "1", None, -2.0, 2.0, prior=0.5, prior_std=0.8, meaning="its share where i < 0"),
+        Parameter("other_sign", "1", None, -2.0, 2.0, prior=0.5, prior_std=0.8, meaning="its share where x < 0"),
+        Parameter("bias_a", "A", None, -3.0, 3.0, prior=0.0, prior_std=0.7, meaning="the magnet's flux as a current"),
     ),
-    starts=((0.04, 2.0, 1.0), (0.04, 1.2, -1.0), (-0.03, 1.2, -1.0)),
+    starts=((0.04, 2.0, 1.0, 0.0), (0.04, 1.2, -1.0, 0.0), (0.1, 1.2, 1.0, 0.6), (0.1, 1.2, 1.0, -0.6)),
     mistaken_for=("reluctance_force", "force_constant_position", "amplifier_clipping"),
     places=(bus.COIL, bus.MECHANICS),
     hook=hook,

@@ -20,6 +20,8 @@ DEPTH_M = 3e-3
 """Depth from which stretch is told; the threshold makes of it what the tissue bears without an answer."""
 RISE_S = 0.012
 """Time of activation and of contraction, where a fit begins."""
+MOST_N = 1.0
+FELT_S = 4e-3
 CORNER = 0.03
 """The one-sided corner is rounded over so much of what is usual: sharp for the eye, smooth for a fit."""
 DELAYS_S = (0.03, 0.055, 0.085, 0.125)
@@ -28,13 +30,15 @@ _ACTIVITY = GRID + 1
 _TRIGGER = GRID + 2
 _PLACE = GRID + 3
 _FORCE = GRID + 4
+_FELT = GRID + 5
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Remembers stretch and its speed in a ring; the muscle answers what it was one delay ago."""
     depth = b[bus.DEPTH]
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    trigger = (1.0 - p[3]) * (depth - DEPTH_M) / STRETCH_M + p[3] * velocity / SPEED_M_S - p[2]
+    s[_FELT] += (velocity - s[_FELT]) * (1.0 - math.exp(-dt / p[6]))
+    trigger = (1.0 - p[3]) * (depth - DEPTH_M) / STRETCH_M + p[3] * s[_FELT] / SPEED_M_S - p[2]
     trigger = 0.5 * (trigger + math.sqrt(trigger * trigger + CORNER * CORNER))
     place = (b[bus.TIME] + 0.5 * dt) / GRID_S
     now = int(place)
@@ -52,7 +56,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         share = 1.0 - math.exp(-dt / p[4])
         s[_ACTIVITY] += (delayed - s[_ACTIVITY]) * share
         s[_FORCE] += (s[_ACTIVITY] - s[_FORCE]) * share
-    b[bus.TISSUE_FORCE] += p[0] * s[_FORCE]
+    force = p[0] * s[_FORCE]
+    b[bus.TISSUE_FORCE] += force / (1.0 + abs(force) / p[5])
 
 
 def usual_stretch(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
@@ -62,7 +67,7 @@ def usual_stretch(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: flo
         return ()
     depths = [float(np.nanmedian(position) - position[np.isfinite(position)][0]) for position in pushed]
     threshold = min(max(0.5 * (max(depths) - DEPTH_M) / STRETCH_M, -4.0), 7.0)
-    return tuple((0.05, delay, threshold, 0.5, RISE_S) for delay in DELAYS_S)
+    return tuple((0.05, delay, threshold, 0.5, RISE_S, MOST_N, FELT_S) for delay in DELAYS_S)
 
 
 EFFECT = Effect(
@@ -81,8 +86,10 @@ EFFECT = Effect(
         Parameter("threshold", "1", None, -5.0, 8.0, meaning="what must be passed, 1 being 0.5 mm or 30 mm/s"),
         Parameter("by_speed", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share that speed triggers"),
         Parameter("rise_s", "s", None, 2e-3, 0.2, True, prior=0.015, prior_std=1.0, meaning="of activation, twice"),
+        Parameter("most_n", "N", None, 0.02, 50.0, True, prior=1.0, prior_std=1.5, meaning="what the muscle can do"),
+        Parameter("felt_s", "s", None, 5e-4, 0.03, True, prior=FELT_S, prior_std=0.7, meaning="in which speed is felt"),
     ),
-    starts=tuple((0.05, delay, 1.2, 0.5, RISE_S) for delay in DELAYS_S),
+    starts=tuple((0.05, delay, 1.2, 0.5, RISE_S, MOST_N, FELT_S) for delay in DELAYS_S),
     mistaken_for=("viscoelasticity", "physiological_motion", "mount_resonance", "contact_loss"),
     places=(bus.TISSUE,),
     hook=hook,
