@@ -61,5 +61,6 @@ EFFECT = Effect(
     mistaken_for=("clock_skew", "latency", "sensor_backlash", "dropped_samples"),
     recording=recording,
     needs=frozenset({"voltage", "position"}),
+    exact=True,
     remedy="Switch the position sensor's filter to its widest, or measure it against a step and set the twin's.",
 )
