@@ -91,7 +91,8 @@ def test_where_more_is_asked_less_may_be_left():
         (("preconditioning",), {"coil": 0.4, "tissue": 0.6}, False),
         (("preconditioning",), {"mechanics": 1.0}, False),
         (("preconditioning", "flux_saturation"), {"coil": 1.0}, False),
-        (("sensor_lag",), {"coil": 1.0}, False),
+        (("sensor_lag",), {"coil": 1.0}, True),
+        (("sensor_backlash",), {"coil": 1.0}, False),
         (("preconditioning",), {}, False),
     ],
 )

@@ -403,11 +403,17 @@ def test_a_surface_left_behind_returns_by_its_own_stiffness_and_damping(slowing_
 
 
 def thrown(seconds, slowing_s, adhesion_n):
-    """Depth of a heavy probe without a coil that is thrown out of the tissue from 5 mm, by events; and how often it lifts."""
+    """Depth of a heavy probe without a coil that tissue throws out from 5 mm, by events, and how often it lifts."""
     mass, drag, weight, taken = 0.3, 0.5, 1.0, TISSUE.mass_kg
-    stiffness = lambda y: TISSUE.stiffness_n_per_m * math.exp(TISSUE.stiffness_growth_per_m * y)  # noqa: E731
-    damping = lambda y: TISSUE.damping_n_s_per_m * math.exp(TISSUE.damping_growth_per_m * y)  # noqa: E731
-    pull = lambda gap: adhesion_n / (1.0 + (max(gap, 0.0) / 3e-5) ** 2)  # noqa: E731
+
+    def stiffness(y):
+        return TISSUE.stiffness_n_per_m * math.exp(TISSUE.stiffness_growth_per_m * y)
+
+    def damping(y):
+        return TISSUE.damping_n_s_per_m * math.exp(TISSUE.damping_growth_per_m * y)
+
+    def pull(gap):
+        return adhesion_n / (1.0 + (max(gap, 0.0) / 3e-5) ** 2)
 
     def together(t, x):
         force = weight - drag * x[1] - stiffness(x[0]) * x[0] - damping(x[0]) * x[1]
@@ -447,9 +453,7 @@ def thrown(seconds, slowing_s, adhesion_n):
 @pytest.mark.parametrize(("slowing_s", "adhesion_n"), [(10.0, 1e-3), (0.02, 0.05)])
 def test_lifting_off_and_landing_follow_the_law_of_two_bodies(slowing_s, adhesion_n):
     expected, lifts = thrown(0.15, slowing_s, adhesion_n)
-    device = Instrument(
-        weight_n=1.0, force_constant_n_per_a=1e-9, moving_mass_kg=0.3, bearing_damping_n_s_per_m=0.5
-    )
+    device = Instrument(weight_n=1.0, force_constant_n_per_a=1e-9, moving_mass_kg=0.3, bearing_damping_n_s_per_m=0.5)
     acting = [Acting(effect("contact_loss"), np.array([slowing_s, adhesion_n]))]
     start = Start(0.0, SURFACE + 0.005, -0.2)
     found = simulate(np.zeros(expected.size), RATE, device, TISSUE, start, acting).readings.position - SURFACE
