@@ -21,7 +21,9 @@ DEPTH_M = 3e-3
 RISE_S = 0.012
 """Time of activation and of contraction, where a fit begins."""
 MOST_N = 1.0
+"""What a small muscle presses with at most, where a fit begins."""
 FELT_S = 4e-3
+"""Spindles feel speed through some milliseconds."""
 CORNER = 0.03
 """The one-sided corner is rounded over so much of what is usual: sharp for the eye, smooth for a fit."""
 DELAYS_S = (0.03, 0.055, 0.085, 0.125)
@@ -34,7 +36,7 @@ _FELT = GRID + 5
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Remembers stretch and its speed in a ring; the muscle answers what it was one delay ago."""
+    """Remembers stretch and its speed in a ring; the muscle answers what it was one delay ago, as far as it can."""
     depth = b[bus.DEPTH]
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     s[_FELT] += (velocity - s[_FELT]) * (1.0 - math.exp(-dt / p[6]))
@@ -74,8 +76,8 @@ EFFECT = Effect(
     name="reflex",
     stage="tissue",
     title="A reflex answers stretch",
-    equation="F = G f, (1 + T d/dt)^2 f = max(0, (1 - h) (d - 3 mm) / 0.5 mm + h v / 30 mm/s - c) one delay ago; "
-    "vanishes with G = 0",
+    equation="F = G f / (1 + |G f| / M), (1 + T d/dt)^2 f = max(0, (1 - h) (d - 3 mm) / 0.5 mm + h w / 30 mm/s - c) "
+    "one delay ago, (1 + S d/dt) w = v; vanishes with G = 0",
     signature="position pushed out 20 to 150 ms after every fast push in, never the other way; ripples in the response "
     "against frequency, spaced by the inverse of the delay; nothing on the spring",
     source="Kearney, Stein & Parameswaran, IEEE Trans. Biomed. Eng. 44 (1997) 493-504 (delayed one-sided velocity, "
