@@ -18,7 +18,9 @@ COIL = 2
 MECHANICS = 3
 """May add to FORCE, DAMPING and MASS: what acts on the moving part whether there is tissue or not."""
 TISSUE = 4
-"""May change TISSUE_FORCE, TISSUE_DAMPING and TISSUE_MASS; called on tissue alone, never on the calibration spring."""
+"""May change TISSUE_FORCE, TISSUE_DAMPING and TISSUE_MASS, and give VELOCITY_JUMP and POSITION_SHIFT.
+
+It is called on tissue alone, never on the calibration spring."""
 PLACES = 5
 
 # The bus.
