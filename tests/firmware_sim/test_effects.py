@@ -269,7 +269,7 @@ def test_tissue_softens_as_it_is_worked(baseline):
 @pytest.mark.parametrize("level", [0.5, 4.0])
 @pytest.mark.parametrize("adhesion_n", [0.0, 0.02, 0.3])
 def test_lifting_off_and_landing_is_found_in_time(level, adhesion_n):
-    # Three thousandths of the motion; the least that a scenario shows of lifting off is ten times as much.
+    # It was two to six hundredths where each of the loop's steps was another collision.
     lost = EFFECTS["contact_loss"](level=level, adhesion_n=adhesion_n)
     one, fine = (recorded([lost], figures=SHALLOW, substeps=n) for n in (20, 80))
     assert change(one, fine, "position") < 3e-3
