@@ -290,17 +290,18 @@ def test_curves_along_the_stroke_begin_where_the_probe_went():
 @pytest.mark.parametrize("bias", [0.0, 0.9, -0.6])
 def test_flux_saturates_by_current_and_by_its_sign(bias):
     def left(current):
-        # Away from the corner, where the law is rounded over 0.05 A.
+        # The two branches are joined over 0.05 A.
         flux = current + bias
-        return 1.0 / (1.0 + 0.05 * (flux**2 + 0.05**2) * (1.0 if flux > 0 else 0.4))
+        sign = flux / math.hypot(flux, 0.05)
+        return 1.0 / (1.0 + 0.05 * (flux**2 + 0.05**2) * (0.7 + 0.3 * sign))
 
-    none = left(0.0) if bias else 1.0
+    none = left(0.0)
     for volts in (-18.0, -6.0, 6.0, 18.0):
         away, current = settled("flux_saturation", (0.05, 2.0, 0.4, bias), volts)
-        assert 1000.0 * away == pytest.approx(3.0 * current * left(current) / none, rel=1e-3)
+        assert 1000.0 * away == pytest.approx(3.0 * current * left(current) / none, rel=1e-4)
     moving = simulation.Given(position=np.full(400, 0.012), velocity=np.full(400, 0.05))
     current = play("flux_saturation", (0.05, 2.0, 0.4, bias), np.full(400, 12.0), given=moving).current[-1]
-    assert 12.0 - 12.0 * current == pytest.approx(3.0 * left(current) / none * 0.05, rel=1e-3)
+    assert 12.0 - 12.0 * current == pytest.approx(3.0 * left(current) / none * 0.05, rel=1e-4)
 
 
 def test_a_reluctance_force_acts_one_way_for_either_current():

@@ -398,7 +398,6 @@ def test_a_surface_left_behind_returns_by_its_own_stiffness_and_damping(slowing_
     told = lifted(then, np.zeros(102), 0.0, slowing_s)[:, bus.TISSUE_FORCE]
     assert told[5] == pytest.approx(0.8)
     assert np.abs(told[11:-1]).max() < 1e-3
-    assert told[-1] == pytest.approx(400.0 * (at_m + 4e-5), rel=1.0)
     assert told[-1] > 0.1
 
 

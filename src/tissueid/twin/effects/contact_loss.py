@@ -7,11 +7,11 @@ import math
 from numba import njit
 
 from tissueid.twin import bus
+from tissueid.twin._kernel import grown
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REACH_M = 3e-5
 """Gap at which what sticks pulls half as much as at the surface."""
-MOST_EXPONENT = 12.0
 LEAST_DAMPING = 1e-3
 """N s/m; a surface without any, or mass, would be back at once."""
 
@@ -50,8 +50,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         # The surface by itself, its law taken in the middle of what it goes on by.
         before = s[SURFACE_VELOCITY]
         surface = s[SURFACE] + 0.5 * dt * before
-        stiffness = b[bus.STIFFNESS] * math.exp(min(b[bus.STIFFNESS_GROWTH] * surface, MOST_EXPONENT))
-        damping = b[bus.SURFACE_DAMPING] * math.exp(min(b[bus.DAMPING_GROWTH] * surface, MOST_EXPONENT))
+        stiffness = grown(b[bus.STIFFNESS], b[bus.STIFFNESS_GROWTH], surface)
+        damping = grown(b[bus.SURFACE_DAMPING], b[bus.DAMPING_GROWTH], surface)
         damping = max(damping * (1.0 + (s[TIME_OFF] + 0.5 * dt) / p[0]), LEAST_DAMPING)
         pulled = p[1] * pull(s[GAP], max(s[GAP] + dt * (before - middle), 0.0))
         settled = -(stiffness * surface + pulled) / damping
