@@ -18,9 +18,10 @@ DEVICE = DeviceDescription(**NOMINAL)
 
 @cache
 def scenario(effect: str = "", seed: int = 3, *, full: bool = False) -> DrawnScenario:
-    """A scenario with that effect alone, or with none."""
-    others = tuple(name for name in LISTED if name != effect)
-    return draw_scenario(seed, effects=1 if effect else 0, without=others if effect else (), full=full)
+    """A scenario with that effect alone, with several joined by a plus, or with none."""
+    wanted = effect.split("+") if effect else []
+    others = tuple(name for name in LISTED if name not in wanted)
+    return draw_scenario(seed, effects=len(wanted), without=others if wanted else (), full=full)
 
 
 @cache

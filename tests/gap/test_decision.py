@@ -23,16 +23,22 @@ from tissueid.gap.scoring import Candidate, ChannelError
 from tissueid.twin.effect import STAGES
 
 
-def candidate(score: float, order: int = 1) -> Candidate:
-    """With that score, and an effect of so many parameters."""
-    effects = [SimpleNamespace(name="any", order=order)] if order else []
-    fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects), theta=np.zeros(order))
+def candidate(score: float, *orders: int) -> Candidate:
+    """With that score, and effects of so many parameters; one of one where none is given, no effect for 0."""
+    effects = [SimpleNamespace(name="any", order=order) for order in orders or (1,) if order]
+    fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects), theta=np.zeros(sum(orders)))
     left = ChannelError(1, "position", float(np.exp(2.0 * score)), 1.0, 10.0, 1000)
     return Candidate(tuple(item.name for item in effects), fitted, (left,), (left,))  # type: ignore[arg-type]
 
 
 def test_every_coordinate_costs():
     assert cost(candidate(1.0, 2)) - cost(candidate(1.0, 1)) == pytest.approx(THRESHOLDS.complexity)
+
+
+def test_only_so_many_coordinates_of_each_effect_cost():
+    most = THRESHOLDS.most_counted
+    assert cost(candidate(1.0, most + 3)) == pytest.approx(cost(candidate(1.0, most)))
+    assert cost(candidate(1.0, most, 3)) - cost(candidate(1.0, most, 2)) == pytest.approx(THRESHOLDS.complexity)
 
 
 def test_no_gap_where_nothing_is_left():
@@ -130,6 +136,9 @@ def test_a_second_effect_must_be_worth_it():
     assert better_pair(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
     assert not better_pair(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
     assert not better_pair(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
+    # A little gained is enough where it takes all that was left, but not where that is chance.
+    assert better_pair(candidate(0.5, 1), candidate(0.1, 2), 0.97, 0.98)
+    assert not better_pair(candidate(0.3, 1), candidate(0.05, 2), 0.97, 0.99)
     # Its form may be at fault where the gap is hardly smaller than with one effect.
     assert not better_pair(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
     assert not better_pair(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))

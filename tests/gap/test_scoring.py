@@ -86,7 +86,7 @@ def test_a_candidate_is_chosen_by_one_part_and_checked_on_the_other():
     fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects))
     candidate = Candidate(("a", "b"), fitted, (error(square=np.e**2),), (error(square=1e6),))  # type: ignore[arg-type]
     assert candidate.score == pytest.approx(1.0)
-    assert candidate.order == 3
+    assert candidate.orders == (2, 1)
 
 
 def test_of_four_stretches_nine_intervals_in_ten_hold_the_truth():

@@ -112,7 +112,8 @@ def test_the_same_twice():
 
 def test_a_leader_that_fills_the_chain_has_no_partners():
     full = Candidate(("cogging", "end_stop", "latency", "reflex"), found("dry_friction").baseline.fit, (), ())
-    assert Search(observed("dry_friction"), Alone(), CANDIDATES).partners([full]) == ()
+    search = Search(observed("dry_friction"), Alone(), CANDIDATES)
+    assert search.partners(found("dry_friction").baseline, [full]) == ()
 
 
 def test_candidates_that_do_not_exist_find_nothing():
@@ -128,6 +129,20 @@ def test_a_special_case_begins_where_its_general_form_ended():
     assert set(by_name) == set(general)
     # What is a special case fits no better than the general form, and here nearly as well.
     assert by_name["dry_friction"].score == pytest.approx(by_name["directional_friction"].score, abs=0.05)
+
+
+def test_a_pair_is_named_among_near_relations_and_other_delays():
+    # Its general form leads the friction at first, and eddy currents the delays.
+    alike = ("directional_friction", "dry_friction", "latency", "eddy_currents")
+    told = diagnose(observed("dry_friction+latency", seed=5, samples=SAMPLES), Alone(), candidates=alike)
+    assert set(told.combination) == {"dry_friction", "latency"}
+    assert told.gap.closed > 0.9
+
+
+def test_coarse_steps_are_named_beside_another_effect():
+    candidates = ("clock_skew", "quantization", "sensor_nonlinearity")
+    told = diagnose(observed("clock_skew+quantization", seed=3, samples=SAMPLES), Alone(), candidates=candidates)
+    assert set(told.combination) == {"clock_skew", "quantization"}
 
 
 def test_a_second_round_loses_nothing_of_the_first():

@@ -9,7 +9,7 @@ import pytest
 from tissueid.errors import UnusableInputError
 from tissueid.twin import bus, figures, simulation
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import STAGES, Effect
+from tissueid.twin.effect import STAGES, Effect, kin
 
 RATE = 2000.0
 SURFACE = 0.009
@@ -212,3 +212,11 @@ def test_a_test_twice_gives_the_same_twice(one):
     first, second = play(at(one, one.starts[0])), play(at(one, one.starts[0]))
     for name in NOISE:
         np.testing.assert_array_equal(first[name], second[name])
+
+
+def test_a_special_case_and_its_general_form_are_kin():
+    dry, directional, drag = map(effect, ("dry_friction", "directional_friction", "quadratic_drag"))
+    assert kin(dry, directional)
+    assert kin(directional, dry)
+    assert not kin(dry, drag)
+    assert not kin(drag, drag)

@@ -113,7 +113,8 @@ def accept_named(
         baseline = best = search.baseline(known)
         observed = baseline.fit.parameters.observed
         for name in names:
-            tried = Search(observed, people, [name], lambda step: show(step.what, _share(step))).partners([best])
+            search = Search(observed, people, [name], lambda step: show(step.what, _share(step)))
+            tried = search.partners(best, [best])
             if not tried:
                 raise UnusableInputError(f"these records hold no trace of the effect {name}")
             best = tried[0]

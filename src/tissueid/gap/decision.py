@@ -1,8 +1,8 @@
 """From scores to words: is there a gap, does a candidate explain it, and how sure is that.
 
-The thresholds were set with eighty scenarios of the simulated laboratory in view, those of pairs with 249 (decision
-0025), where more is asked with the same and parts of another draw (decision 0026): none with the one that docs/gap.md
-reports.
+The thresholds were set with eighty scenarios of the simulated laboratory in view, those of pairs with 249 and some
+more (decisions 0025 and 0028), where more is asked with the same and parts of another draw (decision 0026): none with
+the one that docs/gap.md reports.
 """
 
 from __future__ import annotations
@@ -40,12 +40,13 @@ class Thresholds:
     clear_share: float = 0.12
     """The share of the score that may be left where more is asked: of an effect whose law is exact, and where the
     stages' own evidence speaks for another stage."""
-    pair_gain: float = 0.5
+    pair_gain: float = 0.3
     """What a second effect must lower the score by, in nats ..."""
     pair_leaves: float = 0.36
-    """... and the share of the gap left by the first one that it may leave at most."""
+    """... and the share of the gap left by the first one that it may leave at most, unless both leave no more than the
+    floor."""
     nearly_all: float = 0.985
-    """Where a single effect closes this share of the gap no second one is looked for."""
+    """Where this share of the gap is closed no longer search is worth its time."""
     temperature: float = 0.06
     """Differences in score below this are no evidence for one rival against another ..."""
     temperature_share: float = 0.1
@@ -53,7 +54,7 @@ class Thresholds:
     complexity: float = 0.01
     """What every further coordinate costs ..."""
     most_counted: int = 5
-    """... up to so many: what tables of many values fit too much shows in held-out data."""
+    """... up to so many of each effect: what tables of many values fit too much shows in held-out data."""
 
 
 THRESHOLDS = Thresholds()
@@ -61,7 +62,8 @@ THRESHOLDS = Thresholds()
 
 def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
     """Score with what its coordinates cost; candidates are compared by it."""
-    return candidate.score + thresholds.complexity * min(candidate.order, thresholds.most_counted)
+    counted = sum(min(order, thresholds.most_counted) for order in candidate.orders)
+    return candidate.score + thresholds.complexity * counted
 
 
 def probabilities(
@@ -147,5 +149,8 @@ def better_pair(
         closed_by_pair: share that the pair closes.
         thresholds: where words change.
     """
-    gained = cost(single, thresholds) - cost(pair, thresholds)
-    return gained >= thresholds.pair_gain and 1.0 - closed_by_pair <= thresholds.pair_leaves * (1.0 - closed)
+    if cost(single, thresholds) - cost(pair, thresholds) < thresholds.pair_gain:
+        return False
+    if pair.score <= thresholds.at_the_floor:
+        return closed_by_pair >= closed
+    return 1.0 - closed_by_pair <= thresholds.pair_leaves * (1.0 - closed)

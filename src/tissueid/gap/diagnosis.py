@@ -29,7 +29,7 @@ from tissueid.gap.search import Found, Progress, Search
 from tissueid.gap.where import Where, where
 from tissueid.gap.workers import Crew
 from tissueid.twin.catalogue import effect
-from tissueid.twin.effect import Stage
+from tissueid.twin.effect import Stage, kin
 
 RANKED = 10
 """So many candidates are listed."""
@@ -206,18 +206,33 @@ def _settled(baseline: Candidate, best: Candidate) -> bool:
 
 
 def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found, Candidate]:
-    # A second effect beside the best ones; no third is looked for.
-    leaders = sorted(found.candidates, key=cost)[:LEADERS]
-    if _settled(found.baseline, best):
+    # A second effect beside the best ones, where enough is left for one; no third is looked for.
+    baseline = found.baseline
+    if cost(best) <= THRESHOLDS.pair_gain:
         return found, best
-    pairs = search.partners(leaders, found.signatures)
+    pairs = search.partners(baseline, _leaders(found))
+    if _better(baseline, best, pairs) and not _settled(baseline, min(pairs, key=cost)):
+        pairs = search.further_partners(baseline, min(pairs, key=cost), pairs)
     candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
+    if _better(baseline, best, pairs):
+        best = min(pairs, key=cost)
+    return Found(baseline, found.signatures, candidates), best
+
+
+def _leaders(found: Found) -> list[Candidate]:
+    # Of near relations only the first: their partners are the same, and a pair's relations are tried after it.
+    leaders: list[Candidate] = []
+    for item in sorted(found.candidates, key=cost):
+        if not any(kin(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders):
+            leaders.append(item)
+    return leaders[:LEADERS]
+
+
+def _better(baseline: Candidate, best: Candidate, pairs: Sequence[Candidate]) -> bool:
     pair = min(pairs, key=cost, default=None)
     if pair is None:
-        return found, best
-    if better_pair(best, pair, announced(found.baseline, best), announced(found.baseline, pair)):
-        best = pair
-    return Found(found.baseline, found.signatures, candidates), best
+        return False
+    return better_pair(best, pair, announced(baseline, best), announced(baseline, pair))
 
 
 def figures_of(observed: Observed, baseline: Candidate, best: Candidate | None) -> GapFigures:

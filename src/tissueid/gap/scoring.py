@@ -133,9 +133,9 @@ class Candidate:
         return score(self.chosen_by)
 
     @property
-    def order(self) -> int:
-        """Number of coordinates of the effects that all tests share."""
-        return sum(effect.order for effect in self.fit.parameters.effects)
+    def orders(self) -> tuple[int, ...]:
+        """Number of coordinates of each effect that all tests share."""
+        return tuple(effect.order for effect in self.fit.parameters.effects)
 
 
 def judged(fitted: Fit) -> Candidate:

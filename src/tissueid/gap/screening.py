@@ -45,13 +45,11 @@ class Screen:
         self._left = self.surviving(baseline.residuals)
         self._size = float(self._left @ self._left)
 
-    def signatures(self, effect: Effect, starts: Sequence[tuple[float, ...]] | None = None) -> list[Signature]:
-        """The signature of an effect at each starting point; at all that it has where None are given."""
-        if starts is None:
-            starts = starts_of(self._baseline.parameters.observed, effect, self._baseline.predictions)
-            starts = (*starts, *self._shows_best(effect))
+    def signatures(self, effect: Effect) -> list[Signature]:
+        """The signature of an effect at each starting point."""
+        declared = starts_of(self._baseline.parameters.observed, effect, self._baseline.predictions)
         found = []
-        for start in starts:
+        for start in (*declared, *self._shows_best(effect)):
             added, slopes = differences(self._baseline, effect, start)
             span = self.surviving(np.column_stack([added, slopes]))
             sizes = np.linalg.norm(span, axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -16,7 +16,7 @@ from tissueid.gap.screening import Screen, Signature, contenders
 from tissueid.gap.workers import Crew
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import Effect
+from tissueid.twin.effect import Effect, kin
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -43,6 +43,8 @@ FURTHER_FINAL = 8
 PARTNERS = 4
 """So many partners of each leading candidate are tried."""
 FINAL_PAIRS = 2
+FURTHER_PARTNERS = 6
+"""So many more partners of each member of a pair are tried where the pair leaves much."""
 
 
 @dataclass(frozen=True)
@@ -75,20 +77,9 @@ def refit(task: Task) -> Candidate:
     return judged(read_again(found, task.most_steps))
 
 
-@dataclass(frozen=True)
-class Look:
-    """Signatures to be taken: of an effect at one starting point, or at all of its own where None."""
-
-    name: str
-    start: tuple[float, ...] | None = None
-
-    def __str__(self) -> str:
-        return self.name
-
-
-def screen(near: Fit, look: Look) -> list[Signature]:
+def screen(near: Fit, name: str) -> list[Signature]:
     """Signatures of an effect against what a fit leaves; runs in a worker's process."""
-    return Screen(near).signatures(effect(look.name), None if look.start is None else [look.start])
+    return Screen(near).signatures(effect(name))
 
 
 def applicable(observed: Observed, item: Effect) -> bool:
@@ -168,7 +159,7 @@ class Search:
 
     def singles(self, baseline: Candidate) -> Found:
         """Every candidate alone."""
-        signatures = self._screened(baseline.fit, {})
+        signatures = self._screened(baseline.fit)
         worth = contenders(signatures)[:SINGLES]
         heats = self._heats("likeliest candidates", baseline, worth[:FIRST])
         if heats and min(item.score for item in heats) <= THRESHOLDS.at_the_floor:
@@ -176,7 +167,7 @@ class Search:
             worth = [item for item in worth if item.alignment >= RIVAL_ALIGNMENT * worth[0].alignment]
         heats += self._heats("candidates", baseline, worth[FIRST:])
         candidates = self._finals("leading candidates", heats, FINAL)
-        return Found(baseline, tuple(signatures), self._with_special_cases(baseline, candidates))
+        return Found(baseline, tuple(signatures), self._with_kin(baseline, candidates))
 
     def further(self, found: Found) -> Found:
         """The same from more starting points, and with more of its candidates followed to the end.
@@ -191,39 +182,67 @@ class Search:
         finished = [item for item in found.candidates if item.fit.steps != self._heat]
         finals = self._finals("further candidates", [*heats, *on_the_way], FURTHER_FINAL)
         candidates = _best_of_each([*finished, *finals])
-        return Found(found.baseline, found.signatures, self._with_special_cases(found.baseline, candidates))
+        return Found(found.baseline, found.signatures, self._with_kin(found.baseline, candidates))
 
-    def _with_special_cases(self, baseline: Candidate, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        # The special cases of the leader once more, from where the leader lies.
+    def _with_kin(self, baseline: Candidate, candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        # The leader once more, each of its effects that has a special case or a general form replaced by that.
         if not candidates:
             return ()
-        near = candidates[0].fit
-        general = near.parameters.effects[-1]
-        values = near.parameters.effect_values(near.theta, general, near.parameters.observed.tests[0].number)
-        led = {item.name: float(value) for item, value in zip(general.parameters, values, strict=True)}
-        before = [held.starts[0] for held in baseline.fit.parameters.effects]
-        tasks = []
-        for case in map(effect, self._names):
-            if case.special_case_of == general.name:
-                declared = zip(case.parameters, case.starts[0], strict=True)
-                start = tuple(led.get(item.name, at) for item, at in declared)
-                tasks.append(Task(self._observed, (*baseline.effects, case.name), (*before, start), near, MOST_STEPS))
-        return _best_of_each([*candidates, *self._tell("special cases", refit, tasks)])
+        leader = candidates[0]
+        tasks = [
+            self._with_another(leader.fit, held, other)
+            for held in leader.fit.parameters.effects
+            for other in map(effect, self._names)
+            if held.name not in baseline.effects and other.name not in leader.effects and kin(held, other)
+        ]
+        return _best_of_each([*candidates, *self._tell("near relations", refit, tasks)])
 
-    def partners(self, leaders: Sequence[Candidate], signatures: Sequence[Signature] = ()) -> tuple[Candidate, ...]:
-        """The leading candidates with one more effect each, best first.
+    def _with_another(self, near: Fit, held: Effect, other: Effect) -> Task:
+        # Begins where the fit lies: parameters of the same name mean the same in both.
+        values = near.parameters.effect_values(near.theta, held, near.parameters.observed.tests[0].number)
+        led = {item.name: float(value) for item, value in zip(held.parameters, values, strict=True)}
+        there = tuple(led.get(item.name, at) for item, at in zip(other.parameters, other.starts[0], strict=True))
+        effects = [other if item is held else item for item in near.parameters.effects]
+        starts = tuple(there if item is other else item.starts[0] for item in effects)
+        return Task(self._observed, tuple(item.name for item in effects), starts, near, MOST_STEPS)
 
-        ``signatures`` against the baseline say at which starting point each effect is looked at; all are without them.
+    def partners(self, baseline: Candidate, leaders: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """The leading candidates with one more effect each, best first; none of the baseline's gives way to another.
+
         A leader that holds as many effects as the chain takes has none.
         """
-        starts = {item.effect: item.start for item in sorted(signatures, key=lambda item: item.alignment)}
         heats = [
             pair
             for leader in leaders
             if len(leader.effects) < MOST_EFFECTS
-            for pair in self._heats("pairs", leader, contenders(self._screened(leader.fit, starts))[:PARTNERS])
+            for pair in self._heats("pairs", leader, self._likely_partners(leader)[:PARTNERS])
         ]
-        return self._finals("leading pairs", heats, FINAL_PAIRS)
+        return self._with_kin(baseline, self._finals("leading pairs", heats, FINAL_PAIRS))
+
+    def further_partners(
+        self, baseline: Candidate, pair: Candidate, tried: Sequence[Candidate]
+    ) -> tuple[Candidate, ...]:
+        """More partners of each member of a pair, for where it leaves much: one of the two may be the wrong one.
+
+        Those ``tried`` already are not tried again; they are among the answer, best first.
+        """
+        added = [name for name in pair.effects if name not in baseline.effects]
+        alone = [
+            Task(self._observed, tuple(name for name in pair.effects if name != other), (), pair.fit, self._heat)
+            for other in added
+        ]
+        known = {frozenset(item.effects) for item in tried}
+        heats = []
+        for member in self._tell("members of the pair", refit, alone):
+            likely = self._likely_partners(member)
+            fresh = [item for item in likely if frozenset((*member.effects, item.effect)) not in known]
+            heats += self._heats("further pairs", member, fresh[:FURTHER_PARTNERS])
+        finals = self._finals("further leading pairs", heats, FINAL_PAIRS)
+        return self._with_kin(baseline, _best_of_each([*tried, *finals]))
+
+    def _likely_partners(self, leader: Candidate) -> list[Signature]:
+        # At all starting points: what showed best beside the baseline need not do so beside the leader.
+        return contenders(self._screened(leader.fit))
 
     def _heats(self, what: str, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
@@ -249,10 +268,10 @@ class Search:
         others = [item for item in ranked if all(item is not other for other in going_on)]
         return tuple(sorted((*finished, *others), key=lambda item: item.score))
 
-    def _screened(self, near: Fit, starts: Mapping[str, tuple[float, ...]]) -> list[Signature]:
+    def _screened(self, near: Fit) -> list[Signature]:
         there = {item.name for item in near.parameters.effects}
-        looks = [Look(name, starts.get(name)) for name in self._names if name not in there]
-        found = self._tell("screening", partial(screen, near), looks)
+        names = [name for name in self._names if name not in there]
+        found = self._tell("screening", partial(screen, near), names)
         return [item for items in found for item in items]
 
     def _tell(self, what: str, work: Callable[[T], R], things: Sequence[T]) -> list[R]:

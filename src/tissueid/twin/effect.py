@@ -156,3 +156,8 @@ class Effect:
     def order(self) -> int:
         """Number of parameters that all tests share and a fit searches for; per-test ones come besides."""
         return sum(not (parameter.per_test or parameter.fixed) for parameter in self.parameters)
+
+
+def kin(one: Effect, other: Effect) -> bool:
+    """Whether one of two effects is a special case of the other."""
+    return one.special_case_of == other.name or other.special_case_of == one.name
