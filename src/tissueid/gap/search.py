@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from tissueid.gap.decision import THRESHOLDS
 from tissueid.gap.fitting import MOST_STEPS, Fit, fit, read_again
@@ -47,11 +47,29 @@ FURTHER_PARTNERS = 6
 """So many more partners of each member of a pair are tried where the pair leaves much."""
 
 
+Work = Literal[
+    "baseline",
+    "screening",
+    "likeliest candidates",
+    "candidates",
+    "leading candidates",
+    "further starting points",
+    "further candidates",
+    "near relations",
+    "pairs",
+    "leading pairs",
+    "members of the pair",
+    "further pairs",
+    "further leading pairs",
+]
+"""What a search is busy with."""
+
+
 @dataclass(frozen=True)
 class Progress:
     """What is being done: ``done`` of ``total`` pieces of ``what``."""
 
-    what: str
+    what: Work
     done: int
     total: int
 
@@ -244,7 +262,7 @@ class Search:
         # At all starting points: what showed best beside the baseline need not do so beside the leader.
         return contenders(self._screened(leader.fit))
 
-    def _heats(self, what: str, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
+    def _heats(self, what: Work, near: Candidate, signatures: Sequence[Signature]) -> list[Candidate]:
         worth = [item for item in signatures if item.alignment >= LEAST_ALIGNMENT]
         before = [held.starts[0] for held in near.fit.parameters.effects]
         tasks = [
@@ -253,7 +271,7 @@ class Search:
         ]
         return self._tell(what, refit, tasks)
 
-    def _finals(self, what: str, heats: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
+    def _finals(self, what: Work, heats: Sequence[Candidate], count: int) -> tuple[Candidate, ...]:
         ranked = _best_of_each(heats)
         if ranked and ranked[0].score <= THRESHOLDS.at_the_floor:
             count = sum(item.score <= RIVAL_SCORE for item in ranked[:count])
@@ -274,7 +292,9 @@ class Search:
         found = self._tell("screening", partial(screen, near), names)
         return [item for items in found for item in items]
 
-    def _tell(self, what: str, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
+    def _tell(self, what: Work, work: Callable[[T], R], things: Sequence[T]) -> list[R]:
+        if not things:
+            return []
         count = 0
 
         def done(_: object) -> None:

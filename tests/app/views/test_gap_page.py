@@ -3,6 +3,7 @@
 import functools
 import json
 import threading
+from typing import get_args
 
 import pytest
 from app.benches import WAIT_MS
@@ -16,6 +17,7 @@ from tissueid.app.language import speak, spoken
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.proposal import Proposal
 from tissueid.audit import AuditLog, last_lines
+from tissueid.gap.search import Work
 from tissueid.instrument.twin_file import read_twin
 from tissueid.sessions import write_session
 from tissueid.twin import catalogue as shelf
@@ -243,6 +245,10 @@ def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_wi
     else:
         assert not window.close()
         qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
+
+
+def test_all_that_a_search_is_busy_with_has_words():
+    assert set(diagnosing.WORDS) == set(get_args(Work))
 
 
 def test_processes_of_their_own_leave_when_cancelled(friction):

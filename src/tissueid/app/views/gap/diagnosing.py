@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,17 +15,27 @@ from tissueid.errors import UnusableInputError
 if TYPE_CHECKING:
     from tissueid.app.views.gap.story import Story
     from tissueid.gap.diagnosis import Diagnosis
+    from tissueid.gap.search import Work
     from tissueid.gap.workers import Crew
     from tissueid.instrument.twin_file import TwinFile
 
-_PHASES = {
+WORDS: Mapping[Work, str] = {
     "baseline": marked("Fitting the baseline twin"),
     "screening": marked("Looking at every known effect"),
-    "candidates": marked("Fitting the likeliest effects"),
+    "likeliest candidates": marked("Fitting the likeliest effects"),
+    "candidates": marked("Fitting the other effects"),
     "leading candidates": marked("Fitting the leading effects to the end"),
+    "further starting points": marked("Fitting from further starting points"),
+    "further candidates": marked("Fitting further effects to the end"),
+    "near relations": marked("Fitting near relations of what leads"),
     "pairs": marked("Fitting pairs of effects"),
     "leading pairs": marked("Fitting the leading pairs to the end"),
+    "members of the pair": marked("Fitting each half of the best pair"),
+    "further pairs": marked("Fitting further pairs of effects"),
+    "further leading pairs": marked("Fitting further pairs to the end"),
 }
+"""What the search is busy with, as the page says it."""
+_ENDS: frozenset[Work] = frozenset({"leading candidates", "near relations", "leading pairs", "further leading pairs"})
 _LAST = marked("Working out where, which and how far")
 
 
@@ -102,8 +112,8 @@ def _diagnosed(asked: Asked, step: Step, crew: Crew, cancelled: Callable[[], boo
     speak(asked.language)  # in another process nobody has yet
 
     def told(progress: Progress) -> None:
-        over = progress.what.startswith("leading") and progress.done == progress.total
-        step(_LAST if over else _PHASES.get(progress.what, progress.what), progress.done, progress.total)
+        over = progress.what in _ENDS and progress.done == progress.total
+        step(_LAST if over else WORDS[progress.what], progress.done, progress.total)
 
     step(marked("Reading the session"), 0, 0)
     twin = None if asked.twin is None else read_twin(asked.twin)
