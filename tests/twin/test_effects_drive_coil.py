@@ -155,12 +155,19 @@ def test_clipping_spans_hard_and_soft_limits():
 
 def test_a_dead_zone_swallows_small_commands():
     command = np.linspace(-10.0, 10.0, 501)
-    wide = play("amplifier_deadband", (2.0, 1.0, 100.0), command).voltage
+    wide = play("amplifier_deadband", (2.0, 1.0, 100.0, 0.0), command).voltage
     np.testing.assert_allclose(wide, np.sign(command) * np.maximum(np.abs(command) - 2.0, 0.0), atol=0.02)
-    gate = play("amplifier_deadband", (2.0, 0.0, 100.0), command).voltage
+    gate = play("amplifier_deadband", (2.0, 0.0, 100.0, 0.0), command).voltage
     away = np.abs(np.abs(command) - 2.0) > 0.3
     np.testing.assert_allclose(gate[away], np.where(np.abs(command) > 2.0, command, 0.0)[away], atol=1e-5)
     assert gate[250] == 0.0
+
+
+def test_within_a_dead_zone_a_share_of_the_gain_may_be_left():
+    command = np.linspace(-10.0, 10.0, 501)
+    found = play("amplifier_deadband", (4.0, 1.0, 100.0, 0.25), command).voltage
+    size = np.abs(command)
+    np.testing.assert_allclose(found, np.sign(command) * np.where(size > 4.0, size - 3.0, 0.25 * size), atol=0.03)
 
 
 def test_gain_and_offset_drift():

@@ -10,7 +10,7 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """What is lost round zero, and the part of it that stays lost; the state holds the last command and its answer."""
-    width, kept, corner = p[0], p[1], p[2]
+    width, kept, corner, missing = p[0], p[1], p[2], 1.0 - p[3]
     mean = b[bus.VOLTAGE]
     end = mean + b[bus.VOLTAGE_RISE]
     for k in range(2):
@@ -29,7 +29,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
                 stays = math.exp(math.log(math.tanh(power) / power) / corner)
                 passes = math.exp(-power)
             s[k] = asked
-            s[2 + k] = asked * (1.0 - kept * stays - (1.0 - kept) * passes)
+            s[2 + k] = asked * (1.0 - missing * (kept * stays + (1.0 - kept) * passes))
     b[bus.VOLTAGE] = s[2]
     b[bus.VOLTAGE_RISE] = s[3] - s[2]
     if b[bus.VOLTAGE_TILT] != 0.0:
@@ -40,7 +40,7 @@ EFFECT = Effect(
     name="amplifier_deadband",
     stage="drive",
     title="Dead zone of the amplifier round zero",
-    equation="v = u (1 - k (tanh(x^p) / x^p)^(1/p) - (1 - k) e^(-x^p)), x = |u|/w; vanishes with w = 0",
+    equation="v = u (1 - (1 - g) (k (tanh(x^p) / x^p)^(1/p) + (1 - k) e^(-x^p))), x = |u|/w; vanishes with w = 0",
     signature="voltage missing where the command is small, by up to the width; with k = 1 it stays behind by the width "
     "at every command, towards zero; strongest in the spring test, whose command has no mean",
     source="Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996) ch. 2",
@@ -50,8 +50,9 @@ EFFECT = Effect(
         Parameter(
             "corner", "1", None, 0.7, 100.0, True, prior=4.0, prior_std=2.0, meaning="sharpness of the zone's edge"
         ),
+        Parameter("gain_left", "1", None, 0.0, 0.95, prior=0.1, prior_std=0.3, meaning="share of the gain inside"),
     ),
-    starts=((0.4, 0.9, 4.0), (2.0, 0.9, 4.0), (2.0, 0.1, 2.5)),
+    starts=((0.4, 0.9, 4.0, 0.1), (2.0, 0.9, 4.0, 0.1), (2.0, 0.1, 2.5, 0.1)),
     mistaken_for=("amplifier_drift", "amplifier_clipping", "dry_friction"),
     places=(bus.AMPLIFIER,),
     hook=hook,
