@@ -131,8 +131,8 @@ def test_a_special_case_begins_where_its_general_form_ended():
     assert by_name["dry_friction"].score == pytest.approx(by_name["directional_friction"].score, abs=0.05)
 
 
-def test_a_pair_is_named_among_near_relations_and_other_delays():
-    # Its general form leads the friction at first, and eddy currents the delays.
+def test_a_pair_is_named_among_near_relations():
+    # Beside eddy currents, which pass for a delay, the general form of friction leads at first.
     alike = ("directional_friction", "dry_friction", "latency", "eddy_currents")
     told = diagnose(observed("dry_friction+latency", seed=5, samples=SAMPLES), Alone(), candidates=alike)
     assert set(told.combination) == {"dry_friction", "latency"}

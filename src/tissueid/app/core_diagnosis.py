@@ -137,6 +137,7 @@ MEANINGS = (
     marked("the limit of negative voltages to it"),
     marked("command up to which little or nothing comes out"),
     marked("share of the loss that stays at larger commands"),
+    marked("share of the gain inside"),
     marked("sharpness of the zone's edge"),
     marked("time constant of the slow curve"),
     marked("relative change of gain that the curve leads to"),
