@@ -211,12 +211,12 @@ def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found
     if cost(best) <= THRESHOLDS.pair_gain:
         return found, best
     pairs = search.partners(baseline, _leaders(found))
-    if _better(baseline, best, pairs) and not _settled(baseline, min(pairs, key=cost)):
-        pairs = search.further_partners(baseline, min(pairs, key=cost), pairs)
+    better = _better(baseline, best, pairs)
+    if better is not None and not _settled(baseline, better):
+        pairs = search.further_partners(baseline, better, pairs)
+        better = _better(baseline, best, pairs)
     candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
-    if _better(baseline, best, pairs):
-        best = min(pairs, key=cost)
-    return Found(baseline, found.signatures, candidates), best
+    return Found(baseline, found.signatures, candidates), better or best
 
 
 def _leaders(found: Found) -> list[Candidate]:
@@ -228,11 +228,12 @@ def _leaders(found: Found) -> list[Candidate]:
     return leaders[:LEADERS]
 
 
-def _better(baseline: Candidate, best: Candidate, pairs: Sequence[Candidate]) -> bool:
+def _better(baseline: Candidate, best: Candidate, pairs: Sequence[Candidate]) -> Candidate | None:
+    # The best of the pairs, if its second effect is worth naming.
     pair = min(pairs, key=cost, default=None)
-    if pair is None:
-        return False
-    return better_pair(best, pair, announced(baseline, best), announced(baseline, pair))
+    if pair is None or not better_pair(best, pair, announced(baseline, best), announced(baseline, pair)):
+        return None
+    return pair
 
 
 def figures_of(observed: Observed, baseline: Candidate, best: Candidate | None) -> GapFigures:
