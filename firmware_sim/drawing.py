@@ -4,7 +4,8 @@ A folder receives for each scenario ``scenario-0001.json``, which says what a se
 figures, and each test's attributes), and ``scenario-0001.f64``, its signals as little-endian 64-bit numbers: test after
 test, signal after signal in the order that the former states. ``labels.json`` holds what is withheld: the effects with
 their figures, and what device and tissue really were. With ``--clean`` there are ``scenario-0001.clean.f64`` (no noise,
-no converters) and ``scenario-0001.base.f64`` (nor any effect) of the same layout.
+no converters) and ``scenario-0001.base.f64`` (nor any effect) of the same layout; and of a pair
+``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one effect alone.
 """
 
 from __future__ import annotations
@@ -75,10 +76,11 @@ class DrawnScenario:
             "full": self.full,
         }
 
-    def record(self, *, effects: bool = True, clean: bool = False) -> tuple[Recording, ...]:
-        """All tests; without the effects, or without noise and converters."""
+    def record(self, *, effects: Sequence[Effect] | None = None, clean: bool = False) -> tuple[Recording, ...]:
+        """All tests; with other effects, or without noise and converters."""
         number = int(np.random.SeedSequence(list(self.seed)).generate_state(1)[0])
-        laboratory = Laboratory(self.effects if effects else (), number, figures=self.figures, clean=clean)
+        acting = self.effects if effects is None else tuple(effects)
+        laboratory = Laboratory(acting, number, figures=self.figures, clean=clean)
         return tuple(laboratory.record(test.kind, test.command(number)) for test in self.tests)
 
 
@@ -240,7 +242,9 @@ def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = Fal
             _put(folder / f"{name}.f64", recordings)
             if clean:
                 _put(folder / f"{name}.clean.f64", scenario.record(clean=True))
-                _put(folder / f"{name}.base.f64", scenario.record(effects=False, clean=True))
+                _put(folder / f"{name}.base.f64", scenario.record(effects=(), clean=True))
+                for place, alone in enumerate(scenario.effects if len(scenario.effects) > 1 else (), 1):
+                    _put(folder / f"{name}.alone-{place}.f64", scenario.record(effects=(alone,)))
             (folder / f"{name}.json").write_text(_text(described(scenario, number, recordings)), encoding="utf-8")
             labels[name] = scenario.labels()
         content = _text(labels).encode()
@@ -272,7 +276,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs-share", type=float, default=0.1, help="share with two effects")
     parser.add_argument("--unknown-share", type=float, default=0.1, help="share with an effect that is not listed")
     parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects that are not drawn")
-    parser.add_argument("--clean", action="store_true", help="also without noise, with and without the effects")
+    parser.add_argument(
+        "--clean", action="store_true", help="also without noise, with and without the effects, and of pairs each alone"
+    )
     given = parser.parse_args(arguments)
     if given.seed < 0 or not 1 <= given.n <= 100_000:
         print("--seed must be 0 or more, and --n 1 to 100000", file=sys.stderr)

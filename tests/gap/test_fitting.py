@@ -15,6 +15,7 @@ from tissueid.gap.observing import observe
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
 from tissueid.gap.scoring import errors
 from tissueid.twin.catalogue import effect
+from tissueid.twin.effect import Effect, Parameter
 
 
 @cache
@@ -152,6 +153,35 @@ def test_what_is_a_held_out_tests_own_stays_as_it_was_read():
     own = [name for name in parameters.index if name.startswith("physiological_motion.pulse_cosine_1_m")]
     assert own == [f"physiological_motion.pulse_cosine_1_m@{numbers[0]}"]
     assert f"physiological_motion.pulse_cosine_1_m@{numbers[1]}" in parameters.constants
+
+
+def test_what_is_a_held_out_tests_own_is_read_from_where_the_fit_ended():
+    session = recorded(samples=3000, full=True)
+    numbers = [test.number for test in session.tests if test.kind == "stochastic"]
+    seen, one = observe(session, fit=numbers[:1], check=numbers[:2]), effect("physiological_motion")
+    again = read_again(fit(seen, [one], near=fit(seen), most_steps=2), most_steps=1)
+    fresh = again.parameters.read_again(one, predict(again.parameters.without(one.name), again.theta))
+    own = [name for name in fresh.constants if name.endswith(f"@{numbers[1]}")]
+    assert len(own) == len(one.parameters)
+    assert {name: again.parameters.constants[name] for name in own} == {name: fresh.constants[name] for name in own}
+    told = predict(again.parameters, again.theta)[1]
+    np.testing.assert_array_equal(again.predictions[1]["position"], told["position"])
+
+
+def test_what_an_effect_was_read_to_be_is_kept_where_a_fit_goes_on():
+    asked = []
+
+    def from_test(signals, rate):
+        asked.append(rate)
+        return {"late_s": 1e-3 * len(asked)}
+
+    late = Parameter("late_s", "s", 0.0, 0.0, 1.0, per_test=True, fixed=True)
+    about = ("read", "sensing", "", "", "", "", (late,), ((0.0,),))
+    one = Effect(*about, recording=lambda given, values: given, from_test=from_test)
+    first = parametrise(observed(), [one])
+    assert parametrise(observed(), [one, effect("sensor_lag")], known=first).constants == {"read.late_s@1": 1e-3}
+    assert len(asked) == 1
+    assert parametrise(observed(), [one], known=parametrise(observed())).constants == {"read.late_s@1": 2e-3}
 
 
 def test_lost_samples_are_read_again_where_the_rest_is_known():

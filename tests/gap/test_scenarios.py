@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from gap_records import DEVICE, scenario
 
-from firmware_sim.drawing import write
+from firmware_sim.drawing import draw_scenario, write
 from tissueid.errors import UnusableInputError
-from tissueid.gap.scenarios import LABELS, read_scenario, scenario_names, seal, unseal
+from tissueid.gap.scenarios import LABELS, alone_sessions, read_scenario, scenario_names, seal, unseal
 from tissueid.gap.sealed import Label
 
 NAME = "scenario-0001"
@@ -64,6 +64,17 @@ def test_companions_have_no_noise(written: Path):
     off = noisy.tests[0].signals["current"] - clean.tests[0].signals["current"]
     assert 0.8e-3 < np.std(off) < 1.1e-3
     assert not np.allclose(clean.tests[0].signals["position"], bare.tests[0].signals["position"], atol=1e-5)
+
+
+def test_of_a_pair_each_effect_is_recorded_alone_as_well(written: Path, tmp_path: Path):
+    assert alone_sessions(written, NAME) == []
+    drawn = draw_scenario(7, effects=2)
+    write([drawn], tmp_path / "pair", clean=True)
+    alone = alone_sessions(tmp_path / "pair", NAME)
+    assert len(alone) == 2
+    for item, session in zip(drawn.effects, alone, strict=True):
+        (recording,) = drawn.record(effects=(item,))
+        np.testing.assert_array_equal(session.tests[0].signals["position"], recording.position)
 
 
 def test_nothing_that_is_read_tells_the_label(written: Path):

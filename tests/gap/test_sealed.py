@@ -51,6 +51,7 @@ def case(
         "ranking": [{"effect": name, "probability": probability, "indistinguishable": alike} for name in ranked],
         "combination": named,
         "in_sample": others.get("in_sample"),
+        "survive_alone": others.get("survive_alone", []),
     }
     label = Label(effects, tuple(STAGES[name] for name in effects), tuple(name != UNLISTED for name in effects), False)
     return Answered(others.get("name", "scenario-0001"), label, answer, others.get("oracle"))
@@ -153,6 +154,19 @@ def test_pairs_are_scored_by_f1_of_the_named_set():
     assert told.value == pytest.approx(2 * 3 / (4 + 6))
     assert told.cases == 3
     assert np.isnan(figure(score_of([], SINGLE), "pairs").value)
+
+
+def test_what_is_asked_of_pairs_holds_where_each_effect_alone_leaves_a_gap():
+    pair, both = "dry_friction sensor_lag", ["dry_friction", "sensor_lag"]
+    cases = [
+        case(pair, named=both, survive_alone=[True, True]),
+        case(pair, named=["dry_friction"], survive_alone=[True, False]),
+        case(pair, named=["dry_friction"]),
+    ]
+    score = score_of(cases, SINGLE)
+    asked, all_pairs = figure(score, "pairs"), figure(score, "the same")
+    assert (asked.value, asked.cases, asked.asked) == (pytest.approx(2 * 3 / (3 + 4)), 2, SINGLE.pairs)
+    assert (all_pairs.value, all_pairs.cases, all_pairs.asked) == (pytest.approx(2 * 4 / (4 + 6)), 3, None)
 
 
 def test_closed_relative_to_what_the_true_form_closes():

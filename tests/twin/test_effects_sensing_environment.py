@@ -328,18 +328,35 @@ def test_the_probe_follows_a_surface_that_moves_slowly_and_not_on_the_spring():
 
 def test_moving_surface_is_that_of_its_equation():
     one = effect("physiological_motion")
-    values = np.r_[0.21, 1.3, 9.4, 1e-4 * np.random.default_rng(5).normal(size=17)]
-    for time in (0.0, 0.37, 4.1):
-        numbers, step = np.zeros(bus.MOST_STATES), 1e-4
-        numbers[bus.TIME], numbers[bus.SURFACE_POSITION] = time, SURFACE
-        one.hook(bus.SURFACE, numbers, values, np.zeros(bus.MOST_STATES), step)
-        at = time + step / 2
-        expected = SURFACE + values[19]
-        for hertz, orders, first in ((0.21, (1, 2), 3), (1.3, (1, 2, 3, 4, 5), 7), (9.4, (1,), 17)):
-            for k, order in enumerate(orders):
-                angle = 2 * np.pi * order * hertz * at
-                expected += values[first + 2 * k] * np.cos(angle) + values[first + 2 * k + 1] * np.sin(angle)
-        assert numbers[bus.SURFACE_POSITION] == pytest.approx(expected, rel=1e-12)
+    names = [parameter.name for parameter in one.parameters]
+    random = np.random.default_rng(5)
+    values = {name: 1e-4 * random.normal() for name in names} | dict(zip(names, one.starts[0][:6], strict=False))
+    values |= {"pulse_sway_cosine_rad": 0.3, "pulse_sway_sine_rad": -0.4}
+    parameters = np.array([values[name] for name in names])
+    numbers, state, step = np.zeros(bus.MOST_STATES), np.zeros(bus.MOST_STATES), 1e-4
+    for k in range(41001):
+        numbers[bus.TIME], numbers[bus.SURFACE_POSITION] = k * step, SURFACE
+        one.hook(bus.SURFACE, numbers, parameters, state, step)
+        if k in (0, 3700, 41000):
+            expected = SURFACE + moved_surface(values, (k + 0.5) * step)
+            assert numbers[bus.SURFACE_POSITION] == pytest.approx(expected, rel=1e-10)
+
+
+def moved_surface(values, time):
+    """By how far the surface is moved at a time, by the equation of ``physiological_motion``, m."""
+    breath = 2 * np.pi * values["breathing_hz"] * time
+    beat = 2 * np.pi * values["pulse_hz"] * time
+    beat += values["pulse_sway_cosine_rad"] * np.cos(breath) + values["pulse_sway_sine_rad"] * np.sin(breath)
+    angles = {f"breathing_{{}}_{h}_m": h * breath for h in (1, 2, 3)}
+    angles |= {f"pulse_{{}}_{h}_m": h * beat for h in (1, 2, 3, 4, 5)}
+    for line in (1, 2, 3, 4, 5):
+        hertz = values["tremor_hz"] + (line - 3) * values["tremor_spacing_hz"]
+        angles[f"tremor_{{}}_{line}_m"] = 2 * np.pi * hertz * time
+    waves = (
+        values[name.format("cosine")] * np.cos(angle) + values[name.format("sine")] * np.sin(angle)
+        for name, angle in angles.items()
+    )
+    return values["mean_m"] + sum(waves)
 
 
 def test_breathing_pulse_and_tremor_are_read_off_the_record():
@@ -352,8 +369,23 @@ def test_breathing_pulse_and_tremor_are_read_off_the_record():
     assert found["breathing_hz"] == pytest.approx(0.31, abs=0.05)
     assert found["pulse_hz"] == pytest.approx(1.15, abs=0.05)
     assert found["tremor_hz"] == pytest.approx(9.6, abs=0.05)
-    assert math.hypot(found["tremor_cosine_1_m"], found["tremor_sine_1_m"]) == pytest.approx(2e-5, rel=0.1)
+    left = moved - moved.mean() - [moved_surface(found, at) - found["mean_m"] for at in time]
+    assert np.std(left[600:]) < 0.1 * np.std(moved)
     assert set(found) == {parameter.name for parameter in effect("physiological_motion").parameters}
+
+
+def test_breathing_hurries_and_slows_the_pulse():
+    signals, clean = played(stochastic())
+    values = dict.fromkeys((parameter.name for parameter in effect("physiological_motion").parameters), 0.0)
+    values |= {"breathing_hz": 0.29, "pulse_hz": 1.25, "breathing_cosine_1_m": 1e-4, "pulse_sway_sine_rad": 0.6}
+    values |= {"pulse_cosine_1_m": 2e-5, "pulse_cosine_2_m": 1.5e-5, "pulse_sine_3_m": 1e-5, "pulse_cosine_4_m": 5e-6}
+    moved = np.array([moved_surface(values, at) for at in clean.time])
+    signals["position"] = signals["position"] + moved
+    (found,) = effect("physiological_motion").from_tests([with_prediction(signals, clean)], RATE)
+    assert found["pulse_hz"] == pytest.approx(1.25, abs=0.05)
+    assert found["pulse_sway_sine_rad"] == pytest.approx(0.6, abs=0.25)
+    left = moved - moved.mean() - [moved_surface(found, at) - found["mean_m"] for at in clean.time]
+    assert np.std(left[600:]) < 3e-6
 
 
 def test_rates_are_those_of_all_tests_and_heights_those_of_each():

@@ -14,9 +14,10 @@ from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.kept_answers import keep_answer, kept_answer
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.observing import observe
-from tissueid.gap.scenarios import read_scenario
-from tissueid.gap.scoring import ChannelError, gap, quiet_tests
-from tissueid.gap.sealed import Answered, Label, Score
+from tissueid.gap.scenarios import alone_sessions, read_scenario
+from tissueid.gap.scoring import ChannelError, floor, gap, quiet_tests
+from tissueid.gap.sealed import Answered, Label, Score, survives
+from tissueid.gap.search import Search
 from tissueid.gap.workers import Alone, Crew
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
@@ -54,6 +55,7 @@ class Piece:
         """The answer of ``gap diagnose``, with ``oracle`` (the gap that the truth itself leaves) and ``in_sample``.
 
         ``in_sample`` is the effect that fits the fitted samples best: what a search without held-out data would name.
+        Of a pair ``survive_alone`` tells of each effect whether the session with it alone has a gap that survives.
         """
         observed = observe(read_scenario(self.folder, self.name))
         names = [name for name in all_effects() if name not in self.without] if self.without else None
@@ -63,6 +65,7 @@ class Piece:
         return as_answer(found) | {
             "oracle": _oracle(observed, read_scenario(self.folder, self.name, "clean")),
             "in_sample": greedy.effects[0] if greedy is not None else None,
+            "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],
         }
 
 
@@ -118,6 +121,13 @@ class BlindCheck:
 def opened(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
     """Answers beside their labels."""
     return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in found.items()]
+
+
+def _survives(session: Session) -> bool:
+    observed = observe(session)
+    checked = Search(observed, Alone()).baseline().checked_by
+    quiet = quiet_tests(observed.tests)
+    return survives(gap(checked, quiet), floor(checked, quiet))
 
 
 def _oracle(observed: Observed, clean: Session) -> float:

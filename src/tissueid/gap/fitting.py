@@ -76,9 +76,8 @@ def fit(
         most_steps: most accepted steps.
         cancelled: asked now and then; True stops with ``Cancelled``.
     """
-    parameters = parametrise(observed, effects, starts, () if near is None else near.predictions)
-    if near is not None:
-        parameters = parameters.holding(near.parameters)
+    before, known = ((), None) if near is None else (near.predictions, near.parameters)
+    parameters = parametrise(observed, effects, starts, before, known)
     theta = parameters.array("start")
     if near is not None:
         for k, item in enumerate(parameters.coordinates):
@@ -109,7 +108,27 @@ def read_again(found: Fit, most_steps: int = MOST_STEPS) -> Fit:
         if better.cost >= found.cost:
             break
         found, parameters = better, better.parameters
-    return found
+    return _read_where_nothing_is_fitted(found) if again else found
+
+
+def _read_where_nothing_is_fitted(found: Fit) -> Fit:
+    # What is a held-out test's own is read once more from where the fit ended: it costs the fit nothing.
+    parameters = found.parameters
+    held_out = [test for test in parameters.observed.tests if not test.serving(Purpose.FIT).any()]
+    if not held_out:
+        return found
+    for effect in parameters.effects:
+        if effect.read_again:
+            fresh = parameters.read_again(effect, predict(parameters.without(effect.name), found.theta)).constants
+            own = {name: fresh[name] for name in fresh if name.endswith(tuple(f"@{test.number}" for test in held_out))}
+            parameters = replace(parameters, constants=parameters.constants | own)
+    again = {
+        test.number: value for test, value in zip(held_out, predict(parameters, found.theta, held_out), strict=True)
+    }
+    predictions = [
+        again.get(test.number, kept) for test, kept in zip(parameters.observed.tests, found.predictions, strict=True)
+    ]
+    return replace(found, parameters=parameters, predictions=predictions)
 
 
 def differences(
@@ -122,7 +141,7 @@ def differences(
     before = baseline.parameters
     effects = [*before.effects, effect]
     starts = [*(item.starts[0] for item in before.effects), start]
-    parameters = parametrise(before.observed, effects, starts, baseline.predictions).holding(before)
+    parameters = parametrise(before.observed, effects, starts, baseline.predictions, before)
     theta = parameters.array("start")
     for name, k in before.index.items():
         theta[parameters.index[name]] = baseline.theta[k]

@@ -103,12 +103,6 @@ class Parametrisation:
         """Number of coordinates."""
         return len(self.coordinates)
 
-    def holding(self, other: Parametrisation) -> Parametrisation:
-        """With what effects that both have were read to be in the other: it must not be read off their own rest."""
-        both = {effect.name for effect in self.effects} & {effect.name for effect in other.effects}
-        held = {name: value for name, value in other.constants.items() if name.partition(".")[0] in both}
-        return replace(self, constants=self.constants | held)
-
     def without(self, name: str) -> Parametrisation:
         """The same coordinates for a chain without one of the effects."""
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
@@ -204,6 +198,7 @@ def parametrise(
     effects: Sequence[Effect] = (),
     starts: Sequence[Sequence[float]] = (),
     predictions: Sequence[Mapping[str, FloatArray]] = (),
+    known: Parametrisation | None = None,
 ) -> Parametrisation:
     """The coordinates of baseline and effects.
 
@@ -212,19 +207,25 @@ def parametrise(
         effects: effects beside the baseline.
         starts: where the search starts, for each effect; its first declared starting point where there is none.
         predictions: what a fitted baseline predicts for each test, where there is one.
+        known: that of a fit from which this one goes on. What its effects were read to be in each test is kept: it
+            must not be read off their own rest, and reading takes time.
     """
     found = _of_mass(observed) if observed.equivalent is not None else _of_instrument(observed)
     constants: dict[str, float] = {}
     signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(observed.tests)]
     for k, effect in enumerate(effects):
         start = starts[k] if k < len(starts) else effect.starts[0]
-        read = _read_all(observed.tests, effect, signals)
+        has_been_read = known is not None and effect in known.effects
+        read = [{} for _ in signals] if has_been_read else _read_all(observed.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
             _add(observed, effect, parameter, begin, read, found, constants)
     if any(effect.switches for effect in effects):
         found = [replace(item, step=WIDER * item.step) for item in found]
     found = [_believed(item, observed.beliefs) for item in found]
     constants |= {name: held.value for name, held in observed.beliefs.items() if name in constants and "@" not in name}
+    if known is not None:
+        both = {effect.name for effect in effects} & {effect.name for effect in known.effects}
+        constants |= {name: value for name, value in known.constants.items() if name.partition(".")[0] in both}
     index = {item.name: k for k, item in enumerate(found)}
     return Parametrisation(observed, tuple(effects), tuple(found), index, constants)
 

@@ -49,6 +49,16 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
     return Session(instrument, tests=tests)
 
 
+def alone_sessions(folder: Path, name: str) -> list[Session]:
+    """A pair's sessions with one effect alone, in the order of its effects; none where there are no such companions.
+
+    Raises:
+        UnusableInputError: as ``read_scenario``.
+    """
+    kinds = sorted(path.name.split(".")[1] for path in folder.glob(f"{name}.alone-*.f64"))
+    return [read_scenario(folder, name, kind) for kind in kinds]
+
+
 def _test(about: dict[str, Any], names: list[str], numbers: np.ndarray) -> Test:
     samples, first = int(about["samples"]), int(about["first"])
     rows = numbers[first : first + samples * len(names)].reshape(len(names), samples)

@@ -53,25 +53,21 @@ def _features(cause: FloatArray) -> FloatArray:
     return np.stack([np.ones(cause.size), *means, *(m * m for m in means), *(m * m * m for m in means)], axis=1)
 
 
-def waves(time: FloatArray, frequency_hz: float, harmonics: Iterable[int]) -> FloatArray:
-    """Cosine and sine of each harmonic in turn, shape (n, 2 harmonics)."""
-    angle = 2.0 * np.pi * frequency_hz * time
+def waves(angle: FloatArray, harmonics: Iterable[int]) -> FloatArray:
+    """Cosine and sine of each harmonic of an angle, shape (n,), in turn: shape (n, 2 harmonics)."""
     return np.stack([wave(h * angle) for h in harmonics for wave in (np.cos, np.sin)], axis=1)
 
 
-def fitted(
-    left: FloatArray, time: FloatArray, parts: Sequence[tuple[float, Sequence[int]]]
-) -> tuple[float, FloatArray]:
-    """Sum of squares that waves, given as ``(frequency_hz, harmonics)``, and a constant take out; their amplitudes.
+def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[float, FloatArray]:
+    """Sum of squares that waves, shape (n, waves), and a constant take out of what is left; the waves' amplitudes.
 
     A small ridge keeps the amplitudes of slow waves that the record is too short to tell apart from running away; it
-    grows with the harmonic, so that no lower frequency lends its harmonics to a wave that has none.
+    grows with the harmonic, of which ``orders`` tells each wave's, so that no lower frequency lends its harmonics to a
+    wave that has none.
     """
-    blocks = [waves(time, frequency, harmonics) for frequency, harmonics in parts]
-    columns = np.concatenate((*blocks, np.ones((time.size, 1))), axis=1)
-    orders = np.concatenate([np.repeat(np.asarray(harmonics, np.float64), 2) for _, harmonics in parts])
+    columns = np.concatenate((columns, np.ones((left.size, 1))), axis=1)
     product = columns.T @ left
-    squares = columns.T @ columns + time.size * np.diag(np.r_[1e-3 * orders**2, 0.0])
+    squares = columns.T @ columns + left.size * np.diag(np.r_[1e-3 * orders**2, 0.0])
     weights: FloatArray = np.linalg.solve(squares, product).astype(np.float64)
     return float(product @ weights), weights[:-1]
 
@@ -82,11 +78,14 @@ def line(
     """Frequency whose harmonics take most out of what is left, and their amplitudes (cosine, sine, cosine, ...)."""
     if time.size < 2 or not left.any():
         return 0.5 * (low_hz + high_hz), np.zeros(2 * len(harmonics))
+    orders = np.repeat(np.asarray(harmonics, np.float64), 2)
+
+    def at(frequency: float) -> tuple[float, FloatArray]:
+        return fitted(left, waves(2.0 * np.pi * frequency * time, harmonics), orders)
+
     spacing = 0.2 / max(float(np.ptp(time)) * harmonics[-1], 1e-3)
     grid = np.linspace(low_hz, high_hz, max(round((high_hz - low_hz) / spacing), 8))
-    best = float(grid[np.argmax([fitted(left, time, [(frequency, harmonics)])[0] for frequency in grid])])
+    best = float(grid[np.argmax([at(frequency)[0] for frequency in grid])])
     around = (max(best - 1.5 * spacing, low_hz), min(best + 1.5 * spacing, high_hz))
-    found = optimize.minimize_scalar(
-        lambda frequency: -fitted(left, time, [(float(frequency), harmonics)])[0], bounds=around, method="bounded"
-    )
-    return float(found.x), fitted(left, time, [(float(found.x), harmonics)])[1]
+    found = optimize.minimize_scalar(lambda frequency: -at(float(frequency))[0], bounds=around, method="bounded")
+    return float(found.x), at(float(found.x))[1]

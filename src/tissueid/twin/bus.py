@@ -76,6 +76,6 @@ SIZE = 28
 
 MOST_EFFECTS = 4
 """So many effects can act at once."""
-MOST_PARAMETERS = 20
+MOST_PARAMETERS = 40
 MOST_STATES = 512
 """Numbers of its own that an effect can keep; the last few thousandths of a second of a signal, for one."""

@@ -51,7 +51,7 @@ def from_test(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mappi
 
     def amplitudes(frequency: float) -> FloatArray:
         # Complex amplitudes, shape (channels, harmonics), as real and imaginary parts.
-        columns = _estimates.waves(time, frequency, usable)
+        columns = _estimates.waves(2.0 * np.pi * frequency * time, usable)
         return np.stack([columns.T @ one for one in left]) * (2.0 / size)
 
     found = optimize.minimize_scalar(
