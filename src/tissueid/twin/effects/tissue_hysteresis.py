@@ -7,18 +7,22 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-STOPS = 6
+STOPS = 8
 REFERENCE_N = 3.0
 """Static force at which the loop's size is told; what a stochastic test presses with."""
 _SMALL_N = 0.05
+_LIMITS = STOPS + 1
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Springs that slip one after the other, and a bristle; ``s[k]`` is the stretch of each, in m and by its limit."""
+    if s[_LIMITS] == 0.0:
+        for k in range(STOPS):
+            s[_LIMITS + k] = math.exp(p[4] * (2.0 * k / (STOPS - 1.0) - 1.0))
     move = dt * (b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION])
     held = 0.0
     for k in range(STOPS):
-        most = p[1] * (2 * k + 1) / STOPS
+        most = p[1] * s[_LIMITS + k]
         stretch = min(max(s[k] + move, -most), most)
         held += 0.5 * (s[k] + stretch) / most
         s[k] = stretch
@@ -39,8 +43,8 @@ EFFECT = Effect(
     name="tissue_hysteresis",
     stage="tissue",
     title="Loops that do not depend on speed",
-    equation="F = Fe + Fh (|Fe| / 3 N)^q ((1 - h) mean of z_k + h w), dz_k/dt = v / y_k within |z_k| <= 1, y_k spread "
-    "evenly from 0 to 2 y, dw/dt = v (1 - w^2 if v w > 0) / y; vanishes with Fh = 0",
+    equation="F = Fe + Fh (|Fe| / 3 N)^q ((1 - h) mean of z_k + h w), dz_k/dt = v / y_k within |z_k| <= 1, ln y_k "
+    "spread evenly to s on either side of ln y, dw/dt = v (1 - w^2 if v w > 0) / y; vanishes with Fh = 0",
     signature="loops of force against depth that are as wide in the slow ramp as in the fast test and grow with depth; "
     "odd distortion and phase at low frequency; nothing on the spring",
     source="Visintin, Differential Models of Hysteresis (1994) (Prandtl-Ishlinskii); Iwan, J. Applied Mechanics 33 "
@@ -50,8 +54,9 @@ EFFECT = Effect(
         Parameter("yield_m", "m", None, 5e-6, 5e-3, True, meaning="displacement at which half of it yields"),
         Parameter("growth", "1", None, 0.0, 2.0, prior=0.5, prior_std=0.5, meaning="power of the static force"),
         Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.3, prior_std=0.5, meaning="share whose loops creep"),
+        Parameter("spread", "1", None, 0.0, 2.5, prior=1.0, prior_std=0.5, meaning="of the yields' logarithms"),
     ),
-    starts=((0.1, 5e-5, 0.5, 0.3), (0.3, 4e-4, 0.5, 0.3)),
+    starts=((0.1, 5e-5, 0.5, 0.3, 1.0), (0.3, 4e-4, 0.5, 0.3, 1.0)),
     mistaken_for=("dry_friction", "viscoelasticity", "sensor_backlash", "directional_friction"),
     places=(bus.TISSUE,),
     hook=hook,
