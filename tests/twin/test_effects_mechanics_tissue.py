@@ -274,14 +274,30 @@ def test_relaxation_follows_its_branches_and_takes_energy():
         numbers[bus.STIFFNESS] = 1000.0
 
     step = np.full(4000, 0.002)
-    told = moved("viscoelasticity", (0.6, 0.1, 2.0, 1.0), step, 1e-4, np.zeros(4000), elastic)[:, bus.TISSUE_FORCE]
     time = (np.arange(4000) + 0.5) * 1e-4
-    taus = 0.1 * 10.0 ** np.array([-1.0, -1 / 3, 1 / 3, 1.0])
-    expected = 2.0 * (1.0 + 0.6 / 4 * np.exp(-time[:, None] / taus).sum(axis=1))
-    np.testing.assert_allclose(told, expected, rtol=2e-4)
+    taus = 0.1 * 10.0 ** np.linspace(-1.0, 1.0, 7)
+    for tilt in (0.0, 0.3):
+        values = (0.6, 0.1, 2.0, 1.0, tilt)
+        told = moved("viscoelasticity", values, step, 1e-4, np.zeros(4000), elastic)[:, bus.TISSUE_FORCE]
+        left = np.average(np.exp(-time[:, None] / taus), axis=1, weights=taus**-tilt)
+        np.testing.assert_allclose(told, 2.0 * (1.0 + 0.6 * left), rtol=3e-4)
     time = np.arange(0.0, 0.5, 1e-4)
-    loop = moved("viscoelasticity", (0.6, 0.05, 1.0, 1.0), 1e-3 * np.sin(2 * np.pi * 4 * time), 1e-4, None, elastic)
+    loop = moved(
+        "viscoelasticity", (0.6, 0.05, 1.0, 1.0, 0.1), 1e-3 * np.sin(2 * np.pi * 4 * time), 1e-4, None, elastic
+    )
     assert np.sum(loop[:, bus.TISSUE_FORCE] * np.gradient(1e-3 * np.sin(2 * np.pi * 4 * time))) > 0.0
+
+
+def test_the_tissues_loops_yield_at_lengths_that_their_logarithms_spread():
+    def pressed(numbers):
+        numbers[bus.TISSUE_FORCE] = 3.0
+
+    speed = np.full(4000, 1e-3)
+    told = moved("tissue_hysteresis", (0.2, 1e-4, 0.0, 0.0, 1.0), np.zeros(4000), 1e-3, speed, pressed)
+    gone = (np.arange(4000) + 0.5) * 1e-6
+    yields = 1e-4 * np.exp(np.linspace(-1.0, 1.0, 8))
+    expected = 0.2 * np.minimum(gone[:, None] / yields, 1.0).mean(axis=1)
+    np.testing.assert_allclose(told[:, bus.TISSUE_FORCE] - 3.0, expected, atol=0.2 * 1e-2)
 
 
 def test_stiffness_drifts_from_every_start_with_time_and_with_work():
@@ -310,12 +326,15 @@ def test_mass_grows_with_depth_and_keeps_energy():
     def bare(numbers):
         numbers[bus.TISSUE_FORCE] = 0.0
 
-    told = moved("added_mass", (0.03, 2.0), np.array([0.0015, 0.006, -0.001]), 1e-3, np.full(3, 0.1), bare)
-    np.testing.assert_allclose(told[:, bus.TISSUE_MASS], [0.0075, 0.12, 0.0])
+    depth = np.array([0.0003, 0.003, 0.012, -0.001])
+    told = moved("added_mass", (0.03, 0.003, 2.0), depth, 1e-3, np.full(4, 0.1), bare)
+    np.testing.assert_allclose(
+        told[:, bus.TISSUE_MASS], [0.03 * 0.00995, 0.03 * (1 - np.exp(-1)), 0.03, 0.0], rtol=1e-3
+    )
     # With nothing but that mass, kinetic energy is what it was.
     x, v, dt, energy = 0.001, 0.05, 1e-5, []
     for _ in range(4000):
-        now = moved("added_mass", (0.05, 2.0), np.array([x]), dt, np.array([v]), bare)[0]
+        now = moved("added_mass", (0.1, 3e-3, 2.0), np.array([x]), dt, np.array([v]), bare)[0]
         mass = 0.06 + now[bus.TISSUE_MASS]
         energy.append(0.5 * mass * v * v)
         v -= dt * now[bus.TISSUE_FORCE] / mass

@@ -7,6 +7,7 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
+
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
     """Mass that saturates with depth, with the force that a mass which changes with position exerts."""
     depth = b[bus.DEPTH]

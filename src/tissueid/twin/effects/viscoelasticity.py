@@ -7,12 +7,14 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-BRANCHES = 4
+BRANCHES = 7
 REFERENCE_M = 4e-3
 _FORCE = BRANCHES
 _KEPT = BRANCHES + 1
 _MEAN = _KEPT + BRANCHES
-_BEGUN = _MEAN + BRANCHES
+_WEIGHT = _MEAN + BRANCHES
+_WHOLE = _WEIGHT + BRANCHES
+_BEGUN = _WHOLE + 1
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
@@ -24,35 +26,40 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     if s[_BEGUN] == 0.0:
         s[_BEGUN] = 1.0
         for k in range(BRANCHES):
-            decades = p[2] * (k / (BRANCHES - 1.0) - 0.5)
-            ratio = dt / (p[1] * 10.0**decades)
+            longer = 10.0 ** (p[2] * (k / (BRANCHES - 1.0) - 0.5))
+            ratio = dt / (p[1] * longer)
             s[_KEPT + k] = math.exp(-ratio)
             s[_MEAN + k] = (1.0 - math.exp(-ratio)) / ratio
+            s[_WEIGHT + k] = longer ** -p[4]
+            s[_WHOLE] += s[_WEIGHT + k]
     change = force - s[_FORCE]
     s[_FORCE] = force
     total = 0.0
     for k in range(BRANCHES):
         s[k] = s[k] * s[_KEPT + k] + change * s[_MEAN + k]
-        total += s[k]
-    b[bus.TISSUE_FORCE] += p[0] * total / BRANCHES
+        total += s[_WEIGHT + k] * s[k]
+    b[bus.TISSUE_FORCE] += p[0] * total / s[_WHOLE]
 
 
 EFFECT = Effect(
     name="viscoelasticity",
     stage="tissue",
     title="Relaxation of the tissue",
-    equation="F = Fe + r/4 sum of q_k, dq_k/dt = df/dt - q_k / T_k, f = K exp(g (4 mm + h (d - 4 mm))) d, T_k spread "
-    "evenly over D decades round T; vanishes with r = 0",
+    equation="F = Fe + r mean of q_k, dq_k/dt = df/dt - q_k / T_k, f = K exp(g (4 mm + h (d - 4 mm))) d, seven T_k "
+    "spread evenly over D decades round T, weighed by T_k^-a; vanishes with r = 0",
     signature="stiffness rises with frequency where damping alone would not do it, with phase over a wide band; creep "
     "after the mean is switched on; linear in small motion; nothing on the spring",
     source="Fung, Biomechanics (1993), ch. 7 (quasi-linear viscoelasticity, continuous spectrum); thesis 3.3",
     parameters=(
         Parameter("ratio", "1", 0.0, 3e-4, 20.0, True, meaning="stiffness of all branches by the static one"),
         Parameter("time_s", "s", None, 2e-3, 5.0, True, meaning="middle of the relaxation times"),
-        Parameter("decades", "1", None, 0.0, 4.0, prior=1.0, prior_std=1.0, meaning="over which they are spread"),
+        Parameter("decades", "1", None, 0.0, 5.0, prior=2.0, prior_std=1.5, meaning="over which they are spread"),
         Parameter("growth", "1", None, 0.0, 1.5, prior=0.7, prior_std=0.5, meaning="1: grows as the static force does"),
+        Parameter(
+            "tilt", "1", None, -0.5, 1.0, prior=0.1, prior_std=0.3, meaning="by which power slow ones are weaker"
+        ),
     ),
-    starts=((0.3, 0.02, 0.5, 0.7), (0.3, 0.1, 2.0, 0.7), (0.3, 0.5, 0.5, 0.7)),
+    starts=((0.3, 0.02, 0.5, 0.7, 0.1), (0.3, 0.1, 2.0, 0.7, 0.1), (0.3, 0.5, 0.5, 0.7, 0.1)),
     mistaken_for=("preconditioning", "tissue_hysteresis", "mount_resonance", "added_mass"),
     places=(bus.TISSUE,),
     hook=hook,
