@@ -424,7 +424,8 @@ def test_only_what_hooks_into_the_chain_is_held_to_its_number_of_parameters():
         Effect(*about, places=(bus.SURFACE,), hook=effect("physiological_motion").hook)
 
 
-def test_what_is_fixed_or_of_each_test_is_not_counted_as_shared():
+def test_what_is_fixed_is_not_counted_and_what_each_test_has_counts_once():
     assert effect("dropped_samples").order == 0
     assert effect("quantization").order == 2
     assert effect("mains_hum").order == 24
+    assert effect("physiological_motion").order == 27

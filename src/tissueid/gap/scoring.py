@@ -134,7 +134,7 @@ class Candidate:
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Number of coordinates of each effect that all tests share."""
+        """Number of parameters that were searched for, effect by effect."""
         return tuple(effect.order for effect in self.fit.parameters.effects)
 
 

@@ -154,8 +154,8 @@ class Effect:
 
     @property
     def order(self) -> int:
-        """Number of parameters that all tests share and a fit searches for; per-test ones come besides."""
-        return sum(not (parameter.per_test or parameter.fixed) for parameter in self.parameters)
+        """Number of parameters that a fit searches for; those that every test has for its own count once."""
+        return sum(not parameter.fixed for parameter in self.parameters)
 
 
 def kin(one: Effect, other: Effect) -> bool:
