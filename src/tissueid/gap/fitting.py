@@ -20,7 +20,7 @@ MOST_STEPS = 100
 TOLERANCE = 1e-4
 """A step that lowers the cost by less than this share of it is the last."""
 READINGS = 4
-"""So many times at most an effect is read again."""
+"""So many times an effect is read again."""
 WORST = 1e6
 """Residuals are held below so many noise deviations, so that a simulation that ran away still has a cost."""
 
@@ -88,16 +88,17 @@ def fit(
     return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
 
 
-def read_again(found: Fit, most_steps: int = MOST_STEPS) -> Fit:
+def read_again(found: Fit, most_steps: int = MOST_STEPS, readings: int = READINGS) -> Fit:
     """A fit, after what its effects are read to be was read once more from where it lies, if that fits better.
 
     Args:
         found: the fit; the same is returned where none of its effects is read again.
         most_steps: most accepted steps of each fit that follows.
+        readings: so many times at most.
     """
     parameters = found.parameters
     again = [effect for effect in parameters.effects if effect.read_again]
-    for _ in range(READINGS if again else 0):
+    for _ in range(readings if again else 0):
         for effect in again:
             without = predict(found.parameters.without(effect.name), found.theta)
             parameters = parameters.read_again(effect, without)

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from tissueid.gap.decision import THRESHOLDS
-from tissueid.gap.fitting import MOST_STEPS, Fit, fit, read_again
+from tissueid.gap.fitting import MOST_STEPS, READINGS, Fit, fit, read_again
 from tissueid.gap.impulses import without_impulses_in_the_floor
 from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, judged
@@ -34,6 +34,8 @@ HEAT = 6
 """Steps of the search that every candidate gets; the best of them go on to the end."""
 HEAT_OF_MANY = 10
 """The same where several tests are fitted together: their valleys are narrower."""
+READINGS_IN_A_HEAT = 1
+"""So many times an effect that is read off the record is read again; where the search goes on, more often."""
 FINAL = 4
 FINAL_BY_FIT = 2
 """So many of the candidates that fit best go on as well, whatever they predict so far."""
@@ -92,7 +94,8 @@ def refit(task: Task) -> Candidate:
     """Do one task; runs in a worker's process."""
     effects = [effect(name) for name in task.names]
     found = fit(task.observed, effects, task.starts, near=task.near, most_steps=task.most_steps)
-    return judged(read_again(found, task.most_steps))
+    readings = READINGS if task.most_steps == MOST_STEPS else READINGS_IN_A_HEAT
+    return judged(read_again(found, task.most_steps, readings))
 
 
 def screen(near: Fit, name: str) -> list[Signature]:
