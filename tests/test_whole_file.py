@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
+import stat
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tissueid.whole_file import sync_folder, whole_file, write_all
+from tissueid.whole_file import (
+    create_private,
+    private_folder,
+    private_opener,
+    remove_leftovers,
+    sync_folder,
+    whole_file,
+    whole_folder,
+    write_all,
+    write_private,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -122,3 +135,114 @@ def test_a_write_that_takes_nothing_is_not_tried_for_ever(tmp_path: Path, monkey
         monkeypatch.setattr(os, "write", lambda *_: 0)
         with pytest.raises(OSError, match="nothing more is taken"):
             write_all(file.fileno(), b"x")
+
+
+# -- who may read and who may interfere ------------------------------------------------------------------------
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="modes, locks and links of POSIX")
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.lstat().st_mode)
+
+
+@pytest.fixture
+def open_umask() -> Iterator[None]:
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+@posix
+@pytest.mark.usefixtures("open_umask")
+def test_files_and_folders_are_for_their_owner_alone_whatever_the_umask(tmp_path: Path):
+    with whole_file(tmp_path / "a.json") as partial:
+        partial.write_text("new")
+        assert mode(partial) == 0o600
+    with whole_folder(tmp_path / "out") as partial:
+        (partial / "a.csv").write_text("new")
+        (partial / "inner").mkdir()
+        assert mode(partial) == 0o700
+    write_private(private_folder(tmp_path / "x" / "y") / "b", "new")
+    os.close(create_private(tmp_path / "c"))
+    files = ("a.json", "out/a.csv", "x/y/b", "c")
+    assert [mode(tmp_path / name) for name in files] == [0o600] * 4
+    assert [mode(tmp_path / name) for name in ("out", "out/inner", "x", "x/y")] == [0o700] * 4
+    with whole_file(tmp_path / "calibration.toml", shared=True) as partial:
+        partial.write_text("new")
+    assert mode(tmp_path / "calibration.toml") == 0o666
+
+
+@posix
+@pytest.mark.usefixtures("open_umask")
+def test_a_folder_of_the_user_keeps_its_mode(tmp_path: Path):
+    (tmp_path / "mine").mkdir(0o755)
+    private_folder(tmp_path / "mine" / "new")
+    assert (mode(tmp_path / "mine"), mode(tmp_path / "mine" / "new")) == (0o755, 0o700)
+
+
+@posix
+def test_no_link_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Whoever may write to the folder lays a link under the name that will be written to."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    names_to_come = iter(["00" * 8, "11" * 8])
+    monkeypatch.setattr(secrets, "token_hex", lambda _: next(names_to_come))
+    (tmp_path / f".a.json.{'00' * 8}.partial").symlink_to(victim)
+    with pytest.raises(FileExistsError), whole_file(tmp_path / "a.json"):
+        raise AssertionError("nothing may be written")
+    with pytest.raises(OSError, match="exchanged") as told, whole_file(tmp_path / "a.json") as partial:
+        partial.unlink()
+        partial.write_text("another's")
+    assert told.value.filename == str(tmp_path / "a.json")
+    (tmp_path / "log").symlink_to(victim)
+    for attempt in (lambda: create_private(tmp_path / "log"), lambda: private_opener(str(tmp_path / "log"), os.O_RDWR)):
+        with pytest.raises(OSError, match=r"File exists|Too many levels"):
+            attempt()
+    assert victim.read_text() == "precious"
+    assert not (tmp_path / "a.json").exists()
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_new_file_never_takes_the_place_of_one_that_appears_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
+):
+    def none(*_: object) -> None:
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+    if not links:
+        monkeypatch.setattr(os, "link", none)
+    path = tmp_path / "s.h5"
+    with pytest.raises(FileExistsError) as told, whole_file(path, new=True) as partial:
+        partial.write_text("mine")
+        path.write_text("another's")
+    assert told.value.filename == str(path)
+    assert path.read_text() == "another's"
+    assert names(tmp_path) == ["s.h5"]
+    path.unlink()
+    with whole_file(path, new=True, synced=True) as partial:
+        partial.write_text("mine")
+    assert path.read_text() == "mine"
+    assert path.stat().st_nlink == 1
+    assert names(tmp_path) == ["s.h5"]
+
+
+@posix
+def test_what_a_killed_program_left_is_removed_and_what_is_being_written_is_not(tmp_path: Path):
+    path = tmp_path / "s.h5"
+    left = tmp_path / f".s.h5.{'0a' * 8}.partial"
+    left.write_text("half")
+    others = [tmp_path / f".s2.h5.{'0a' * 8}.partial", tmp_path / ".s.h5.partial", tmp_path / ".s.h5.0a0a.partial"]
+    for other in others:
+        other.write_text("half")
+    (tmp_path / f".s.h5.{'0b' * 8}.partial").mkdir()
+    (tmp_path / f".s.h5.{'0c' * 8}.partial").symlink_to(others[0])
+    with whole_file(path) as running:
+        running.write_text("mine")
+        assert not left.exists()
+        with whole_file(path) as second:
+            second.write_text("newer")
+        remove_leftovers(path)
+        assert running.read_text() == "mine"
+    assert path.read_text() == "mine"
+    assert names(tmp_path) == sorted(["s.h5", f".s.h5.{'0c' * 8}.partial", *(other.name for other in others)])

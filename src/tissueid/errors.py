@@ -3,6 +3,10 @@
 Anything that is not one of these and reaches the top of a command is a defect.
 """
 
+from __future__ import annotations
+
+from pathlib import Path
+
 
 class TissueIDError(Exception):
     """Base of every error whose message is meant for the user."""
@@ -14,6 +18,13 @@ class UnusableInputError(TissueIDError):
 
 class SessionFormatError(UnusableInputError):
     """A file is not a session, or breaks the session format."""
+
+
+class SessionExistsError(SessionFormatError):
+    """There is a file where a session should be written. Sessions are never overwritten."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path} is there already; sessions are never overwritten")
 
 
 class LimitError(TissueIDError):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 import shutil
+import stat
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,7 @@ from failing_disk import (
     SECONDS,
     Disk,
     Sitting,
+    a_sitting,
     batch,
     calls_of_a_whole_sitting,
     check_failing_at,
@@ -26,9 +29,10 @@ from failing_disk import (
 from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover
 from tissueid.acquisition import recorder as recording
 from tissueid.acquisition.journal import Journal
+from tissueid.audit import AuditLog, Trail
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run
-from tissueid.sessions import read_session
+from tissueid.sessions import read_session, writing
 
 RELEASED_S = 0.06
 """One poll after a failure the coil is free."""
@@ -257,3 +261,73 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
         recorder.finish_or_discard()
     if how != "removed":
         assert recover(elsewhere / "s.h5")[1].test().samples >= 50
+
+
+# -- files of others -----------------------------------------------------------------------------------------
+def test_a_file_that_appears_while_the_session_is_written_is_not_overwritten(tmp_path, monkeypatch):
+    recorder = a_sitting(tmp_path / "s.h5")
+    sound = writing._verify
+
+    def appears(*arguments):
+        sound(*arguments)
+        recorder.path.write_text("another's")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "_verify", appears)
+        with pytest.raises(JournalError) as told:
+            recorder.finish()
+    journal = journal_path(recorder.path)
+    told_in_one_line(
+        told.value, "is there already", f"is kept in {journal}", "move that file away", "'tissueid recover'"
+    )
+    assert recorder.path.read_text() == "another's"
+    assert sorted(tmp_path.iterdir()) == [recorder.path, journal]
+    recorder.path.unlink()
+    assert [test.samples for test in recover(recorder.path)[1].tests] == [500, 500]
+
+
+def test_a_file_that_appears_while_the_test_runs_is_not_overwritten_and_the_journal_not_blamed(tmp_path):
+    recorder = a_sitting(tmp_path / "s.h5")
+    recorder.path.write_text("another's")
+    with pytest.raises(JournalError, match="is there already") as told:
+        recorder.finish()
+    assert "does not hold" not in str(told.value)
+    told_in_one_line(told.value, "is kept in", "'tissueid recover'")
+    assert recorder.path.read_text() == "another's"
+    recover(recorder.path, tmp_path / "t.h5")
+
+
+@posix
+def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch):
+    recorder = a_sitting(tmp_path / "s.h5")
+    monkeypatch.setattr(secrets, "token_hex", lambda _: "0a" * 8)
+    kept = tmp_path / "kept"
+
+    def dies(partial, *_):
+        os.link(partial, kept)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "_verify", dies)
+        with pytest.raises(KeyboardInterrupt):
+            recorder.finish()
+    recorder.abandon()
+    os.link(kept, tmp_path / ".s.h5.00000000000000bb.partial")
+    journal = journal_path(recorder.path).read_bytes()
+    for again in (False, True):  # again: it was killed after the session had its name
+        journal_path(recorder.path).write_bytes(journal)
+        os.link(kept, tmp_path / f".s.h5.00000000000000b{again:d}.partial")
+        recover(recorder.path)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["kept", "s.h5"]
+
+
+@posix
+def test_sessions_journals_and_the_audit_log_are_for_their_owner_alone(tmp_path, audit_file):
+    before = os.umask(0)
+    try:
+        recorder = a_sitting(tmp_path / "s.h5", trail=Trail(AuditLog(audit_file), "researcher"))
+        modes = [stat.S_IMODE(path.stat().st_mode) for path in (journal_path(recorder.path), audit_file)]
+        recorder.finish()
+    finally:
+        os.umask(before)
+    assert [*modes, stat.S_IMODE(recorder.path.stat().st_mode)] == [0o600] * 3

@@ -20,7 +20,7 @@ from typing import IO
 from tissueid.acquisition.entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
 from tissueid.errors import TissueIDError
 from tissueid.sessions.members import journal_path
-from tissueid.whole_file import sync_folder, write_all
+from tissueid.whole_file import create_private, sync_folder, write_all
 
 __all__ = [
     "MAGIC",
@@ -74,7 +74,7 @@ class Journal:
         self._max_waiting = max_waiting
         self._patience_s = patience_s
         try:
-            self._file: IO[bytes] = path.open("xb", buffering=0)
+            self._file: IO[bytes] = os.fdopen(create_private(path), "wb", buffering=0)
         except FileExistsError as error:
             raise JournalError(f"{path} is left from an unfinished session: run 'tissueid recover' first") from error
         except OSError as error:

@@ -29,7 +29,7 @@ from tissueid.acquisition.quality import QualityGate
 from tissueid.acquisition.recovery import session_into
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
-from tissueid.errors import CancelledError, FirmwareFaultError, SessionFormatError
+from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
 from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
 from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_session
 
@@ -79,7 +79,7 @@ class SessionRecorder:
         if path.is_dir():
             raise SessionFormatError(f"{path} is a folder; name a session file")
         if path.exists():
-            raise SessionFormatError(f"{path} is there already; sessions are never overwritten")
+            raise SessionExistsError(path)
         if not path.parent.is_dir():
             raise SessionFormatError(f"there is no folder {path.parent}")
         self.path = path
@@ -315,10 +315,10 @@ class SessionRecorder:
             reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
             kept = "nothing was recorded"
             if self.samples_appended:
-                kept = (
-                    f"what was recorded is kept in {journal_path(self.path)}; once that is mended, 'tissueid recover' "
-                    "makes the session from it, with --out on another disk"
-                )
+                then = "once that is mended, 'tissueid recover' makes the session from it, with --out on another disk"
+                if isinstance(error, SessionExistsError):
+                    then = "move that file away or name another with --out, and 'tissueid recover' makes the session"
+                kept = f"what was recorded is kept in {journal_path(self.path)}; {then}"
             raise JournalError(f"cannot write {self.path}: {reason}. {kept[0].upper()}{kept[1:]}") from error
 
     def _test(self, number: int) -> str:

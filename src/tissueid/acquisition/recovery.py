@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from tissueid.acquisition.journal import Damage, Entry, JournalError, journal_path, lock, read_entries
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
-from tissueid.errors import UnusableInputError
+from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.instrument import SAMPLE, SIGNALS, Run, force
 from tissueid.sessions import Session, Subject, Test, read_session, read_session_head, write_session
+from tissueid.whole_file import remove_leftovers
 
 MAX_RUN_SAMPLES = 20_000_000
 
@@ -206,6 +207,8 @@ def session_into(path: Path, journal: Path, samples: int) -> None:
     try:
         session, _ = _sitting(_whole(journal, samples))
         write_session(path, session, tests=_tests(_whole(journal, samples), session.instrument))
+    except SessionFormatError:
+        raise  # the session could not be written: that says nothing of the journal
     except UnusableInputError as error:
         raise JournalError(
             f"{journal} does not hold what went into it: {error}. It is kept; 'tissueid recover' makes a session of "
@@ -285,6 +288,8 @@ def recover(
             raise UnusableInputError(f"{journal} holds no sample of any test; {advice} there is nothing to save")
         else:
             write_session(target, session, tests=_tests(read_entries(journal), session.instrument))
+    for session_file in {target, journal.with_name(journal.name.removesuffix(".journal"))}:
+        remove_leftovers(session_file)
     recovered = read_session(target)
     if damage.places:
         told(_keep_damaged(journal, damage))

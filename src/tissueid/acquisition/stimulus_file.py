@@ -33,7 +33,7 @@ def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
     check_new(path)
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
     try:
-        with whole_file(path) as partial:
+        with whole_file(path, new=True, shared=True) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error

@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.language import _
 from tissueid.app.words import in_words
+from tissueid.whole_file import write_private
 from tissueid.wording import clean
 
 MOST_LINES = 2_000
@@ -117,7 +118,7 @@ class LogPanel(QDockWidget):
     def save_to(self, path: str) -> None:
         """Write all lines to a file."""
         try:
-            Path(path).write_text(self.lines.toPlainText() + "\n", encoding="utf-8")
+            write_private(Path(path), self.lines.toPlainText() + "\n")
         except OSError as error:
             self.saved.emit(in_words(error), True)
         else:

@@ -40,6 +40,7 @@ from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
+from tissueid.whole_file import private_folder
 
 if TYPE_CHECKING:
     from tissueid.app.measuring import Outcome
@@ -101,7 +102,7 @@ class MainWindow(QMainWindow):
             plan = form.plan()
             plan.check()
             if plan.path.parent == self.around.folder:
-                plan.path.parent.mkdir(parents=True, exist_ok=True)
+                private_folder(plan.path.parent)
             wrong = form.path
             check_place(plan.path)
         except (TissueIDError, OSError) as error:

@@ -17,6 +17,7 @@ from tissueid.app.plan import default_folder
 from tissueid.audit import AuditLog, Role, default_path
 from tissueid.calibration.in_force import calibrated
 from tissueid.instrument import Found, Instrument, find_instruments, open_instrument
+from tissueid.whole_file import private_folder
 
 
 def _show_file(path: Path) -> bool:
@@ -24,7 +25,7 @@ def _show_file(path: Path) -> bool:
 
 
 def _settings() -> QSettings:
-    path = user_config_path("tissueid", appauthor=False, ensure_exists=True) / "window.ini"
+    path = private_folder(user_config_path("tissueid", appauthor=False)) / "window.ini"
     return QSettings(str(path), QSettings.Format.IniFormat)
 
 

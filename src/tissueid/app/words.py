@@ -9,6 +9,7 @@ from platformdirs import user_log_path
 from tissueid.app.core_words import said_by_core
 from tissueid.app.language import _, marked
 from tissueid.errors import TissueIDError
+from tissueid.whole_file import private_folder, write_private
 
 QUANTITIES = (marked("Mass"), marked("Damping"), marked("Stiffness"))
 """What the core calls the parameters of a tissue."""
@@ -83,6 +84,6 @@ def in_words(error: BaseException) -> str:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return sentence(f"{where}{error.strerror or error}")
-    path = user_log_path("tissueid", appauthor=False, ensure_exists=True) / "last-defect.txt"
-    path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
+    path = private_folder(user_log_path("tissueid", appauthor=False)) / "last-defect.txt"
+    write_private(path, "".join(traceback.format_exception(error)))
     return _("This is a defect of the software; please report {path}").format(path=path)

@@ -32,7 +32,7 @@ from tissueid.audit.line import (
     read_line,
 )
 from tissueid.errors import TissueIDError
-from tissueid.whole_file import sync_folder, write_all
+from tissueid.whole_file import private_folder, private_opener, sync_folder, write_all
 
 ENVIRONMENT = "TISSUEID_AUDIT"
 FORMAT = "tissueid-audit"
@@ -106,7 +106,7 @@ class AuditLog:
         try:
             if os.environ.get(ENVIRONMENT) == str(self.path) and not self.path.parent.exists():
                 raise FileNotFoundError(errno.ENOENT, f"there is no folder {self.path.parent}")
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            private_folder(self.path.parent)
             with _held(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)
                 data, head = self._lines(end, role, what, moment, subject=subject, old=old, new=new)
@@ -208,7 +208,7 @@ def _held(path: Path) -> Iterator[int]:
     """
     deadline = time.monotonic() + LOCK_S
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o644)
+        descriptor = private_opener(str(path), os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0))
         try:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise OSError(errno.EINVAL, "it is not an ordinary file")

@@ -167,7 +167,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     """
     check_writable(path)
     try:
-        with whole_file(path, synced=True) as partial:
+        with whole_file(path, synced=True, shared=True) as partial:
             partial.write_text(as_text(calibration), encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error

@@ -20,6 +20,7 @@ from typer.main import get_group
 
 from tissueid.cli.commands import app
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.whole_file import private_folder, write_private
 
 INTERRUPTED = 130
 _LETTING_GO_S = 2.0
@@ -102,6 +103,6 @@ def _complain(message: str, status: int) -> int:
 
 def _keep_traceback() -> Path:
     """Where the details went: users need not see them, whoever mends it does."""
-    path = user_log_path("tissueid", appauthor=False, ensure_exists=True) / "last-defect.txt"
-    path.write_text(traceback.format_exc(), encoding="utf-8")
+    path = private_folder(user_log_path("tissueid", appauthor=False)) / "last-defect.txt"
+    write_private(path, traceback.format_exc())
     return path

@@ -31,6 +31,7 @@ from tissueid.reports import Comparison, ComparisonRow, write_report
 from tissueid.sessions import Session, Subject
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.whole_file import private_folder
 
 LARGE_N = (-5.0, 11.8)
 """Force range of the main test. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
@@ -83,7 +84,7 @@ def _check_target(out: Path) -> None:
     """
     if out.exists() and not out.is_dir():
         raise UnusableInputError(f"{out} is not a folder")
-    out.mkdir(parents=True, exist_ok=True)
+    private_folder(out)
     if not any((out / name).exists() for name in OUTPUTS):
         return
     made_by = None

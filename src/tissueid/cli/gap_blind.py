@@ -28,6 +28,7 @@ from tissueid.gap.blind_check import BlindCheck, answers, nothing_out, opened
 from tissueid.gap.kept_answers import FOLDER, Begun, begin, begun_in
 from tissueid.gap.scenarios import scenario_names, seal, unseal
 from tissueid.gap.sealed import FULL, SINGLE, Answered, Score, score_of
+from tissueid.whole_file import private_folder
 from tissueid.wording import MISSING
 
 LABORATORY = "firmware_sim.laboratory"
@@ -173,7 +174,7 @@ def _tell(console: Console, title: str, count: int, score: Score) -> None:
 
 
 def _record(folder: Path, n: int, seed: int, full_share: float) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
+    private_folder(folder)
     command = [sys.executable, "-m", LABORATORY, "--seed", str(seed), "--n", str(n), "--out", str(folder), "--clean"]
     command += ["--full-share", str(full_share)]
     try:

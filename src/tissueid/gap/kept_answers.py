@@ -13,7 +13,7 @@ from typing import Any
 
 from tissueid import __version__
 from tissueid.errors import UnusableInputError
-from tissueid.whole_file import whole_file
+from tissueid.whole_file import private_folder, whole_file
 
 FOLDER = "answers"
 _CHECK = "check"
@@ -92,7 +92,7 @@ def _path(folder: Path, key: str) -> Path:
 def _write(folder: Path, key: str, value: dict[str, Any]) -> None:
     path = _path(folder, key)
     try:
-        path.parent.mkdir(exist_ok=True)
+        private_folder(path.parent)
         with whole_file(path) as partial:
             # NaN stays what it is: a score of kept answers is that of fresh ones to the last bit.
             partial.write_text(json.dumps(value, default=lambda item: item.item()), encoding="utf-8")

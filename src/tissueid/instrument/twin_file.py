@@ -254,7 +254,7 @@ def write_twin(path: Path, content: TwinFile) -> None:
     """
     check_twin_writable(path)
     try:
-        with whole_file(path, synced=True) as partial:
+        with whole_file(path, synced=True, shared=True) as partial:
             partial.write_text(tomli_w.dumps(content.model_dump(mode="python", exclude_none=True)), encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error

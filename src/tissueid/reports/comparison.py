@@ -30,6 +30,7 @@ from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
 from tissueid.sessions.quality import quality_of
+from tissueid.whole_file import private_folder, whole_file
 from tissueid.wording import engine_label, fixed
 
 Progress = Callable[[str, float], None]
@@ -90,14 +91,15 @@ class ComparisonReport:
         Raises:
             OSError: the folder cannot be made or written to.
         """
-        folder.mkdir(parents=True, exist_ok=True)
+        private_folder(folder)
         written = []
         for section in self.sections:
             for drawn in section.pictures:
                 if drawn.figure is not None:
                     for form in ("svg", "png"):
                         target = folder / f"{drawn.key}.{form}"
-                        plain_image(drawn.figure, target, "svg" if form == "svg" else "png")
+                        with whole_file(target) as partial:
+                            plain_image(drawn.figure, partial, "svg" if form == "svg" else "png")
                         written.append(target)
         return tuple(written)
 

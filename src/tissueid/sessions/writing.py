@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from tissueid.errors import SessionFormatError
+from tissueid.errors import SessionExistsError, SessionFormatError
 from tissueid.sessions.file import FORMAT, FORMAT_VERSION, read_all_but_tests, read_numbered
 from tissueid.sessions.members import opened, subgroup
 from tissueid.sessions.model import SIGNAL_NAMES, Session, Test
@@ -23,31 +23,36 @@ _Digests = dict[int, dict[str, bytes]]
 """What was written, by test and signal."""
 
 
-def write_session(
-    path: Path, session: Session, *, tests: Iterable[Test] | None = None, overwrite: bool = False
-) -> None:
+def write_session(path: Path, session: Session, *, tests: Iterable[Test] | None = None) -> None:
     """Write a session so that ``path`` is either not there or whole.
 
-    The file is written beside ``path`` under a temporary name, read back and compared, synced, then renamed. ``tests``
-    stand in for those of ``session``, and are asked for one by one: a long sitting need not be in memory.
+    The file is written in the same folder under a temporary name, read back and compared, synced, then given its own.
+    ``tests`` stand in for those of ``session``, and are asked for one by one: a long sitting need not be in memory.
 
     Raises:
-        SessionFormatError: ``path`` is there already, or what was read back differs from what was written.
+        SessionExistsError: ``path`` is there already, or appeared while the session was written.
+        SessionFormatError: what was read back differs from what was written.
         OSError: the disk is full or not writable; nothing is left behind.
     """
-    if path.exists() and not overwrite:
-        raise SessionFormatError(f"{path} is there already; sessions are never overwritten")
+    if path.exists():
+        raise SessionExistsError(path)
     if not path.parent.is_dir():
         raise SessionFormatError(f"there is no folder {path.parent}")
-    with whole_file(path, synced=True) as partial:
-        try:
-            with h5py.File(partial, "w", libver="v110") as file:
-                digests = _write(file, session, session.tests if tests is None else tests)
-        except (OSError, RuntimeError) as error:  # h5py wraps a full disk in a text of its own
-            number = re.search(r"errno = (\d+)", str(error))
-            reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
-            raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
-        _verify(partial, session.session_id, digests)
+    try:
+        with whole_file(path, synced=True, new=True) as partial:
+            _verify(partial, session.session_id, _write_into(partial, path, session, tests))
+    except FileExistsError as error:
+        raise SessionExistsError(path) from error
+
+
+def _write_into(partial: Path, path: Path, session: Session, tests: Iterable[Test] | None) -> _Digests:
+    try:
+        with h5py.File(partial, "w", libver="v110", locking=False) as file:  # whole_file holds a lock of its own
+            return _write(file, session, session.tests if tests is None else tests)
+    except (OSError, RuntimeError) as error:  # h5py wraps a full disk in a text of its own
+        number = re.search(r"errno = (\d+)", str(error))
+        reason = os.strerror(int(number[1])) if number else str(error).splitlines()[0]
+        raise OSError(int(number[1]) if number else 0, reason, str(path)) from error
 
 
 def _digest(values: np.ndarray) -> bytes:

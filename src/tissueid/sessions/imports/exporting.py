@@ -6,10 +6,8 @@ import csv
 import importlib
 import os
 import re
-import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -20,6 +18,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.sessions.imports.attributes import ColumnPart, attributes_text
 from tissueid.sessions.model import Session, Test
+from tissueid.whole_file import whole_folder
 
 _BLOCK = 65_536
 _LONGEST_VARIABLE = 63
@@ -47,7 +46,7 @@ def export_session(
     if not session.tests:
         raise UnusableInputError("the session holds no tests")
     written = []
-    with _whole_folder(folder) as partial:
+    with whole_folder(_new_folder(folder)) as partial:
         for done, test in enumerate(session.tests):
             columns, parts = _columns(test, _variable if kind == "mat" else _header)
             name = f"test-{test.number:04d}"
@@ -58,23 +57,18 @@ def export_session(
     return written
 
 
-@contextmanager
-def _whole_folder(folder: Path) -> Iterator[Path]:
-    """A folder beside ``folder`` to write into, which takes its name when the block ends, and only then."""
+def _new_folder(folder: Path) -> Path:
+    """The folder by its whole name, once it is known that there is nothing in it.
+
+    Raises:
+        UnusableInputError: there is, or its own folder is missing.
+    """
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 - resolve() would follow a link, and replace what it leads to
     if folder.is_symlink() or (folder.exists() and (not folder.is_dir() or any(folder.iterdir()))):
         raise UnusableInputError(f"{folder} is there already; exports go into a new folder, or an empty one")
     if not folder.parent.is_dir():
         raise UnusableInputError(f"there is no folder {folder.parent}")
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    try:
-        partial.mkdir()
-        yield partial
-        if folder.exists():
-            folder.rmdir()
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    return folder
 
 
 def _columns(test: Test, named: Callable[[str, str], str]) -> tuple[_Columns, dict[str, ColumnPart]]:

@@ -12,7 +12,7 @@ from platformdirs import user_data_path
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from tissueid.app.views.researcher.task import LONGEST_TEXT, Task
-from tissueid.whole_file import whole_file
+from tissueid.whole_file import private_folder, private_opener, whole_file
 
 ENVIRONMENT = "TISSUEID_ANALYSES"
 MOST_ENTRIES = 500
@@ -65,11 +65,11 @@ class History:
             OSError: the file cannot be written.
         """
         with self._lock:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            private_folder(self.path.parent)
             line = entry.model_dump_json().encode() + b"\n"
             if self.path.exists() and self.path.stat().st_size + len(line) > _LONGEST_FILE:
                 self._replace(self._tail()[-MOST_ENTRIES // 2 :])
-            with self.path.open("ab") as file:
+            with open(self.path, "ab", opener=private_opener) as file:
                 file.write(line if _ends_a_line(self.path) else b"\n" + line)
 
     def clear(self) -> None:
