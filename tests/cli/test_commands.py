@@ -11,6 +11,7 @@ from outside_data import RIG
 
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
+from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.sessions import Session, Test, read_session, write_session
 
 A_TEST = ["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/a.h5"]
@@ -193,6 +194,22 @@ def test_records_that_carry_no_fit(tmp_path, capsys, engine, force, position, wo
     test = Test(number=1, kind="stochastic", signals={"force": force, "position": position}, sample_rate_hz=2000.0)
     write_session(path, Session(DeviceDescription(), tests=(test,)))
     assert re.search(words, complaint(capsys, "identify", path, "--engine", engine))
+
+
+def test_a_fit_that_predicts_nothing_prints_no_parameters_and_keeps_them_in_json(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    force, position = rng.standard_normal((2, 6000))
+    path, answer = tmp_path / "unrelated.h5", tmp_path / "a.json"
+    test = Test(number=1, kind="stochastic", signals={"force": force, "position": position}, sample_rate_hz=2000.0)
+    write_session(path, Session(DeviceDescription(), tests=(test,)))
+    assert main(["identify", str(path), "--engine", "lms", "--json", str(answer)]) == 0
+    printed = capsys.readouterr().out
+    assert "N/m" not in printed
+    assert PREDICTS_NOTHING in " ".join(printed.split())
+    found = json.loads(answer.read_text())
+    assert (found["predicts_nothing"], "stiffness_n_per_m" in found["parameters"]) == (True, True)
+    assert main(["compare", str(path), "--engines", "lms,spectral"]) == 0
+    assert PREDICTS_NOTHING in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_defect_leaves_its_details_in_a_file(monkeypatch, capsys, tmp_path):

@@ -12,7 +12,8 @@ from identification import simulated
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import FitReport, Model, aic, aicc, vaf_percent, validate, validated
-from tissueid.identification.base import Array
+from tissueid.identification.base import PREDICTS_NOTHING, Array
+from tissueid.identification.engines.lms import Lms
 from tissueid.identification.validation import complete_windows, score, scored_samples
 from tissueid.records import Record
 
@@ -119,3 +120,42 @@ def test_another_rate_is_refused():
     whole = record()
     with pytest.raises(UnusableInputError, match="cannot be run at 200 Hz"):
         validate(delay(), Record(whole.input, whole.output, 200.0))
+
+
+def unrelated(seed: int, share: float = 0.0) -> Record:
+    """A position of which the force explains a share; the rest answers another force of the same spectrum."""
+    rng = simulated.generator(9, seed)
+    force, position = simulated.second_order(rng)
+    _, other = simulated.second_order(rng)
+    position, other = position / position.std(), other / other.std()
+    return Record(force, np.sqrt(share) * position + np.sqrt(1.0 - share) * other, simulated.RATE)
+
+
+def fitted(record: Record, memory: float) -> FitReport:
+    part, rest = slice(0, 6000), slice(6000, len(record))
+    return validated(Lms(memory=memory).fit(record, part), record, rest).report
+
+
+@pytest.mark.parametrize("memory", [0.02, 0.125])
+def test_a_fit_to_unrelated_motion_predicts_nothing(memory: float):
+    reports = [fitted(unrelated(seed), memory) for seed in range(20)]
+    assert sum(report.predicts_nothing for report in reports) >= 18  # at 5 %, more than 2 of 20 come to 8 %
+    marked = next(report for report in reports if report.predicts_nothing)
+    assert (marked.reportable_parameters, PREDICTS_NOTHING in marked.warnings) == ({}, True)
+    answer = marked.as_dict()
+    assert (answer["predicts_nothing"], set(answer["parameters"])) == (True, set(marked.parameters))
+
+
+def test_a_fit_that_explains_a_third_of_the_motion_predicts():
+    for seed in range(6):
+        report = fitted(unrelated(seed, 0.33), 0.02)
+        assert (report.predicts_nothing, report.reportable_parameters) == (False, report.parameters)
+        assert PREDICTS_NOTHING not in report.warnings
+
+
+def test_the_mark_of_a_fit_goes_with_the_samples_that_it_is_judged_on():
+    model = delay().with_validation(-3.0, 0.5)
+    assert (model.report.predicts_nothing, model.report.warnings) == (True, (PREDICTS_NOTHING,))
+    again = model.with_validation(80.0, 0.001)
+    assert (again.report.predicts_nothing, again.report.warnings) == (False, ())
+    assert not delay().report.predicts_nothing  # it was never judged

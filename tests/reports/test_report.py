@@ -22,10 +22,11 @@ from tissueid.reports import Comparison, ComparisonRow, html, report_html, write
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
-from tissueid.reports.tables import parameter_table, settings_tables
+from tissueid.reports.tables import parameter_table, score_table, settings_tables
 from tissueid.reports.validation_figures import prediction_figure, readable_stretch
-from tissueid.reports.verdict import judge
+from tissueid.reports.verdict import judge, key_numbers
 from tissueid.sessions import Session, Subject
+from tissueid.wording import MISSING
 
 Analyses = dict[int, dict[str, Analysis]]
 
@@ -347,3 +348,22 @@ def test_two_threads_draw_the_same_figure(session: Session) -> None:
         thread.join()
     assert len(drawn) == 3
     assert len(set(drawn)) == 1
+
+
+def test_parameters_of_an_engine_that_predicts_nothing_are_left_out(session: Session, analyses: Analyses) -> None:
+    found = {
+        name: replace(analysis, model=analysis.model.with_validation(-3.1, 0.6))
+        for name, analysis in analyses[1].items()
+    }
+    assert parameter_table(found) is None
+    assert all("predicts nothing" in row[2] for row in score_table(found).rows)
+    assert [number.label for number in key_numbers(found)] == [
+        "Linear model: unseen motion explained",
+        "Wiener model: unseen motion explained",
+    ]
+    one = {**analyses[1], "lms": found["lms"]}
+    table = parameter_table(one)
+    assert table is not None
+    column = 2 + list(one).index("lms")
+    assert {row[column] for row in table.rows} == {MISSING}
+    assert judge(session.test(1), found).level == "poor"

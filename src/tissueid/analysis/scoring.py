@@ -15,6 +15,7 @@ from tissueid.identification.family import Family
 from tissueid.identification.recommendation import Candidate
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.validation import aic, aicc, scored_samples, vaf_percent
+from tissueid.identification.validation.vaf_spread import unrelated_p_value
 from tissueid.records import Record
 
 _SHARED = 0.5
@@ -85,12 +86,13 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
         residual = np.where(fitted[k], parts.record.output - own, np.nan)
         error = np.where(held_out[k], unseen.output - other, np.nan)
         scheduled = analysis.model.simulate_scheduled(parts.held_out_record)
-        model = analysis.model.with_report(
+        measured = unseen.output[held_out[k]]
+        model = analysis.model.with_validation(
+            vaf_percent(unseen.output, unseen.output - error),
+            unrelated_p_value(measured, other[held_out[k]]),
+            None if scheduled is None else vaf_percent(np.where(held_out[k], unseen.output, np.nan), scheduled),
+        ).with_report(
             vaf_percent=vaf_percent(parts.record.output, parts.record.output - residual),
-            vaf_validation_percent=vaf_percent(unseen.output, unseen.output - error),
-            vaf_scheduled_percent=None
-            if scheduled is None
-            else vaf_percent(np.where(held_out[k], unseen.output, np.nan), scheduled),
             aic=aic(residual, parameters),
             aicc=aicc(residual, parameters),
         )

@@ -144,6 +144,7 @@ VERDICT = (
         "The models do worse on unseen motion than on what they were fitted to ({engine}: {seen} % of the fitted "
         "motion, {unseen} % of the unseen)."
     ),
+    marked("the model predicts nothing of data that it was not fitted to: its parameters are no results"),
     marked("Uncertain by more than {percent} %: {names}."),
     marked("mass"),
     marked("damping"),

@@ -75,7 +75,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
 def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     """Mass, damping and stiffness of the linear fit; variance accounted for by the linear and the Wiener model."""
     linear = next((name for name in ("lms", "spectral") if name in analyses), "")
-    parameters = analyses[linear].model.report.parameters if linear else {}
+    parameters = analyses[linear].model.report.reportable_parameters if linear else {}
     for quantity, note in _OF_WHAT.items():
         if quantity in parameters:
             label, si_unit = named_unit(quantity)

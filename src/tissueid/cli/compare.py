@@ -232,6 +232,7 @@ def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
     rows.columns[0].no_wrap = True
     for entry in found.entries:
         marks = ",".join(str(notes.setdefault(note, len(notes) + 1)) for note in _notes(entry))
+        style = "red" if entry.scored and entry.scored.analysis.model.report.predicts_nothing else ""
         if entry.scored is None:
             cells = [MISSING] * (len(columns) - 2)
         else:
@@ -242,7 +243,7 @@ def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
                 cells.append(fixed(found.ceiling.explained_percent(report.vaf_validation_percent or 0.0), 1))
             cells += [fixed(report.aicc, 0), fixed(entry.scored.parameters, 0), fixed(report.seconds, 2)]
             cells.append(entry.family.interpretability)
-        rows.add_row(entry.engine, *cells, marks)
+        rows.add_row(entry.engine, *cells, marks, style=style)
     return rows
 
 

@@ -142,19 +142,20 @@ def print_analysis(analysis: Analysis, out: Console) -> None:
     rows.add_row("parameters", str(report.n_parameters), "")
     rows.add_row("VAF on the fitted samples", fixed(report.vaf_percent, 2), "%")
     if report.vaf_validation_percent is not None:
-        rows.add_row(f"VAF on {analysis.validated_on}", fixed(report.vaf_validation_percent, 2), "%")
+        style = "red" if report.predicts_nothing else ""
+        rows.add_row(f"VAF on {analysis.validated_on}", fixed(report.vaf_validation_percent, 2), "%", style=style)
     if report.vaf_scheduled_percent is not None:
         told = f"the same, told the measured {analysis.record.output_name}"
         rows.add_row(told, fixed(report.vaf_scheduled_percent, 2), "%")
     if report.aicc is not None:
         rows.add_row("AICc", fixed(report.aicc, 0), "")
-    for name, estimate in report.parameters.items():
+    for name, estimate in report.reportable_parameters.items():
         rows.add_row(*readable(name, estimate))
     if report.seconds is not None:
         rows.add_row("computed in", fixed(report.seconds, 3), "s")
     out.print(rows)
     profile = analysis.depth_profile()
-    if profile is not None:
+    if profile is not None and not report.predicts_nothing:
         out.print(depth_table(profile, travel_word(analysis.configuration)))
     for finding in report.findings:
         out.print(finding, markup=False)

@@ -26,6 +26,12 @@ from tissueid.records import Estimate, Record
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+SIGNIFICANT = 0.05
+"""Chance of an unrelated simulation doing as well on held-out data beyond which a fit does not count as predicting."""
+
+PREDICTS_NOTHING = "the model predicts nothing of data that it was not fitted to: its parameters are no results"
+"""Warning in the report of a fit that ``predicts_nothing``."""
+
 
 def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
@@ -37,9 +43,10 @@ class FitReport:
 
     ``vaf_percent`` is the variance accounted for (Eq. 3.13) of the free-run simulation on the fitted samples;
     ``vaf_validation_percent`` the same on samples that were not fitted; ``vaf_scheduled_percent`` is filled only
-    by engines that can be driven by the measured output. ``findings`` says in words what the fit found, ``warnings``
-    what to know before trusting it. ``details`` holds further figures of one engine, such as the condition number.
-    Figures that cannot be had are None.
+    by engines that can be driven by the measured output. ``validation_p_value`` is the chance that a simulation
+    unrelated to the measurement follows it as well on those samples. ``findings`` says in words what the fit
+    found, ``warnings`` what to know before trusting it. ``details`` holds further figures of one engine, such as the
+    condition number. Figures that cannot be had are None.
     """
 
     engine: str
@@ -48,6 +55,7 @@ class FitReport:
     n_parameters: int
     vaf_percent: float
     vaf_validation_percent: float | None = None
+    validation_p_value: float | None = None
     vaf_scheduled_percent: float | None = None
     aic: float | None = None
     aicc: float | None = None
@@ -56,6 +64,19 @@ class FitReport:
     warnings: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def predicts_nothing(self) -> bool:
+        """Whether the free run tells nothing of held-out data: its VAF is 0 or less, or not significant."""
+        found, p_value = self.vaf_validation_percent, self.validation_p_value
+        if found is None or math.isnan(found):
+            return False
+        return found <= 0.0 or (p_value is not None and p_value > SIGNIFICANT)
+
+    @property
+    def reportable_parameters(self) -> dict[str, Estimate]:
+        """The parameters, or none where the fit predicts nothing: those are no results."""
+        return {} if self.predicts_nothing else self.parameters
 
     def as_dict(self) -> dict[str, Any]:
         """Return the keys of ``tissueid identify --json``: SI units, and None for what is not finite."""
@@ -66,6 +87,8 @@ class FitReport:
             "n_parameters": self.n_parameters,
             "vaf_percent": _finite_or_none(self.vaf_percent),
             "vaf_validation_percent": _finite_or_none(self.vaf_validation_percent),
+            "validation_p_value": _finite_or_none(self.validation_p_value),
+            "predicts_nothing": self.predicts_nothing,
             "vaf_scheduled_percent": _finite_or_none(self.vaf_scheduled_percent),
             "aicc": _finite_or_none(self.aicc),
             "parameters": {
@@ -131,6 +154,19 @@ class Model(ABC):
     def with_report(self, **changes: Any) -> Self:
         """Return the same model with fields of its report replaced, for example ``seconds``."""
         return replace(self, report=replace(self.report, **changes))
+
+    def with_validation(self, vaf_percent: float, p_value: float, scheduled_percent: float | None = None) -> Self:
+        """Return the same model with its scores on held-out samples, and a warning where it predicts nothing there."""
+        report = replace(
+            self.report,
+            vaf_validation_percent=vaf_percent,
+            validation_p_value=p_value,
+            vaf_scheduled_percent=scheduled_percent,
+        )
+        warnings = tuple(warning for warning in report.warnings if warning != PREDICTS_NOTHING)
+        if report.predicts_nothing:
+            warnings = (PREDICTS_NOTHING, *warnings)
+        return replace(self, report=replace(report, warnings=warnings))
 
     def check_rate(self, record: Record) -> None:
         """Refuse a record that was not sampled as the fitted one was.

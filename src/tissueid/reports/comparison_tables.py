@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tissueid.analysis import EngineComparison, Entry
-from tissueid.reports.tables import Table, parameter_table
+from tissueid.reports.tables import Table, held_out_cell, parameter_table
 from tissueid.wording import MISSING, engine_label, fixed, grouped
 
 
@@ -26,7 +26,7 @@ def compared_scores(found: EngineComparison) -> Table:
             rows.append((label, *[MISSING] * (len(head) - 2), marks))
             continue
         report = entry.scored.analysis.model.report
-        cells = [label, fixed(report.vaf_percent, 2), fixed(report.vaf_validation_percent, 2)]
+        cells = [label, fixed(report.vaf_percent, 2), held_out_cell(report)]
         cells += [fixed(report.vaf_scheduled_percent, 2)] if scheduled else []
         if ceiling is not None:
             cells.append(fixed(ceiling.explained_percent(report.vaf_validation_percent or 0.0), 1))

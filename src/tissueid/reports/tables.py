@@ -14,6 +14,7 @@ from tissueid import __version__
 from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
+from tissueid.identification.base import FitReport
 from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
 from tissueid.reports.signal_figures import lost_samples
@@ -80,7 +81,7 @@ _TOLD_ELSEWHERE = ("events", "quality", "samples_lost", "stimulus_report")
 
 def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
     """Every parameter of every engine with its standard deviation; None when no engine has any."""
-    names = list(dict.fromkeys(name for a in analyses.values() for name in a.model.report.parameters))
+    names = list(dict.fromkeys(name for a in analyses.values() for name in a.model.report.reportable_parameters))
     if not names:
         return None
     rows = []
@@ -88,8 +89,8 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
         label, si_unit = named_unit(name)
         unit, scale = people_unit(si_unit)
         cells = [
-            _told(a.model.report.parameters[name], scale) if name in a.model.report.parameters else MISSING
-            for a in analyses.values()
+            _told(parameters[name], scale) if name in parameters else MISSING
+            for parameters in (a.model.report.reportable_parameters for a in analyses.values())
         ]
         rows.append((label, unit, *cells))
     return Table(
@@ -119,7 +120,7 @@ def score_table(analyses: Mapping[str, Analysis]) -> Table:
     head += ["AICc", "Parameters", "Samples fitted", "Seconds"]
     rows = []
     for name, report in reports:
-        cells = [engine_label(name), fixed(report.vaf_percent, 2), fixed(report.vaf_validation_percent, 2)]
+        cells = [engine_label(name), fixed(report.vaf_percent, 2), held_out_cell(report)]
         cells += [fixed(report.vaf_scheduled_percent, 2)] if scheduled else []
         cells += [grouped(report.aicc), grouped(report.n_parameters), grouped(report.n_samples)]
         rows.append((*cells, fixed(report.seconds, 3)))
@@ -129,8 +130,15 @@ def score_table(analyses: Mapping[str, Analysis]) -> Table:
         tuple(head),
         tuple(rows),
         f"Held out: {held_out}. VAF is the variance accounted for by a simulation that sees the input alone. Among "
-        "models fitted to the same samples the lowest AICc is the best.",
+        "models fitted to the same samples the lowest AICc is the best. An engine whose held-out VAF is not above zero "
+        "at the 5 % level predicts nothing, and its parameters are left out.",
     )
+
+
+def held_out_cell(report: FitReport, decimals: int = 2) -> str:
+    """The held-out VAF in percent, marked where the fit predicts nothing."""
+    text = fixed(report.vaf_validation_percent, decimals)
+    return f"{text}, predicts nothing" if report.predicts_nothing else text
 
 
 def comparison_table(comparison: Comparison) -> Table:

@@ -178,7 +178,7 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
     wiener = next((name for name, a in analyses.items() if isinstance(a.model, WienerModel)), None)
     source = linear or wiener
     if source is not None:
-        parameters = analyses[source].model.report.parameters
+        parameters = analyses[source].model.report.reportable_parameters
         ratio = parameters.get("damping_ratio")
         for name in _KEY_PARAMETERS:
             if name not in parameters:

@@ -15,7 +15,9 @@ from PySide6.QtWidgets import (
 from tissueid.app.theme import DARK
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.pictures import PICTURES
+from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.sessions import read_session, write_session
+from tissueid.wording import MISSING
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -215,3 +217,22 @@ def test_a_comparison_is_cancelled_between_its_engines(qtbot, panel, strip, monk
     wait(qtbot, panel)
     assert panel.results.outcomes == ()
     assert "Cancelled" in strip.said[-1][0]
+
+
+def test_a_fit_that_predicts_nothing_is_red_and_shows_no_parameters(qtbot, panel, tmp_path, saved):
+    session = read_session(saved)
+    test = session.test(1)
+    noise = np.random.default_rng(3).standard_normal(test.samples)
+    signals = {**test.signals, "position": 0.012 + 1e-4 * noise}
+    path = tmp_path / "unrelated.h5"
+    write_session(path, dataclasses.replace(session, tests=(dataclasses.replace(test, signals=signals),)))
+    run(qtbot, panel, [chosen_of(saved), chosen_of(path)])
+    panel.paint_with(DARK)
+    model = panel.results.model()
+    heads = [model.headerData(k, Qt.Orientation.Horizontal).replace("\n", " ") for k in range(model.columnCount())]
+    mass = heads.index("Mass (g)")
+    good, bad = (model.index(row, 0).data(Qt.ItemDataRole.ForegroundRole) for row in range(2))
+    assert (good, bad.name()) == (None, DARK.poor)
+    assert "±" in model.index(0, mass).data()
+    assert model.index(1, mass).data() == MISSING
+    assert PREDICTS_NOTHING in model.index(1, 0).data(Qt.ItemDataRole.ToolTipRole)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
+from tissueid.identification.validation.vaf_spread import unrelated_p_value
 from tissueid.records import Record
 
 AnyModel = TypeVar("AnyModel", bound=Model)
@@ -152,11 +153,14 @@ def validated(model: AnyModel, record: Record, part: slice | None = None) -> Any
     Raises:
         UnusableInputError: as :func:`validate`.
     """
-    held_out = validate(model, record, part).vaf_percent
-    scheduled = model.simulate_scheduled(record)
-    if scheduled is None:
-        return model.with_report(vaf_validation_percent=held_out)
+    model.check_rate(record)
     used = scored_samples(record, model.memory_samples, part)
-    return model.with_report(
-        vaf_validation_percent=held_out, vaf_scheduled_percent=score(record, scheduled, used).vaf_percent
+    simulated = model.simulate(record.input)
+    held_out = score(record, simulated, used)
+    scored = used & np.isfinite(simulated)
+    measured = record.output[scored]
+    p_value = unrelated_p_value(measured, simulated[scored])
+    scheduled = model.simulate_scheduled(record)
+    return model.with_validation(
+        held_out.vaf_percent, p_value, None if scheduled is None else score(record, scheduled, used).vaf_percent
     )

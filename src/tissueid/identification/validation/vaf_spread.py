@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import stdtr
 
 from tissueid.identification.base import Array
+from tissueid.identification.correlation import Correlator
 from tissueid.identification.dependence import dependence_samples, long_run_covariance
+
+_FEWEST = 8
+"""Samples below which nothing is said of a correlation."""
+
+_LEAST = 1e-12
+"""Least share of the variance that is left unexplained in Student's quotient."""
 
 
 def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> float:
@@ -14,6 +22,29 @@ def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> flo
     ``measured`` and ``error`` have shape (n,) and hold no NaN.
     """
     return 100.0 * ratio_std((error - error.mean()) ** 2, (measured - measured.mean()) ** 2, sample_rate_hz)
+
+
+def unrelated_p_value(measured: Array, simulated: Array) -> float:
+    """Chance that a simulation unrelated to a measurement follows it as well as this one, one-sided; 1 for none.
+
+    Both have shape (n,) and hold no NaN. Their correlation is held against Student's distribution, with the number of
+    independent samples that the autocorrelations of both leave (Bartlett 1935).
+    """
+    n = measured.size
+    if n < _FEWEST:
+        return 1.0
+    y, modelled = measured - measured.mean(), simulated - simulated.mean()
+    lags = n // 4
+    powers = [Correlator(values, lags).auto() for values in (y, modelled)]
+    if not (powers[0][0] > 0.0 and powers[1][0] > 0.0):
+        return 1.0
+    related = (powers[0] / powers[0][0]) * (powers[1] / powers[1][0])  # (lags,)
+    independent = n / max(1.0, 1.0 + 2.0 * float(related[1:].sum()))
+    correlation = float(y @ modelled) / np.sqrt(float(y @ y) * float(modelled @ modelled))
+    if independent <= 2.0 or correlation <= 0.0:
+        return 1.0
+    freedom = independent - 2.0
+    return float(stdtr(freedom, -correlation * np.sqrt(freedom / max(1.0 - correlation**2, _LEAST))))
 
 
 def ratio_std(power: Array, whole: Array, sample_rate_hz: float) -> float:

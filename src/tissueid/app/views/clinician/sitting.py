@@ -119,7 +119,7 @@ def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
     from tissueid.reports.verdict import linear_engine
 
     name = linear_engine(analyses)
-    parameters = analyses[name].model.report.parameters if name is not None else {}
+    parameters = analyses[name].model.report.reportable_parameters if name is not None else {}
     return {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
 
 

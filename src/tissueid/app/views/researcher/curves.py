@@ -263,7 +263,7 @@ def _against_depth(analysis: Analysis) -> tuple[Line, Line, Line]:
 
 def _at_one_depth(analysis: Analysis) -> tuple[Line, Line, Line]:
     """One point: the mean position of the test, and what the whole of it gave."""
-    record, found = analysis.record[analysis.fit_part], analysis.model.report.parameters
+    record, found = analysis.record[analysis.fit_part], analysis.model.report.reportable_parameters
     names = (("mass_kg", 1e3), ("damping_n_s_per_m", 1.0), ("stiffness_n_per_m", 1.0))
     if (record.output_unit, record.input_unit) != ("m", "N") or any(name not in found for name, _ in names):
         raise UnusableInputError(_("this engine gives no mass, damping and stiffness of this record"))

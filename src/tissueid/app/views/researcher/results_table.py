@@ -21,6 +21,7 @@ from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.words import for_window
 from tissueid.wording import (
     MISSING,
     axis_label,
@@ -193,7 +194,7 @@ class _Results(QAbstractTableModel):
         reports = [outcome.report for outcome in outcomes if outcome.report is not None]
         counts: dict[str, int] = {}
         for report in reports:
-            for name in report.parameters:
+            for name in report.reportable_parameters:
                 counts[name] = counts.get(name, 0) + 1
         # What most of them have stands first, so that it can be compared without scrolling.
         self.parameters = sorted(counts, key=lambda name: -counts[name])
@@ -249,8 +250,11 @@ class _Results(QAbstractTableModel):
             return None if place is None else QColor(getattr(self._theme, SERIES[place % len(SERIES)]))
         if role == Qt.ItemDataRole.TextAlignmentRole and not self._is_text(column):
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        if role == Qt.ItemDataRole.ForegroundRole and outcome.refused and self._theme is not None:
-            return QColor(self._theme.muted)
+        if role == Qt.ItemDataRole.ForegroundRole and self._theme is not None:
+            if outcome.refused:
+                return QColor(self._theme.muted)
+            if outcome.report is not None and outcome.report.predicts_nothing:
+                return QColor(self._theme.poor)
         return None
 
     def _is_text(self, column: int) -> bool:
@@ -268,7 +272,7 @@ class _Results(QAbstractTableModel):
         if column < len(_FIXED):
             return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
         name = self.parameters[column - len(_FIXED)]
-        found = report.parameters.get(name)
+        found = report.reportable_parameters.get(name)
         return MISSING if found is None else plus_minus(found, shown_si(named_unit(name)[1])[1])
 
     def _sorted_by(self, outcome: Outcome, column: int) -> str | float:
@@ -280,7 +284,7 @@ class _Results(QAbstractTableModel):
         if column < len(_FIXED):
             value = report.vaf_percent if column == 2 else report.vaf_validation_percent
             return float("-inf") if value is None else value
-        found = report.parameters.get(self.parameters[column - len(_FIXED)])
+        found = report.reportable_parameters.get(self.parameters[column - len(_FIXED)])
         return float("-inf") if found is None else found.value
 
 
@@ -300,7 +304,7 @@ def _told(outcome: Outcome) -> str:
         lines += [_("VAF held out on {data}").format(data=outcome.validated_on)]
         lines += [
             *outcome.report.findings,
-            *(_("Warning: {warning}").format(warning=warning) for warning in outcome.report.warnings),
+            *(_("Warning: {warning}").format(warning=for_window(warning)) for warning in outcome.report.warnings),
         ]
     lines += [_("Residual: {finding}").format(finding=finding) for finding in outcome.findings]
     return "\n".join(clean(line).replace("<", "‹").replace(">", "›") for line in lines)
@@ -316,7 +320,7 @@ def _plain_row(outcome: Outcome, names: Sequence[str]) -> list[str]:
     row += [_bare(report.vaf_percent), _bare(report.vaf_validation_percent), outcome.validated_on]
     row += [_bare(report.aicc), _bare(report.seconds)]
     for name in names:
-        found = report.parameters.get(name)
+        found = report.reportable_parameters.get(name)
         row += ["", ""] if found is None else [_bare(found.value), _bare(found.std)]
     return [*row, ""]
 
