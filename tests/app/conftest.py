@@ -59,6 +59,8 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
         around["language"] = "en"
         around["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
         window = MainWindow(Surroundings(**(around | changes)))
+        if not window.settings.contains("window/geometry"):
+            window.resize(1280, 720)  # more than the screen of the offscreen platform has
         windows.append(window)
         window.show()
         window.activateWindow()

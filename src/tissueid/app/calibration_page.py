@@ -23,6 +23,7 @@ from tissueid.app.calibration_figures import figure_of
 from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
 from tissueid.app.language import _, marked
 from tissueid.app.number_field import NumberField
+from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.words import verdict_of
@@ -47,6 +48,7 @@ _KINDS: dict[Kind, tuple[str, str, str]] = {
 }
 _STEPS = 1000
 _ROW = 22
+_TWO_COLUMNS = 650
 
 
 class CalibrationPage(QWidget):
@@ -107,10 +109,11 @@ class CalibrationPage(QWidget):
         self.room.setEnabled(False)
         self.room_known.toggled.connect(self.room.setEnabled)
         self._result = self._make_result()
-        layout = QVBoxLayout(self)
+        content = QWidget()
+        layout = QVBoxLayout(content)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
-        choices = QHBoxLayout()
+        choices = FoldingBox(_TWO_COLUMNS)
         choices.setSpacing(8)
         for kind in _KINDS:
             choices.addWidget(self._make_choice(kind), 1)
@@ -119,6 +122,9 @@ class CalibrationPage(QWidget):
         layout.addWidget(self._result, 1)
         self._layout = layout
         layout.addStretch()
+        whole = QVBoxLayout(self)
+        whole.setContentsMargins(0, 0, 0, 0)
+        whole.addWidget(PageScroll(content))
         self.rest()
         self._show_result(False)
 

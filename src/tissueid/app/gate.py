@@ -7,11 +7,13 @@ from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.app.words import for_window
 from tissueid.sessions.quality import Quality, Verdict
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
+_ONE_ROW = 640
 MOST_SHOWN = 3
 """Findings that are shown at once; the others are counted, and shown when asked for."""
 UNJUDGED = marked("This test was not judged when it was made; 'tissueid quality' judges it.")
@@ -37,14 +39,19 @@ class QualityGate(QFrame):
         self.more.setAccessibleName(_("All findings"))
         self.run_again = QPushButton(_("Run again"))
         self.run_again.setToolTip(_("The same test once more, into a file of its own"))
-        top = QHBoxLayout()
-        top.setSpacing(8)
-        top.addWidget(self.light)
-        top.addWidget(self.headline, 1)
+        said, offered = QHBoxLayout(), QHBoxLayout()
+        said.setSpacing(8)
+        said.addWidget(self.light)
+        said.addWidget(self.headline, 1)
         self.repeats = RepeatBar()
-        top.addWidget(self.repeats)
-        top.addWidget(self.more)
-        top.addWidget(self.run_again)
+        offered.setSpacing(8)
+        offered.addStretch(1)
+        for part in (self.repeats, self.more, self.run_again):
+            offered.addWidget(part)
+        top = FoldingBox(_ONE_ROW)
+        top.setSpacing(4)
+        top.addLayout(said, 1)
+        top.addLayout(offered)
         self._grid = QGridLayout()
         self._grid.setHorizontalSpacing(12)
         self._grid.setVerticalSpacing(2)

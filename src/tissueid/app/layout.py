@@ -7,7 +7,8 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import QSize, Qt
+from PySide6.QtCore import QSize, Qt, Signal
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QFrame,
     QHBoxLayout,
@@ -34,26 +35,34 @@ from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
 from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
+from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
 from tissueid.audit import Role
 
+SMALLEST = 800, 400
+"""Least size of the window: a screen of 1280x720 at 150 % (853x480), less its task bar and a title bar, pixels."""
 SIDE_WIDTH = 330
+_NARROW_SIDE_WIDTH = 284
+_NARROW = 1000
+"""Width of the window below which the side is narrow."""
+_TITLE_BAR = 40
+_LEAST_TABS = 200
+_LEAST_FORM = 20
+_TWO_COLUMNS = 560
 MEASURE = "measure"
 """The page of the guided test."""
 RESEARCH_USE = marked("Research use only. Not a medical device.")
 
 
-class _Stack(QStackedWidget):
-    """Needs as much room as the page that is shown, whatever the others need."""
+class _Room(QWidget):
+    """What the window holds. ``resized`` carries the new width."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.currentChanged.connect(self.updateGeometry)
+    resized = Signal(int)
 
-    def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """That of the page that is shown."""
-        page = self.currentWidget()
-        return super().minimumSizeHint() if page is None else page.minimumSizeHint()
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Pass the new width on."""
+        super().resizeEvent(event)
+        self.resized.emit(event.size().width())
 
 
 class Layout:
@@ -62,6 +71,7 @@ class Layout:
     def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], role: Role) -> None:
         self._testing = False
         self.form = PlanForm(folder, now)
+        self._side_frame = QFrame()
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
         self.gate = QualityGate()
@@ -77,12 +87,7 @@ class Layout:
         self.guidance = Guidance()
         self.signals = SignalPlots()
         self.analysis = LiveAnalysis()
-        self.running = QWidget()
-        beside = QHBoxLayout(self.running)
-        beside.setContentsMargins(0, 0, 0, 0)
-        beside.setSpacing(8)
-        beside.addWidget(self.signals, 3)
-        beside.addWidget(self.analysis, 4)
+        self.running = self._make_running()
         self.result = ResultPage()
         self.pages = QTabWidget()
         self.pages.setDocumentMode(True)
@@ -102,12 +107,14 @@ class Layout:
         self.halt.setAccessibleName(_("STOP, release the coil, from any page"))
         self.halt.setToolTip(self.stop.toolTip())
         self.halt.hide()
-        self.stack = _Stack()
+        self.stack = QStackedWidget()
         self.views: dict[str, QWidget] = {}
+        self._holders: dict[str, QWidget] = {}
         self.show_role(role)
         window.setCentralWidget(self._arrange())
-        window.setMinimumSize(1100, 640)
-        window.resize(1280, 720)
+        window.setMinimumSize(*SMALLEST)
+        room = window.screen().availableSize() - QSize(0, _TITLE_BAR)
+        window.resize(QSize(1280, 720).boundedTo(room))
 
     def show_role(self, role: Role) -> None:
         """Show what a role has to do with."""
@@ -138,11 +145,12 @@ class Layout:
     def add_page(self, name: str, page: QWidget) -> None:
         """The page that a button of the rail shows; it may come later than its button."""
         self.views[name] = page
-        self.stack.addWidget(page)
+        self._holders[name] = page if name == MEASURE else PageScroll(page)
+        self.stack.addWidget(self._holders[name])
 
     def show_page(self, name: str) -> None:
         """Show a page; wherever somebody looks, STOP is there while a coil may be energised."""
-        self.stack.setCurrentWidget(self.views[name])
+        self.stack.setCurrentWidget(self._holders[name])
         self.notice.turn_to(name)
         self.rail.show_chosen(name)
         self._show_halt()
@@ -150,7 +158,7 @@ class Layout:
     @property
     def page(self) -> str:
         """The name of the page that is shown."""
-        return next(name for name, page in self.views.items() if page is self.stack.currentWidget())
+        return next(name for name, page in self._holders.items() if page is self.stack.currentWidget())
 
     def _show_halt(self) -> None:
         self.halt.setVisible(self._testing and self.page != MEASURE)
@@ -186,7 +194,8 @@ class Layout:
         self.result.paint_with(theme)
 
     def _arrange(self) -> QWidget:
-        page = QWidget()
+        page = _Room()
+        page.resized.connect(self._fold)
         rows = QVBoxLayout(page)
         rows.setContentsMargins(0, 0, 0, 0)
         rows.setSpacing(0)
@@ -212,14 +221,30 @@ class Layout:
         columns.setContentsMargins(0, 0, 0, 0)
         columns.setSpacing(0)
         columns.addWidget(self._side())
-        main = QVBoxLayout()
+        content = QWidget()
+        main = QVBoxLayout(content)
         main.setContentsMargins(12, 10, 12, 10)
         main.setSpacing(8)
         main.addWidget(self.guidance)
         main.addWidget(self.gate)
         main.addWidget(self.pages, 1)
-        columns.addLayout(main, 1)
+        self.pages.setMinimumHeight(_LEAST_TABS)
+        columns.addWidget(PageScroll(content), 1)
         return page
+
+    def _make_running(self) -> QWidget:
+        """Signals and live estimates, below each other where there is no room for two columns."""
+        content = QWidget()
+        columns = FoldingBox(_TWO_COLUMNS, content)
+        columns.setContentsMargins(0, 0, 0, 0)
+        columns.setSpacing(8)
+        columns.addWidget(self.signals, 3)
+        columns.addWidget(self.analysis, 4)
+        return PageScroll(content)
+
+    def _fold(self, width: int) -> None:
+        """Give the page more of a narrow window."""
+        self._side_frame.setFixedWidth(_NARROW_SIDE_WIDTH if width < _NARROW else SIDE_WIDTH)
 
     def _header(self) -> QWidget:
         header = QFrame()
@@ -252,7 +277,8 @@ class Layout:
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        side = QFrame()
+        scroll.setMinimumHeight(_LEAST_FORM)
+        side = self._side_frame
         side.setProperty("role", "side")
         side.setFixedWidth(SIDE_WIDTH)
         column = QVBoxLayout(side)

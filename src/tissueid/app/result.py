@@ -21,6 +21,7 @@ from tissueid.app.elided import ElidedLabel
 from tissueid.app.findings import Curves, Findings, Number, whose
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
@@ -30,6 +31,8 @@ from tissueid.sessions import Test
 
 _TILES = 5
 _ROOM_FOR_TILES = 720
+_ROOM_FOR_THREE = 500
+_ONE_ROW = 560
 _ROOM_FOR_TWO_PLOTS = 840
 _APART = 16
 """Pixels."""
@@ -50,7 +53,6 @@ class ResultPage(QScrollArea):
         super().__init__(parent)
         self.setWidgetResizable(True)
         self.setAccessibleName(_("Result, to scroll by the arrow keys"))
-        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFrameShape(QFrame.Shape.NoFrame)
         page = QWidget()
         self.setWidget(page)
@@ -140,14 +142,20 @@ class ResultPage(QScrollArea):
             label.setMinimumWidth(1)
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        top = QHBoxLayout()
-        top.setSpacing(_APART)
+        named, offered = QHBoxLayout(), QHBoxLayout()
+        named.setSpacing(_APART)
+        offered.setSpacing(_APART)
         self.pdf = QPushButton(_("PDF report"))
         self.pdf.setToolTip(_("One or two pages to print, beside the session"))
-        top.addWidget(self.headline)
-        top.addWidget(self.whose, 1)
-        top.addWidget(self.test)
-        top.addWidget(self.pdf)
+        named.addWidget(self.headline)
+        named.addWidget(self.whose, 1)
+        offered.addStretch(1)
+        offered.addWidget(self.test)
+        offered.addWidget(self.pdf)
+        top = FoldingBox(_ONE_ROW)
+        top.setSpacing(4)
+        top.addLayout(named, 1)
+        top.addLayout(offered)
         layout = QVBoxLayout(self._verdict)
         layout.setContentsMargins(12, 8, 12, 8)
         layout.setSpacing(3)
@@ -188,7 +196,10 @@ class ResultPage(QScrollArea):
 
     def _arrange(self, width: int) -> None:
         """Put tiles and plots into as many columns as a width, pixels, holds."""
-        columns = (_TILES if width >= _ROOM_FOR_TILES else 3), (2 if width >= _ROOM_FOR_TWO_PLOTS else 1)
+        columns = (
+            (_TILES if width >= _ROOM_FOR_TILES else 3 if width >= _ROOM_FOR_THREE else 2),
+            (2 if width >= _ROOM_FOR_TWO_PLOTS else 1),
+        )
         if columns == self._columns:
             return
         self._columns = columns

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QComboBox,
     QFileDialog,
     QFrame,
-    QGridLayout,
     QHBoxLayout,
     QLabel,
     QLineEdit,
@@ -24,6 +23,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.buttons import BigButton
 from tissueid.app.language import _, marked, spoken
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosing import Asked, numbers_of_tests
 from tissueid.wording import clean
 
@@ -31,6 +31,8 @@ NOMINAL = marked("Nominal twin")
 _RECENT = 20
 _LONGEST = 60
 _SETTING = "gap"
+_ONE_ROW = 640
+_FIELDS_IN_A_ROW = 480
 
 
 class Asking(QFrame):
@@ -152,22 +154,22 @@ class Asking(QFrame):
         self.more.setVisible(opened)
 
     def _arrange(self) -> None:
-        grid = QGridLayout()
-        grid.setHorizontalSpacing(8)
-        grid.setVerticalSpacing(2)
-        for column, choice in ((0, self.session), (1, self.twin)):
+        choices = FoldingBox(_ONE_ROW)
+        choices.setSpacing(8)
+        for choice, share in ((self.session, 3), (self.twin, 2)):
             label = QLabel(choice.choice.accessibleName())
             label.setProperty("role", "field")
-            grid.addWidget(label, 0, column)
             row = QHBoxLayout()
             row.setSpacing(6)
             row.addWidget(choice.choice, 1)
             row.addWidget(choice.open)
-            grid.addLayout(row, 1, column)
-        grid.setColumnStretch(0, 3)
-        grid.setColumnStretch(1, 2)
-        grid.addWidget(self.run, 1, 2)
-        inside = QHBoxLayout(self.more)
+            column = QVBoxLayout()
+            column.setSpacing(2)
+            column.addWidget(label)
+            column.addLayout(row)
+            choices.addLayout(column, share)
+        choices.addWidget(self.run, 0, Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight)
+        inside = FoldingBox(_FIELDS_IN_A_ROW, self.more)
         inside.setContentsMargins(0, 0, 0, 0)
         for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
             label = QLabel(words)
@@ -176,9 +178,11 @@ class Asking(QFrame):
             field.setPlaceholderText(_("chosen by itself"))
             field.setMaxLength(200)
             field.setFixedWidth(130)
-            inside.addWidget(label)
-            inside.addWidget(field)
-            inside.addSpacing(10)
+            pair = QHBoxLayout()
+            pair.addWidget(label)
+            pair.addWidget(field)
+            pair.addSpacing(10)
+            inside.addLayout(pair)
         below = QHBoxLayout()
         below.setSpacing(10)
         below.addWidget(self.fold)
@@ -191,7 +195,7 @@ class Asking(QFrame):
         rows = QVBoxLayout(self)
         rows.setContentsMargins(12, 6, 12, 6)
         rows.setSpacing(4)
-        rows.addLayout(grid)
+        rows.addLayout(choices)
         rows.addLayout(below)
 
 

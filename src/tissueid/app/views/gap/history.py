@@ -11,7 +11,7 @@ from tissueid.app.views.gap.diagnosing import Result
 from tissueid.app.views.gap.words import STAGE_TITLES, VERDICT_WORDS
 from tissueid.wording import clean
 
-_WIDTH = 196
+_WIDTH, _LEAST_WIDTH = 196, 120
 _MOST = 20
 """Each takes some twenty megabytes."""
 _LONGEST = 40
@@ -24,7 +24,8 @@ class History(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setFixedWidth(_WIDTH)
+        self.setMinimumWidth(_LEAST_WIDTH)
+        self.setMaximumWidth(_WIDTH)
         self._results: list[Result] = []
         self.list = QListWidget()
         self.list.setAccessibleName(_("Diagnoses of this sitting, newest first"))

@@ -8,6 +8,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.chain import Chain
 from tissueid.app.views.gap.far_tab import FarTab
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from tissueid.twin.effect import Stage
 
 _TABS_HEIGHT = 390
+_ONE_ROW = 680
 
 
 class ResultPage(QScrollArea):
@@ -115,11 +117,15 @@ class ResultPage(QScrollArea):
     def _arrange(self) -> None:
         self._verdict = QFrame()
         self._verdict.setProperty("role", "verdict")
-        top = QHBoxLayout()
+        offered = QHBoxLayout()
+        offered.setSpacing(6)
+        offered.addStretch(1)
+        for button in (self.accept, self.report, self.export):
+            offered.addWidget(button, 0, Qt.AlignmentFlag.AlignTop)
+        top = FoldingBox(_ONE_ROW)
         top.setSpacing(6)
         top.addWidget(self.headline, 1)
-        for button in (self.accept, self.report, self.export):
-            top.addWidget(button, 0, Qt.AlignmentFlag.AlignTop)
+        top.addLayout(offered)
         verdict = QVBoxLayout(self._verdict)
         verdict.setContentsMargins(12, 8, 10, 8)
         verdict.setSpacing(3)
@@ -133,7 +139,7 @@ class ResultPage(QScrollArea):
         evidence.addWidget(self.stage)
         evidence.addWidget(self.evidence)
         evidence.addStretch(1)
-        middle = QHBoxLayout(card)
+        middle = FoldingBox(_ONE_ROW, card)
         middle.setContentsMargins(8, 6, 12, 8)
         middle.setSpacing(14)
         middle.addWidget(self.chain, 5)

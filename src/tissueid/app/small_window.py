@@ -1,0 +1,93 @@
+"""Containers that keep a page usable in a small window: one that scrolls, and one that turns a row into a column."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QBoxLayout, QFrame, QScrollArea, QWidget
+
+
+class PageScroll(QScrollArea):
+    """A page in the room that is available, scrolled where the page needs more.
+
+    ``QScrollArea.setWidgetResizable`` gives a page its preferred height as soon as one of its labels wraps; here the
+    page shrinks to its minimum before anything scrolls.
+    """
+
+    def __init__(self, page: QWidget, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.viewport().setAutoFillBackground(False)
+        self.setWidget(page)
+        page.setAutoFillBackground(False)
+        page.installEventFilter(self)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return the least size at which scrolling is still practical."""
+        return QSize(120, 80).boundedTo(self._needed(120))
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return that of the page."""
+        return self.widget().sizeHint()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Fit the page into the new size."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Fit the page again when what it needs has changed."""
+        if event.type() == QEvent.Type.LayoutRequest and watched is self.widget():
+            self._fit()
+        return super().eventFilter(watched, event)
+
+    def _needed(self, width: int) -> QSize:
+        """Return the least size of the page where it is ``width`` pixels wide or, if it needs more, wider."""
+        page = self.widget()
+        least = page.minimumSizeHint().expandedTo(page.minimumSize())
+        width = max(width, least.width())
+        layout = page.layout()
+        if layout is not None and layout.hasHeightForWidth():
+            return QSize(width, max(least.height(), layout.totalMinimumHeightForWidth(width)))
+        return QSize(width, least.height())
+
+    def _fit(self) -> None:
+        room = self.maximumViewportSize()
+        needed = self._needed(room.width())
+        bar = self.style().pixelMetric(self.style().PixelMetric.PM_ScrollBarExtent, None, self)
+        if needed.height() > room.height():
+            needed = self._needed(room.width() - bar)
+            room -= QSize(bar, 0)
+        if needed.width() > room.width():
+            room -= QSize(0, bar)
+        self.widget().resize(needed.expandedTo(room))
+
+
+class FoldingBox(QBoxLayout):
+    """A row that becomes a column where it gets fewer than ``least`` pixels of width.
+
+    Its minimum width is that of the column, so that what is around it can become narrow enough to fold it.
+    """
+
+    def __init__(self, least: int, parent: QWidget | None = None) -> None:
+        super().__init__(QBoxLayout.Direction.LeftToRight, parent)
+        self._least = least
+
+    def setGeometry(self, room: QRect) -> None:  # noqa: N802
+        """Arrange the items in the room that is available."""
+        row = room.width() >= self._least
+        wanted = QBoxLayout.Direction.LeftToRight if row else QBoxLayout.Direction.TopToBottom
+        if wanted != self.direction():
+            self.setDirection(wanted)
+        super().setGeometry(room)
+
+    def minimumSize(self) -> QSize:  # noqa: N802
+        """Return the width of the widest item, and the height in the present direction."""
+        margins = self.contentsMargins()
+        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
+        widest = max((item.minimumSize().width() for item in items), default=0)
+        return QSize(widest + margins.left() + margins.right(), super().minimumSize().height())
+
+
+__all__ = ["FoldingBox", "PageScroll"]
