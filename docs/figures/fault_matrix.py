@@ -36,8 +36,8 @@ INTRODUCTION = (
     "A fault that lasts and begins while nothing is played shows in the test that comes next, and the number counts",
     "from when that begins. Under a steady force nothing moves, and a sensor that is stuck tells the same as one that",
     "is not: in `preload`, `checking` and `calibrating` it shows when the force changes. A temperature that is stuck",
-    "goes on under the thermal models of either side. Where the host hears nothing, its own patience of 1 s is what",
-    "ends the test, since the device still hears its heartbeat and holds the limits.",
+    "goes on under the thermal models of either side. Where the host hears nothing it sends no heartbeat, so that the",
+    "watchdog frees the coil before the host's own patience of 1 s ends the test.",
     "",
 )
 

@@ -110,8 +110,6 @@ class Ordeal:
 
 WATCHDOG_S = 0.5 + 0.02
 """The firmware's watchdog, and a tick of either clock."""
-SILENCE_S = 1.0 + 0.07
-"""The host's patience with a device that says nothing, a poll, and a tick of either clock."""
 AT_REST = {"preload": PRELOAD_S, "checking": 0.3 + 0.1, "calibrating": 0.6 + 0.1}
 """Under a steady force nothing moves, and a sensor that is stuck tells the same as one that is not: up to its end."""
 FOR_GOOD = 600.0
@@ -148,7 +146,7 @@ ORDEALS = {
     "the host hears nothing": Ordeal(
         fault("drops", share=1.0, direction="to_host", seconds=FOR_GOOD),
         "silent|does not answer",
-        SILENCE_S,
+        WATCHDOG_S,
         reopening="no instrument answers",
     ),
     "the device hears nothing": Ordeal(

@@ -179,6 +179,12 @@ ERRORS = (
         "{name} went silent for {seconds} s; the firmware releases the coil by itself. Check the cable and the "
         "power, and connect again"
     ),
+    marked(
+        "{name} sent no usable samples for {seconds} s; the firmware releases the coil by itself. Check the cable and "
+        "the power, and connect again"
+    ),
+    marked("the instrument contradicts itself about which samples it played: connect again, or update its firmware"),
+    marked("the test has not ended after {seconds} s, and ought to have: connect again, and measure again"),
     marked("no samples arrive from {name}: check the cable, and connect again"),
     marked("the coil is at {hottest} °C; the limit is {limit} °C: let it cool"),
     marked("the force reached {force} N; the limit is {limit} N"),

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,12 @@ from tissueid.wire import MessageType, State
 
 log = logging.getLogger(__name__)
 
+_Said = TypeVar("_Said")
+
+OVERDUE_SHARE, OVERDUE_S = 1.25, 5.0
+"""By the host's own clock a run may last so much longer than its samples should: a device's clock is off by a tenth at
+most, and a simulated one stands still while its machine is busy."""
+
 STOP_TRIES = 3
 """A STOP that is not answered is sent again so often, and twice as often where the request before it was answered."""
 
@@ -61,8 +68,9 @@ class SerialInstrument:
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
+        self._overdue_s = self._overdue_at = 0.0
         self._sender = SetpointSender(link.write, clock)
-        self._incoming = Incoming(clock, self._stream, self._watch, self._sender, self._talk.take)
+        self._incoming = Incoming(link.name, clock, self._stream, self._watch, self._sender, self._talk.take)
         self._stimulus_id = 0
         self._closed = False
         try:
@@ -174,19 +182,22 @@ class SerialInstrument:
 
         Raises:
             LinkLostError: no answer; the coil is released.
+            InstrumentError: the answer cannot be true; the coil is released.
             TissueIDError: it is refused, or a sample broke a limit before the answer came.
         """
         samples = self._command.size + self._following
         self._talk.beat(force=True)
         self._watch.expect(samples)
-        run = None
         try:
             run = Run(self._talk.request(MessageType.START, wire.pack(wire.START, token=self._token)), samples)
         except LinkLostError:
             self.release()  # the answers were lost, and maybe no START was
             raise
         finally:
-            self._watch.started(run)
+            self._watch.answered()
+        self._overdue_s = OVERDUE_SHARE * samples / self.device.sample_rate_hz + OVERDUE_S
+        self._overdue_at = self._clock() + self._overdue_s
+        self._believe(self._watch.started, run)
         if self.status is not None and self.status.faults:
             self._watch.fail_by_fault(self.status.faults)  # it tripped before this answer was read
         return run
@@ -216,7 +227,7 @@ class SerialInstrument:
         """End the run now by the soft release of its end; returns how many of its samples were played.
 
         Raises:
-            InstrumentError: the firmware is too old for it.
+            InstrumentError: the firmware is too old for it, or its answer cannot be true; then the coil is released.
         """
         self._watch.finishing = True  # samples after the end may come before the answer
         try:
@@ -224,7 +235,7 @@ class SerialInstrument:
         finally:
             self._watch.finishing = False
         self._sender.stop()
-        self._watch.cut(played)
+        self._believe(self._watch.cut, played)
         return played
 
     def move_stage(self, position_m: float | None) -> bool:
@@ -325,6 +336,20 @@ class SerialInstrument:
         margin = self._sender.margin_samples
         return None if margin is None else margin / self.device.sample_rate_hz
 
+    def _believe(self, take: Callable[[_Said], None], said: _Said) -> None:
+        """Have the watch take what the device said of a run.
+
+        Raises:
+            InstrumentError: it cannot be true; the coil is released.
+        """
+        try:
+            take(said)
+        except InstrumentError as error:
+            self._watch.fail(error)
+            self.release()
+            self._watch.untold()  # it is told now
+            raise
+
     def _busy(self) -> bool:
         """Whether a test is armed or running. One whose last sample is here is over as soon as its release is."""
         last = self._stream.next_index
@@ -363,16 +388,25 @@ class SerialInstrument:
     def _pump(self, timeout_s: float) -> None:
         """Read once, and deal with every frame that came. The only place that keeps the watchdog quiet during a run.
 
-        Samples are judged here, so the heartbeat ends with the judging, whatever it was that read.
+        A heartbeat follows samples that were judged here and nothing else, whatever it was that read: where none come
+        that can be, the watchdog frees the coil.
         """
-        if self._watch.error is None:
+        judged = self._incoming.take(self._link.read(timeout_s))
+        if self._watch.run is not None and self._clock() > self._overdue_at:
+            self._watch.stop_due = True
+            self._watch.fail(
+                InstrumentError(
+                    f"the test has not ended after {self._overdue_s:.1f} s, and ought to have: connect again, and "
+                    "measure again"
+                )
+            )
+        if judged and self._watch.error is None:
             self._talk.beat()
-        self._incoming.take(self._link.read(timeout_s))
         if self._watch.stop_due and not self._talk.silent:
             self.release()
         if self._watch.run is not None and self._stream.next_index is not None:
             self._sender.repeat(self._stream.next_index - self._watch.run.first_index)
-        self._incoming.check_heard(self._link.name)
+        self._incoming.check_heard()
 
     def _last_tries(self) -> int:
         """How often to say what ends a conversation: who has just not answered will hardly do so now."""

@@ -14,16 +14,19 @@ from tissueid.instrument.correction import Corrections, corrected
 from tissueid.instrument.run_watch import RunWatch
 from tissueid.instrument.sample_stream import SampleStream
 from tissueid.instrument.setpoints import SetpointSender
-from tissueid.wire import Frame, MessageType
+from tissueid.wire import Fault, Frame, MessageType
 
 log = logging.getLogger(__name__)
 
 SILENCE_S = 1.0
-"""A device that streams says something every 10 ms; this much silence is a lost link."""
+"""A device that streams sends samples every 10 ms; so long without new ones that can be used is a lost link."""
+
+UNJUDGED_S = 0.25
+"""After so long without usable samples the heartbeat has stopped: a watchdog that trips says nothing of the host."""
 
 
 class Incoming:
-    """The frames of one link, dealt with as they come; samples are judged by the ``watch`` before anybody sees them.
+    """The frames of the link ``name``, dealt with as they come; samples are judged by the ``watch`` first of all.
 
     Answers to requests go to ``answered``. ``hello`` is the device's introduction, ``status`` the newest of its states;
     ``late_blocks`` and ``held_samples`` are what it said of the newest run's set-points. ``calibrated`` is by what
@@ -32,6 +35,7 @@ class Incoming:
 
     def __init__(
         self,
+        name: str,
         clock: Callable[[], float],
         stream: SampleStream,
         watch: RunWatch,
@@ -42,6 +46,7 @@ class Incoming:
         self.status: Status | None = None
         self.late_blocks = self.held_samples = 0
         self.calibrated: tuple[Corrections, DeviceDescription] | None = None
+        self._name = name
         self._clock = clock
         self._stream = stream
         self._watch = watch
@@ -49,7 +54,7 @@ class Incoming:
         self._answered = answered
         self._decoder = wire.FrameDecoder()
         self._last_heard = clock()
-        self._streaming = False
+        self._unusable = self._streaming = False
 
     @property
     def statistics(self) -> wire.FrameStatistics:
@@ -65,27 +70,42 @@ class Incoming:
         self._stream.held_samples = 0
         self.late_blocks = self.held_samples = 0
 
-    def take(self, data: bytes) -> None:
-        """Deal with every frame that these bytes complete. What goes wrong is told to the watch."""
+    def take(self, data: bytes) -> bool:
+        """Deal with every frame that these bytes complete. What goes wrong is told to the watch.
+
+        Returns whether new samples were among them, which the watch has judged.
+        """
+        before = self._stream.received
         for frame in self._decoder.feed(data):
-            if not self._streaming or frame.type == MessageType.DATA:
-                self._last_heard = self._clock()  # answers alone are no measurement
+            received = self._stream.received
             try:
                 self._dispatch(frame)
             except ValueError as error:  # a payload of the wrong length, or a state that nobody knows
                 log.warning("ignored a frame of type 0x%02x: %s", frame.type, error)
+            if not self._streaming or self._stream.received > received:
+                self._last_heard = self._clock()  # answers alone are no measurement, nor is what cannot be used
+                self._unusable = False
+            elif frame.type == MessageType.DATA:
+                self._unusable = True
+        return self._stream.received > before
 
-    def check_heard(self, name: str) -> None:
-        """A device that streams is not silent.
+    def check_heard(self) -> None:
+        """A device that streams sends samples that can be used.
 
         Raises:
-            LinkLostError: it is; ``name`` is that of its link.
+            LinkLostError: it does not.
         """
         if self._streaming and self._clock() - self._last_heard > SILENCE_S:
-            raise LinkLostError(
-                f"{name} went silent for {SILENCE_S:g} s; the firmware releases the coil by itself. "
-                "Check the cable and the power, and connect again"
-            )
+            raise self._silence()
+
+    def _silence(self) -> LinkLostError:
+        """What to say of a device from which no usable samples come any more."""
+        seconds = round(self._clock() - self._last_heard, 1)
+        said = f"sent no usable samples for {seconds:g} s" if self._unusable else f"went silent for {seconds:g} s"
+        return LinkLostError(
+            f"{self._name} {said}; the firmware releases the coil by itself. "
+            "Check the cable and the power, and connect again"
+        )
 
     def _dispatch(self, frame: Frame) -> None:
         if self._streaming and frame.version != wire.PROTOCOL_VERSION:
@@ -119,6 +139,12 @@ class Incoming:
             return
         self.late_blocks = max(self.late_blocks, status.late_blocks)
         self.held_samples = max(self.held_samples, status.held_samples)
+        if (
+            status.faults == Fault.WATCHDOG
+            and self._watch.limits is not None
+            and self._clock() - self._last_heard > UNJUDGED_S
+        ):
+            self._watch.fail(self._silence())
         self._watch.take_status(status, frame.sample_index)
 
     def _take_data(self, frame: Frame) -> None:

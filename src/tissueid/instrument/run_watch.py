@@ -15,7 +15,7 @@ from tissueid.instrument.handshake import Introduction
 from tissueid.instrument.interface import Run
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits
-from tissueid.instrument.sample_stream import SampleStream
+from tissueid.instrument.sample_stream import MAX_GAP_S, SampleStream
 from tissueid.wire import Fault, Flag, State
 
 log = logging.getLogger(__name__)
@@ -27,6 +27,7 @@ UNTOLD_S = 0.06
 """So long after a run whose last samples were lost the device has to say whether it played them."""
 
 STOPPED = "the instrument stopped the test by itself; the coil is free: measure again"
+CONTRADICTION = "the instrument contradicts itself about which samples it played: connect again, or update its firmware"
 
 
 class RunWatch:
@@ -47,10 +48,11 @@ class RunWatch:
         self._stream = stream
         self._ask_status = ask_status
         self._ended = ended
-        self._stopped = False
+        self._stopped_at: int | None = None
         self._starting: int | None = None
         self._seen_first: int | None = None
-        self._received_to = 0
+        self._earliest = 0
+        self._received_to = self._played_to = 0
         self._unseen_end: Run | None = None
         self._free_from = 0
 
@@ -58,27 +60,46 @@ class RunWatch:
         """From now on, for the device that introduced itself so."""
         self.judge = Judge(hello.device)
         self._boot_id = hello.boot_id
+        self._reach = round(MAX_GAP_S * hello.device.sample_rate_hz)
         self._free_samples = round(FREE_S * hello.device.sample_rate_hz)
         self._untold_samples = round(UNTOLD_S * hello.device.sample_rate_hz)
 
     def expect(self, samples: int) -> None:
         """START is about to be sent for so many samples: its answer may come after the first of them."""
-        self._stopped = False
+        self._stopped_at = None
         self._starting, self._seen_first = samples, None
+        self._earliest = self._stream.next_index or 0
         self._unseen_end = None
 
-    def started(self, run: Run | None) -> None:
-        """START was answered: this run began; or, None, it was not."""
+    def answered(self) -> None:
+        """START was answered, or will not be."""
         self._starting = None
-        if run is not None and self.limits is not None:
+
+    def started(self, run: Run) -> None:
+        """Believe the device that this run began.
+
+        Raises:
+            InstrumentError: it cannot have: samples that arrived say otherwise.
+        """
+        latest = self._seen_first if self._seen_first is not None else (self._stream.next_index or 0) + self._reach
+        if not self._earliest <= run.first_index <= latest:
+            raise InstrumentError(CONTRADICTION)
+        self._played_to = run.first_index
+        if self.limits is not None:
             self.run = run
 
     def cut(self, played: int) -> None:
-        """The run was ended early, after so many of its samples."""
+        """Believe the device that the run was ended early, after so many of its samples.
+
+        Raises:
+            InstrumentError: it cannot have been: more of them arrived, or fewer were asked for.
+        """
         if self.run is None:
             self.end()
-        else:
+        elif self._played_to - self.run.first_index <= played <= self.run.samples:
             self.run = Run(self.run.first_index, played)
+        else:
+            raise InstrumentError(CONTRADICTION)
 
     def end(self) -> None:
         """Nothing is running any more."""
@@ -109,7 +130,7 @@ class RunWatch:
         """Judge samples, shape (k,), as they were read and as they are corrected; see whether they end the run.
 
         Raises:
-            LimitError, InstrumentError: ``stop_due``.
+            LimitError, InstrumentError: ``stop_due``: a sample breaks a limit, or cannot be.
         """
         self._see_whether_it_is_told(int(read["index"][-1]))
         run = self.run or self._begun(read)
@@ -126,17 +147,27 @@ class RunWatch:
             self._see_whether_it_plays(read, self.run)
 
     def _see_whether_it_plays(self, read: NDArray[np.void], run: Run) -> None:
-        """A run of which a sample was not played has been stopped, even where the rest was sampled to its end."""
+        """A run of which a sample was not played has been stopped, even where the rest was sampled to its end.
+
+        Raises:
+            InstrumentError: samples were played that are none of the run, or after it was stopped; ``stop_due``.
+        """
         inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index) & np.isfinite(read["position"])
         if inside.any():
             self._received_to = int(read["index"][inside][-1]) + 1
-        if not self.finishing:
-            played = (read["flags"] & Flag.PLAYING) > 0
-            self._stopped |= bool(np.any(inside & ~played))
+        played = (read["flags"] & Flag.PLAYING) > 0
+        if not self.finishing and self._stopped_at is None and np.any(inside & ~played):
+            self._stopped_at = int(read["index"][inside & ~played][0])
+        if played.any():
+            self._played_to = int(read["index"][played][-1]) + 1
+            stopped_at = run.end_index if self._stopped_at is None else self._stopped_at
+            if np.any(played & ~inside) or self._played_to > stopped_at:
+                self.stop_due = True
+                raise InstrumentError(CONTRADICTION)
         over = read["index"][-1] >= run.end_index
-        if self._stopped and over:
+        if self._stopped_at is not None and over:
             self.fail(FirmwareFaultError(STOPPED))
-        elif self._stopped:
+        elif self._stopped_at is not None:
             self._ask_status()  # the message that says why was lost, and its repetition may be: with every frame
         elif over:
             self.end()
@@ -176,7 +207,7 @@ class RunWatch:
             self._end_is_told(status, self._unseen_end)
         elif self.limits is not None and status.faults:
             self.fail_by_fault(status.faults)
-        elif self.run is not None and self._stopped and status.state is not State.RUNNING:
+        elif self.run is not None and self._stopped_at is not None and status.state is not State.RUNNING:
             self.fail(FirmwareFaultError(STOPPED))
         elif self.limits is None and status.state is State.RUNNING and sample_index >= self._free_from:
             self._free_again("it says so")

@@ -19,12 +19,15 @@ MAX_GAP_S = 5.0
 
 
 class SampleStream:
-    """Samples in the order of their index, each once. ``next_index`` is the next that is expected."""
+    """Samples in the order of their index, each once. ``next_index`` is the next that is expected.
+
+    ``received`` counts those that came, the lost ones not among them.
+    """
 
     def __init__(self) -> None:
         self.gaps: list[Gap] = []
         self.next_index: int | None = None
-        self.held_samples = 0
+        self.held_samples = self.received = 0
         self.newest: NDArray[np.void] | None = None
         """The samples of the newest frame; None until there was one."""
         self._hello: Introduction | None = None
@@ -57,14 +60,14 @@ class SampleStream:
 
         Raises:
             LinkLostError: too much is missing at once.
-            PayloadError: it holds part of a sample.
+            PayloadError: it holds part of a sample, or none.
         """
         if self._hello is None:
             return empty_samples(0, 0)  # still streaming for a host that died: the scales are not known yet
         if self.next_index is not None and frame.sample_index < self.next_index:
             return empty_samples(0, 0)  # a duplicate, or late: its place is already taken
-        if len(frame.payload) % wire.SAMPLE.itemsize:
-            raise wire.PayloadError("a data frame holds part of a sample")
+        if not frame.payload or len(frame.payload) % wire.SAMPLE.itemsize:
+            raise wire.PayloadError("a data frame holds no sample, or part of one")
         lost = empty_samples(0, 0)
         if self.next_index is not None and frame.sample_index > self.next_index:
             missing = frame.sample_index - self.next_index
@@ -84,4 +87,5 @@ class SampleStream:
         self.newest = samples
         self.held_samples += int(np.count_nonzero(codes["flags"] & Flag.HELD))
         self.next_index = frame.sample_index + codes.size
+        self.received += codes.size
         return np.concatenate((lost, samples)) if lost.size else samples

@@ -56,6 +56,7 @@ _ADVICE = (
     ("the force reached", marked("Choose a weaker stimulus, and see that nothing pulls at the probe.")),
     ("end of its stroke", marked("Place the probe nearer to the middle of its stroke.")),
     ("restarted by itself", marked("Check the power supply and its plug; connect again.")),
+    ("sent no usable samples", marked("Check the cable and the power, and connect again.")),
     ("went silent", marked("Check the cable and the power, and connect again.")),
     ("the connection to", marked("Check the cable, and connect again.")),
 )
