@@ -28,7 +28,8 @@ def test_signals_of_selected_tests_are_laid_over_one_another(qtbot, opened):
         "Position (mm)",
     ]
     assert table.rowCount() == 3
-    assert table.item(0, 0).text() == "P-2, right calf, test 1 (b)"
+    assert table.item(0, 0).text().startswith("P-2, right calf, 2026-05-01 ")
+    assert [table.item(row, 0).text()[-2:] for row in range(3)] == ["#1", "#1", "#2"]
     # A sine of 2 mm deviates by 2 / sqrt(2) mm from its mean.
     assert table.item(0, 3).text() == "14.0 ± 1.4"
     x, y = view.signals.spectrum.card.plot.listDataItems()[0].getData()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, compare, known_ceiling, specifications, split
-from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.app.views.researcher.chosen import Chosen, time_of
 from tissueid.app.views.researcher.history import Entry, History
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.views.researcher.progress import Progress
@@ -203,7 +203,8 @@ def find_tests(folder: Path, progress: Progress) -> tuple[list[Chosen], list[str
             continue
         for test in taken:
             label = f"{clean(session.subject.pseudonym)[:20]}, {clean(path.stem)[:30]} #{test.number}"
-            tests.append(Chosen(path, test.number, test.site, session.subject.pseudonym, label))
+            when = time_of(session.created)
+            tests.append(Chosen(path, test.number, test.site, session.subject.pseudonym, label, when))
     if len(tests) > MOST_TESTS:
         problems.append(f"The folder holds {len(tests)} tests; the first {MOST_TESTS} are taken.")
     return tests[:MOST_TESTS], problems

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from queue import Empty
@@ -208,7 +209,9 @@ class Browser(QWidget):
     def _chosen(self, entry: Entry, test: TestEntry) -> Chosen:
         parts = [clean(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
         label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
-        return Chosen(entry.path, test.number, test.site, entry.pseudonym, f"{label} ({clean(entry.path.stem)[:40]})")
+        label = f"{label} ({clean(entry.path.stem)[:40]})"
+        when = entry.when if math.isfinite(entry.when) else None
+        return Chosen(entry.path, test.number, test.site, entry.pseudonym, label, when)
 
     # -- building -------------------------------------------------------------------------------------------
 

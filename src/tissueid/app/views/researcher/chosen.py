@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 
@@ -10,8 +12,8 @@ from pathlib import Path
 class Chosen:
     """A test that a researcher selected: its file, its number there, and what it is called on the screen.
 
-    ``site`` and ``pseudonym`` are as the file has them; ``label`` is cleaned and short, and tells the selected ones
-    apart.
+    ``site`` and ``pseudonym`` are as the file has them; ``label`` is cleaned and short. ``when`` is the time of the
+    session in seconds since 1970, None where it is not known.
     """
 
     path: Path
@@ -19,6 +21,17 @@ class Chosen:
     site: str
     pseudonym: str
     label: str
+    when: float | None = None
 
 
-__all__ = ["Chosen"]
+def time_of(created: str) -> float | None:
+    """Return the seconds since 1970 of a date as files have it, in UTC where it has no zone; None if it is no date."""
+    try:
+        when = datetime.fromisoformat(created)
+        seconds = (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError, OSError):
+        return None
+    return seconds if math.isfinite(seconds) else None
+
+
+__all__ = ["Chosen", "time_of"]

@@ -10,6 +10,7 @@ from tissueid.analysis import Analysis
 from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Drawn, Line, Panel
 from tissueid.app.views.researcher.images import images_of
+from tissueid.app.views.researcher.model_output import model_output
 from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
@@ -49,6 +50,11 @@ def drawn(analysis: Analysis) -> tuple[Drawn, tuple[str, ...]]:
             missing.update(dict.fromkeys(panels, sentence(str(error))))
 
     spectra = _spectra(analysis)
+    measured: dict[Panel, Line] = {}
+    try:
+        measured["output"], lines["output"], lines["residual"] = model_output(analysis)
+    except UnusableInputError as error:
+        missing |= dict.fromkeys(("output", "residual"), sentence(str(error)))
     attempt(("impulse",), lambda: (_impulse(analysis),))
     attempt(("magnitude", "phase"), lambda: _response(analysis, spectra))
     attempt(("coherence",), lambda: (_coherence(spectra),))
@@ -61,7 +67,7 @@ def drawn(analysis: Analysis) -> tuple[Drawn, tuple[str, ...]]:
         attempt(("autocorrelation", "cross"), lambda: _residuals(tests))
     except UnusableInputError as error:
         missing |= dict.fromkeys(("autocorrelation", "cross"), sentence(str(error)))
-    return Drawn(lines, _units(record), images_of(analysis), missing), findings
+    return Drawn(lines, _units(record), images_of(analysis), missing, measured), findings
 
 
 def _units(record: Record) -> dict[Panel, str]:
@@ -69,6 +75,8 @@ def _units(record: Record) -> dict[Panel, str]:
     into, _ = people_unit(record.input_unit)
     ratio = f"{out or '1'}/{into or '1'}"
     return {
+        "output": out,
+        "residual": out,
         "impulse": f"{out or '1'}/({into or '1'}·s)",
         "magnitude": ratio,
         "phase": "°",

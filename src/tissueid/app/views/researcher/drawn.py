@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 Panel = Literal[
+    "output",
+    "residual",
     "impulse",
     "magnitude",
     "phase",
@@ -29,8 +31,9 @@ Panel = Literal[
 class Line:
     """One curve; all arrays have shape (n,). ``low`` and ``high`` bound a band where there is one.
 
-    ``out_x`` and ``out_y`` (m,) are what holds for the way out of the tissue, where that differs. ``dots`` says that
-    points stand for themselves, and no line joins them.
+    ``out_x`` and ``out_y`` (m,) are a second curve, drawn faint: over depth that of the way out of the tissue, where it
+    differs; of a model's output that of the simulation scheduled by the measured output. ``dots`` says that points
+    stand for themselves, and no line joins them.
     """
 
     x: Array
@@ -59,13 +62,14 @@ class Image:
 class Drawn:
     """All that can be drawn of one analysis; ``units`` are those of the panels that have one.
 
-    ``missing`` says in words why a panel has no line.
+    ``missing`` says in words why a panel has no line; ``measured`` is the measurement that a panel's line is laid over.
     """
 
     lines: dict[Panel, Line]
     units: dict[Panel, str]
     images: tuple[Image, ...]
     missing: dict[Panel, str]
+    measured: dict[Panel, Line] = field(default_factory=dict)
 
 
 __all__ = ["Array", "Drawn", "Image", "Line", "Panel"]

@@ -12,6 +12,7 @@ from tissueid.app.language import _, marked
 from tissueid.app.theme import LIGHT
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.labels import labels_apart
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.errors import UnusableInputError
 from tissueid.reports.style import drawing, frequency_axis, log_axis, new_figure
@@ -54,13 +55,14 @@ class FigurePlan:
         figure = new_figure(_WIDTH, _PANEL * count + _REST)
         every = figure.subplots(count, 1, squeeze=False)[:, 0]
         colours = series(LIGHT)
+        common, labels = labels_apart([[test.chosen] for test in self.loaded])
         for axes, channel in zip(every, self.channels, strict=False):
             unit, scale = shown_si(channel.unit)
             axes.set_title(f"{channel.title} ({unit})" if unit else channel.title)
-            for test, colour in zip(self.loaded, colours, strict=False):
+            for test, colour, label in zip(self.loaded, colours, labels, strict=False):
                 if (track := test.tracks.get(channel)) is not None:
                     times, values = track.outline(self.low_s, self.high_s, _COLUMNS)
-                    axes.plot(times, scale * values, color=colour, linewidth=0.8, label=test.chosen.label)
+                    axes.plot(times, scale * values, color=colour, linewidth=0.8, label=label)
             axes.set_xlim(self.low_s, self.high_s)
         every[len(self.channels) - 1].set_xlabel(_("Time from the start of the test (s)"))
         if self.spectrum is not None:
@@ -80,7 +82,7 @@ class FigurePlan:
             frequency_axis(axes, float(drawn.min()), float(drawn.max()))
             log_axis(axes)
         handles, labels = every[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=1 + (len(labels) > 3))
+        figure.legend(handles, labels, title=common, loc="outside lower center", ncols=1 + (len(labels) > 3))
         with whole_file(path) as partial:
             figure.savefig(partial, format=path.suffix.lower()[1:], dpi=_DPI)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QColor, QPixmap
+from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
+from tissueid.app.views.researcher.labels import labels_apart
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.app.views.researcher.tips import plain_tip
 from tissueid.records import Estimate
@@ -35,6 +36,7 @@ class FiguresTable(QTableWidget):
         self.setTabKeyNavigation(False)
         self.setShowGrid(False)
         self.setWordWrap(False)
+        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.verticalHeader().hide()
         self.verticalHeader().setDefaultSectionSize(_ROW)
         header = self.horizontalHeader()
@@ -50,15 +52,21 @@ class FiguresTable(QTableWidget):
         self.setRowCount(len(loaded))
         titles = [f"{channel.title} ({unit})" if unit else channel.title for channel, unit in _units(channels)]
         self.setHorizontalHeaderLabels([_("Mean ± SD"), *titles])
-        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Fixed)
-        self.horizontalHeader().resizeSection(0, _NAME_WIDTH)
+        _common, labels = labels_apart([[test.chosen] for test in loaded])
         for row, test in enumerate(loaded):
-            name = QTableWidgetItem(test.chosen.label)
-            name.setToolTip(plain_tip(test.chosen.label))
+            name = QTableWidgetItem(labels[row])
+            name.setToolTip(plain_tip(labels_apart([[test.chosen]])[1][0]))
             self.setItem(row, 0, name)
             for column, channel in enumerate(channels, 1):
                 self.setItem(row, column, _figure(test, channel, low_s, high_s))
         self._colour()
+        self.horizontalHeader().setSectionResizeMode(0, QHeaderView.ResizeMode.Fixed)
+        self._give_room()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Give the names what the figures leave."""
+        super().resizeEvent(event)
+        self._give_room()
 
     def take_units(self) -> None:
         """Show it in the units in force."""
@@ -68,6 +76,12 @@ class FiguresTable(QTableWidget):
         """Take on the colours of a theme."""
         self._theme = theme
         self._colour()
+
+    def _give_room(self) -> None:
+        """Make the names as wide as they are, or as there is room; at least so that they can be told apart."""
+        others = sum(self.columnWidth(column) for column in range(1, self.columnCount()))
+        room = max(_NAME_WIDTH, self.viewport().width() - others)
+        self.horizontalHeader().resizeSection(0, min(room, self.sizeHintForColumn(0) + _SWATCH))
 
     def _colour(self) -> None:
         if self._theme is None:

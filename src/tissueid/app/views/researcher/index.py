@@ -6,11 +6,11 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from queue import SimpleQueue
 
 from tissueid.app.language import _
+from tissueid.app.views.researcher.chosen import time_of
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, TissueIDError
@@ -69,8 +69,8 @@ def entry_of(path: Path, stamp: Stamp) -> Entry:
     except OSError as error:
         return Entry(path, stamp, in_words(error)[:_LONGEST])
     tests = tuple(_test_entry(test) for test in outline.tests)
-    head = outline.head
-    return Entry(path, stamp, "", _seconds(head.created), head.subject.pseudonym[:_LONGEST], tests)
+    head, when = outline.head, time_of(outline.head.created)
+    return Entry(path, stamp, "", math.nan if when is None else when, head.subject.pseudonym[:_LONGEST], tests)
 
 
 def _test_entry(outline: TestOutline) -> TestEntry:
@@ -85,15 +85,6 @@ def _test_entry(outline: TestOutline) -> TestEntry:
         outline.seconds,
         "" if quality is None else quality.verdict,
     )
-
-
-def _seconds(created: str) -> float:
-    """Seconds since 1970 of a date as files have it; without a zone it is taken as UTC."""
-    try:
-        when = datetime.fromisoformat(created)
-        return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
-    except (ValueError, OverflowError, OSError):
-        return math.nan
 
 
 class Search(Errand):

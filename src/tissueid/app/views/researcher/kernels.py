@@ -31,6 +31,9 @@ class KernelImage(QWidget):
         super().__init__(parent)
         self.choice = QComboBox()
         self.choice.setAccessibleName(_("Result whose kernel is shown"))
+        # As wide as there is room: a long name must not widen the page.
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice.setMinimumContentsLength(10)
         self.choice.currentIndexChanged.connect(self._show)
         self.card = PlotCard(_("Kernel"), " ", "", unit_of="colours")
         self.card.plot.getAxis("left").setWidth(66)

@@ -11,8 +11,9 @@ from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.curves import drawn
 from tissueid.app.views.researcher.drawn import Drawn
+from tissueid.app.views.researcher.labels import labels_apart, short_label
 from tissueid.identification import FitReport
-from tissueid.wording import clean, engine_label
+from tissueid.wording import engine_label
 
 _NOTHING = Drawn({}, {}, (), {})
 
@@ -56,8 +57,8 @@ class Outcome:
 
     @property
     def test_label(self) -> str:
-        """The tests, as the browser calls them."""
-        first = clean(self.tests[0].label)
+        """Date, time and number of the test, or the name that the list gives it; of several the first."""
+        first = short_label(self.tests[0])
         return (
             first
             if len(self.tests) == 1
@@ -66,5 +67,16 @@ class Outcome:
 
     @property
     def label(self) -> str:
-        """Engine and tests, for a key."""
-        return f"{engine_label(self.engine)}, {self.test_label}"
+        """Engine and tests, for a list of results."""
+        return f"{engine_label(self.engine)}, {labels_apart([self.tests])[1][0]}"
+
+
+def keys_of(outcomes: Sequence[Outcome]) -> tuple[str, list[str]]:
+    """Return what outcomes have in common and the name of each in a legend: engine, and what tells its test apart."""
+    common, labels = labels_apart([outcome.tests for outcome in outcomes])
+    engines = [engine_label(outcome.engine) for outcome in outcomes]
+    if len(outcomes) > 1 and len(set(labels)) == 1:
+        return labels[0], engines
+    if len(outcomes) > 1 and len(set(engines)) == 1:
+        return ", ".join(filter(None, [engines[0], common])), labels
+    return common, [", ".join(filter(None, pair)) for pair in zip(engines, labels, strict=True)]

@@ -8,16 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyqtgraph as pg
+from pyqtgraph.GraphicsScene.mouseEvents import MouseClickEvent
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
-from tissueid.app.theme import Theme
+from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.drawn import Line, Panel
 from tissueid.app.views.researcher.kernels import KernelImage
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.outcome import Outcome, keys_of
 from tissueid.app.views.researcher.results_table import SERIES
+from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
 _KERNELS = marked("Kernel image")
@@ -37,6 +39,8 @@ class _Look:
 
 
 _PANELS: dict[Panel, _Look] = {
+    "output": _Look(marked("Measured and simulated output, held out"), ""),
+    "residual": _Look(marked("Measured less simulated"), marked("Time from the start of the record (s)")),
     "impulse": _Look(
         marked("Impulse response about the mean input"),
         marked("Lag (ms)"),
@@ -73,7 +77,9 @@ _PANELS: dict[Panel, _Look] = {
     ),
 }
 
+OUTPUT = marked("Model output")
 PICTURES: Mapping[str, tuple[Panel, ...]] = {
+    OUTPUT: ("output", "residual"),
     marked("Impulse response"): ("impulse",),
     marked("Bode diagram"): ("magnitude", "phase", "coherence"),
     marked("Static nonlinearity"): ("nonlinearity",),
@@ -92,6 +98,7 @@ class Pictures(QWidget):
         self.choice.setAccessibleName(_("Picture"))
         self._pages = QStackedWidget()
         self._cards: dict[Panel, PlotCard] = {}
+        self._measured: pg.PlotDataItem | None = None
         self._slots: dict[Panel, list[_Slot]] = {}
         self._theme: Theme | None = None
         self._drawn: list[Outcome] = []
@@ -142,6 +149,14 @@ class Pictures(QWidget):
         self.kernel.paint_with(theme)
         self._show_legend()
 
+    @property
+    def keys(self) -> tuple[str, list[str]]:
+        """What the drawn results have in common, and the name of each in the legend of the picture that is shown."""
+        common, labels = keys_of(self._drawn)
+        if self._pages.currentIndex() == list(PICTURES).index(OUTPUT):
+            labels = [f"{label}: {_scores(o)}" for label, o in zip(labels, self._drawn, strict=True)]
+        return common, labels
+
     # -- inside -------------------------------------------------------------------------------------------
 
     def _make(self, place: int) -> None:
@@ -156,13 +171,20 @@ class Pictures(QWidget):
         for panel in panels:
             look = _PANELS[panel]
             card = PlotCard(_(look.title), _(look.x_label), "", log_axes=look.logs)
-            card.setToolTip(_(look.band))
+            card.setToolTip(_(look.band) if look.band else "")
             card.plot.getAxis("left").setWidth(52)
             card.plot.getAxis("left").enableAutoSIPrefix(False)
             self._cards[panel] = card
             self._slots[panel] = []
-            if panel != panels[0] and len(panels) > 1 and look.logs:
+            if panel != panels[0] and (look.logs or panel == "residual"):
                 card.plot.setXLink(self._cards[panels[0]].plot)
+            if panel in PICTURES[OUTPUT]:
+                card.plot.setMouseEnabled(x=True, y=False)
+                card.plot.getViewBox().setAutoVisible(y=True)
+                card.plot.scene().sigMouseClicked.connect(self._show_whole)
+                card.setToolTip(_("Turn the wheel or drag to look closer; a double click shows everything"))
+            if panel == "output":
+                self._measured = card.line("muted", width=3, alpha=150)
             if panel == "coherence":
                 card.plot.setYRange(0.0, 1.05, padding=0.0)
             card.setMinimumHeight(_LABELLED if look.x_label else _PLAIN)
@@ -175,10 +197,11 @@ class Pictures(QWidget):
         lines = [outcome.drawn.lines.get(panel) for outcome in self._drawn]
         slots = self._slots[panel]
         for role in SERIES[len(slots) : len(lines)]:  # made when they are needed: a plot's items take their time
-            slots.append(_Slot(card, role))
+            slots.append(_Slot(card, role, 1 if panel in PICTURES[OUTPUT] else 2))
             self._paint(panel)
         for place, slot in enumerate(slots):
             slot.show(lines[place] if place < len(lines) else None)
+        self._lay_under(panel)
         unit = self._drawn[0].drawn.units.get(panel, "") if self._drawn else ""
         card.retitle(_(_PANELS[panel].title), unit)
         if any(line is not None for line in lines):
@@ -192,6 +215,26 @@ class Pictures(QWidget):
             return
         reasons = dict.fromkeys(o.drawn.missing.get(panel, "") for o in self._drawn)
         card.say_missing(" ".join(filter(None, reasons)) or _("Nothing to show yet: choose tests and run an engine."))
+
+    def _lay_under(self, panel: Panel) -> None:
+        """Draw the measurement below the curves: once where all are of the same data, otherwise one for each."""
+        measured = [outcome.drawn.measured.get(panel) for outcome in self._drawn]
+        if panel == "output" and self._measured is not None:
+            one = next((line for line in measured if line is not None), None) if self._same_data else None
+            self._measured.setData(*((one.x, one.y) if one is not None else (_NOTHING, _NOTHING)))
+            for place, slot in enumerate(self._slots[panel]):
+                slot.lay_under(measured[place] if place < len(measured) and not self._same_data else None)
+        if panel in PICTURES[OUTPUT]:
+            self._cards[panel].plot.enableAutoRange()
+
+    @property
+    def _same_data(self) -> bool:
+        return len({(outcome.signals, *outcome.tests) for outcome in self._drawn}) == 1
+
+    def _show_whole(self, click: MouseClickEvent) -> None:
+        if click.double():
+            for panel in PICTURES[OUTPUT]:
+                self._cards[panel].plot.enableAutoRange()
 
     def _paint(self, panel: Panel) -> None:
         if self._theme is not None:
@@ -208,12 +251,16 @@ class Pictures(QWidget):
         theme = self._theme
         if theme is None:
             return
-        entries = []
-        for role, outcome in zip(SERIES, self._drawn, strict=False):
-            label = outcome.label if len(outcome.label) <= _LONGEST else f"{outcome.label[: _LONGEST - 1]}…"
-            name = html.escape(label).replace(" ", "&nbsp;")
+        common, labels = self.keys
+        entries = [html.escape(f"{common}:")] if common else []
+        for role, label in zip(SERIES, labels, strict=False):
+            name = html.escape(in_the_middle(label, _LONGEST)).replace(" ", "&nbsp;")
             entries.append(f'<span style="color:{getattr(theme, role)}">■</span>&nbsp;{name}')
         words = []
+        if self._pages.currentIndex() == list(PICTURES).index(OUTPUT) and self._drawn:
+            words.append(_("broad and pale: measured"))
+            if any(o.drawn.lines[p].out_x is not None for o in self._drawn for p in ("output",) if p in o.drawn.lines):
+                words.append(_("faint: scheduled by the measured output"))
         if self._pages.currentIndex() == list(PICTURES).index("Against depth") and any(
             line.out_x is not None for o in self._drawn for line in o.drawn.lines.values()
         ):
@@ -223,6 +270,25 @@ class Pictures(QWidget):
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
         self.legend.setVisible(bool(entries) and self.choice.currentText() != _(_KERNELS))
+
+
+def in_the_middle(text: str, longest: int) -> str:
+    """Cut a text in its middle: its beginning and its end tell it from others."""
+    half = (longest - 1) // 2
+    return text if len(text) <= longest else f"{text[:half]}…{text[-half:]}"
+
+
+def _scores(outcome: Outcome) -> str:
+    """Return the variance accounted for on held-out data, and that by the measured schedule where there is one."""
+    report = outcome.report
+    assert report is not None
+    words = _("VAF {vaf} %").format(vaf=fixed(report.vaf_validation_percent, 1))
+    scheduled = report.vaf_scheduled_percent
+    return (
+        words
+        if scheduled is None
+        else _("{vaf} (scheduled {scheduled} %)").format(vaf=words, scheduled=fixed(scheduled, 1))
+    )
 
 
 def _hold_bands(card: PlotCard, lines: Sequence[Line]) -> None:
@@ -238,17 +304,22 @@ def _hold_bands(card: PlotCard, lines: Sequence[Line]) -> None:
     high = min(float(np.nanmax(every)), float(values.max()) + reach)
     if high > low:
         card.plot.setYRange(low, high, padding=0.08)
+    else:
+        card.plot.enableAutoRange(y=True)
 
 
 class _Slot:
     """The items of one colour in one card."""
 
-    def __init__(self, card: PlotCard, role: str) -> None:
+    def __init__(self, card: PlotCard, role: str, width: int) -> None:
         self._low, self._high = card.band(role, alpha=45)
         self._line = card.line(role, width=1)
         self._out = card.line(role, width=1, alpha=130)
         self._dots = card.dots(role, 9)
-        self._role = role
+        self._under: pg.PlotDataItem | None = None
+        self._card = card
+        self._theme: Theme | None = None
+        self._role, self._width = role, width
 
     def show(self, line: Line | None) -> None:
         """Draw a line, or nothing."""
@@ -263,6 +334,17 @@ class _Slot:
         there = line.out_x is not None and line.out_y is not None
         self._out.setData(line.out_x if there else _NOTHING, line.out_y if there else _NOTHING)
 
+    def lay_under(self, line: Line | None) -> None:
+        """Draw a measurement below, broad and pale, or none."""
+        if self._under is None and line is not None:
+            self._under = self._card.line(self._role, width=4, alpha=70)
+            self._under.setZValue(-1)
+            if self._theme is not None:
+                self._under.setPen(pg.mkPen(faint(getattr(self._theme, self._role), 70), width=4))
+        if self._under is not None:
+            self._under.setData(*((line.x, line.y) if line is not None else (_NOTHING, _NOTHING)))
+
     def paint_with(self, theme: Theme) -> None:
-        """Lines in a width that can be followed among others."""
-        self._line.setPen(pg.mkPen(getattr(theme, self._role), width=2))
+        """Take on the colours of a theme; lines as wide as can be followed among others."""
+        self._theme = theme
+        self._line.setPen(pg.mkPen(getattr(theme, self._role), width=self._width))

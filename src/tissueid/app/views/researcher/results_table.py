@@ -37,7 +37,7 @@ SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
 """Roles of the theme in which results are drawn; no more can be told apart."""
 
 _FIXED = (marked("Engine"), marked("Test"), marked("VAF fitted (%)"), marked("VAF held out (%)"))
-_HELD_OUT = 3
+_TEST, _HELD_OUT = 1, 3
 _ANSWER = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 """What a person looks for first: it stands beside the engine and how well that predicts, without scrolling."""
 _LAST = (marked("Subject"), marked("Site"))
@@ -74,6 +74,7 @@ class ResultsTable(QTableView):
         self.setSortingEnabled(True)
         self.setTabKeyNavigation(False)
         self.setWordWrap(False)
+        self.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.setShowGrid(False)
         self.setMinimumHeight(_LEAST)
         self.verticalHeader().hide()
@@ -151,7 +152,8 @@ class ResultsTable(QTableView):
         answer = [
             len(_FIXED) + self._model.parameters.index(name) for name in _ANSWER if name in self._model.parameters
         ]
-        order = [0, _HELD_OUT, *answer]
+        count = self._sorted.columnCount()
+        order = [0, _HELD_OUT, *answer, _TEST, *range(count - len(_LAST), count)]
         order += [column for column in range(self._sorted.columnCount()) if column not in order]
         for place, column in enumerate(order if self._model.outcomes else ()):
             header.moveSection(header.visualIndex(column), place)
@@ -297,7 +299,7 @@ def in_two_lines(head: str) -> str:
 
 def _told(outcome: Outcome) -> str:
     """Options, findings and warnings, as plain lines: what is in angle brackets is text, and not markup."""
-    lines = [outcome.refused] if outcome.refused else []
+    lines = [outcome.label, *([outcome.refused] if outcome.refused else [])]
     if outcome.options:
         lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
     if outcome.report is not None:

@@ -33,17 +33,19 @@ class TestRef(_Specification):
     site: Text = ""
     pseudonym: Text = ""
     label: Text = ""
+    when: float | None = None
 
     @classmethod
     def of(cls, test: Chosen) -> TestRef:
         """Write a chosen test down."""
         site, pseudonym, label = (text[:LONGEST_TEXT] for text in (test.site, test.pseudonym, test.label))
-        return cls(path=str(test.path), number=test.number, site=site, pseudonym=pseudonym, label=label)
+        path = str(test.path)
+        return cls(path=path, number=test.number, site=site, pseudonym=pseudonym, label=label, when=test.when)
 
     @property
     def chosen(self) -> Chosen:
         """The test, to be analysed again."""
-        return Chosen(Path(self.path), self.number, self.site, self.pseudonym, self.label)
+        return Chosen(Path(self.path), self.number, self.site, self.pseudonym, self.label, self.when)
 
 
 class Task(_Specification):
