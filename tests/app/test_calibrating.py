@@ -9,11 +9,11 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.calibrating import free_name
 from tissueid.app.conversation import CalibrationOutcome, Conversation
 from tissueid.app.emergency import EmergencyStop
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import Calibration, Quantity, StaticPlan, read_calibration
+from tissueid.calibration.store import free_name
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

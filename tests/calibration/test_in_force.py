@@ -113,7 +113,7 @@ def test_the_line_says_what_force_goes_by(items, words):
     assert in_words(put_in_force(DEVICE, items, NOW), NOW) == words
 
 
-def test_folders_are_looked_for_in_order(tmp_path, monkeypatch):
+def test_the_folder_of_calibrations_does_not_depend_on_the_current_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
@@ -121,7 +121,7 @@ def test_folders_are_looked_for_in_order(tmp_path, monkeypatch):
     (tmp_path / "home" / "tissueid" / "calibration_data").mkdir(parents=True)
     assert calibration_folder() == tmp_path / "home" / "tissueid" / "calibration_data"
     (tmp_path / "calibration_data").mkdir()
-    assert calibration_folder() == Path("calibration_data")
+    assert calibration_folder() == tmp_path / "home" / "tissueid" / "calibration_data"
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     assert calibration_folder() == tmp_path
     assert calibration_folder(tmp_path / "home") == tmp_path / "home"

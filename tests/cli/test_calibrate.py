@@ -3,11 +3,13 @@
 import io
 import json
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
 from tissueid.calibration import keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.file import utc_date
+from tissueid.calibration.store import VARIABLE
 from tissueid.cli import main
 
 SPRING = "simulated://spring?seed=4"
@@ -47,6 +49,24 @@ def test_static_leaves_a_calibration_a_page_and_json(kept):
     assert answer["quantities"]["force_constant_n_per_a"]["value"] == pytest.approx(3.0, rel=0.005)
     assert answer["seconds"] > 0
     assert answer["quantities"] == {name: q.model_dump() for name, q in found.quantities.items()}
+
+
+def test_without_a_file_a_calibration_goes_where_tests_look_for_it(tmp_path, monkeypatch, capsys):
+    """From any folder, whatever that folder holds."""
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    (tmp_path / "calibration_data").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert main([*STATIC, "--steps", "temperature", "--json", "made.json"]) == 0
+    made = Path(json.loads((tmp_path / "made.json").read_text())["file"])
+    assert made.parent == tmp_path / "home" / "tissueid" / "calibration_data"
+    monkeypatch.chdir("/")
+    capsys.readouterr()
+    assert main(["calibrate", "list", "--json", "-"]) == 0
+    assert [row["file"] for row in json.loads(capsys.readouterr().out)["calibrations"]] == [str(made)]
+    elsewhere = tmp_path / "calibration_data" / "b.toml"
+    assert main([*STATIC, "--steps", "temperature", "--out", str(elsewhere)]) == 0
+    assert str(made.parent) in capsys.readouterr().out  # where to copy it, so that tests find it
 
 
 def test_show_tells_it(kept, capsys):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from tissueid.acquisition import SessionRecorder
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.calibration_state import calibration_state
-from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
+from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.language import _, marked
 from tissueid.audit import Trail
@@ -19,7 +18,7 @@ from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.in_force import go_by_static, put_in_force
 from tissueid.calibration.moved_by_hand import Standing, wait_until_there
-from tissueid.calibration.store import stored_calibrations
+from tissueid.calibration.store import free_name, stored_calibrations
 from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
@@ -151,14 +150,3 @@ def _sweep(
     talk.show(_("working out what the sweep says"), 1.0)
     calibration = meanwhile(instrument, analyse)
     return calibration, notes_of(calibration), lambda made, report: sweep_report(made).write(report)
-
-
-def free_name(folder: Path, serial_number: str, kind: Kind, moment: datetime) -> Path:
-    """A calibration's file, named by instrument, kind and time, that is not there yet."""
-    name = f"{re.sub(r'[^A-Za-z0-9-]+', '-', serial_number).strip('-') or 'unknown'}-{kind}-{moment:%Y-%m-%d_%H-%M-%S}"
-    number = 1
-    while True:
-        path = folder / (f"{name}.toml" if number == 1 else f"{name}_{number}.toml")
-        if not any(path.with_suffix(suffix).exists() for suffix in (".toml", ".html", ".h5")):
-            return path
-        number += 1

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject
 
-from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind, calibrations_folder
+from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
 from tissueid.app.language import _
 from tissueid.app.layout import MEASURE
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
+from tissueid.calibration.store import made_folder
 from tissueid.errors import TissueIDError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class Calibrator(QObject):
         if window.busy:
             return
         try:
-            folder = around.calibrations or calibrations_folder()
+            folder = around.calibrations or made_folder()
             plan = CalibrationPlan(
                 window.ui.form.instrument.url, kind, folder, self._page.ambient_c, not self._page.fixed.isChecked()
             )

@@ -7,13 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-import platformdirs
-
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.language import _
 from tissueid.calibration.file import Calibration
-from tissueid.calibration.store import LOCAL, calibration_folder
 from tissueid.errors import UnusableInputError
 
 Kind = Literal["static", "sweep"]
@@ -107,15 +104,3 @@ class Conversation:
     def look(self) -> Talk:
         """What there is to see."""
         return self._talk
-
-
-def calibrations_folder() -> Path:
-    """Where calibrations made in the window go: where those in force are looked for, made if there is none.
-
-    Raises:
-        UnusableInputError: the environment names a folder that is not there.
-        OSError: it cannot be made.
-    """
-    folder = calibration_folder() or platformdirs.user_data_path("tissueid") / LOCAL
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder

@@ -12,7 +12,14 @@ if TYPE_CHECKING:
     from tissueid.calibration.in_force import InForce, calibrated, in_words, put_in_force, warnings_of
     from tissueid.calibration.procedure import StaticPlan
     from tissueid.calibration.static import StaticCalibration, calibrate_static
-    from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
+    from tissueid.calibration.store import (
+        Stored,
+        calibration_folder,
+        free_name,
+        is_filed,
+        made_folder,
+        stored_calibrations,
+    )
 else:
     __getattr__ = on_first_use(
         __name__,
@@ -22,7 +29,7 @@ else:
             "in_force": ("InForce", "calibrated", "in_words", "put_in_force", "warnings_of"),
             "procedure": ("StaticPlan",),
             "static": ("StaticCalibration", "calibrate_static"),
-            "store": ("Stored", "calibration_folder", "stored_calibrations"),
+            "store": ("Stored", "calibration_folder", "free_name", "is_filed", "made_folder", "stored_calibrations"),
         },
     )
 
@@ -38,8 +45,11 @@ __all__ = [
     "calibrated",
     "calibration_folder",
     "check_coil",
+    "free_name",
     "in_words",
+    "is_filed",
     "keep_calibration",
+    "made_folder",
     "put_in_force",
     "read_calibration",
     "stored_calibrations",

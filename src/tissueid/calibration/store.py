@@ -1,8 +1,9 @@
-"""Folders of calibrations: which one is looked into, and what it holds, readable or not."""
+"""The folder of calibrations: where it is, what it holds, and how a new calibration is named."""
 
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.errors import UnusableInputError
 
 VARIABLE = "TISSUEID_CALIBRATIONS"
-LOCAL = Path("calibration_data")
+"""Environment variable that names another folder than the user's own."""
 _MOST_FILES = 5000
 
 
@@ -32,9 +33,10 @@ class Stored:
 
 
 def calibration_folder(given: Path | None = None) -> Path | None:
-    """The folder of calibrations: the one that is given, or named by the environment, or near, or the user's own.
+    """Return the folder of calibrations: ``given``, else the one that the environment names, else the user's own.
 
-    None where there is none at all: nothing was ever calibrated here.
+    The current folder is not looked into: which calibrations are in force must not depend on where a program starts.
+    None where there is no folder yet, because no instrument was calibrated on this account.
 
     Raises:
         UnusableInputError: the one that is given or named is not there.
@@ -45,10 +47,47 @@ def calibration_folder(given: Path | None = None) -> Path | None:
         if not chosen.is_dir():
             raise UnusableInputError(f"there is no folder of calibrations {chosen}")
         return chosen
-    for folder in (LOCAL, platformdirs.user_data_path("tissueid") / "calibration_data"):
-        if folder.is_dir():
-            return folder
-    return None
+    own = own_folder()
+    return own if own.is_dir() else None
+
+
+def own_folder() -> Path:
+    """Return the calibration folder in the user's data folder; it need not exist."""
+    return platformdirs.user_data_path("tissueid") / "calibration_data"
+
+
+def made_folder(given: Path | None = None) -> Path:
+    """Return ``calibration_folder(given)``, created if there is none yet.
+
+    Raises:
+        UnusableInputError: the folder that is given or named is not there, or the user's own cannot be made.
+    """
+    folder = calibration_folder(given) or own_folder()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UnusableInputError(f"cannot make the folder {folder}: {error.strerror}") from error
+    return folder
+
+
+def free_name(folder: Path, serial_number: str, kind: str, moment: datetime) -> Path:
+    """Return a path for a new calibration, named by instrument, kind and time, where no file is yet."""
+    name = f"{re.sub(r'[^A-Za-z0-9-]+', '-', serial_number).strip('-') or 'unknown'}-{kind}-{moment:%Y-%m-%d_%H-%M-%S}"
+    number = 1
+    while True:
+        path = folder / (f"{name}.toml" if number == 1 else f"{name}_{number}.toml")
+        if not any(path.with_suffix(suffix).exists() for suffix in (".toml", ".html", ".h5")):
+            return path
+        number += 1
+
+
+def is_filed(path: Path) -> bool:
+    """Return whether ``path`` lies in the folder of calibrations, where every test looks for it."""
+    try:
+        folder = calibration_folder()
+    except UnusableInputError:
+        return False
+    return folder is not None and path.parent.resolve() == folder.resolve()
 
 
 def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:

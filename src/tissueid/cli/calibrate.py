@@ -11,10 +11,15 @@ calibrate = typer.Typer(help="Calibrate an instrument, and see which calibration
 
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
 DeviceUrl = Annotated[str, typer.Option("--device", metavar="URL", help="see 'tissueid devices'")]
-OutFile = Annotated[Path, typer.Option("--out", metavar="FILE", help="calibration to make, TOML")]
+OutFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="FILE", help="calibration to make, TOML; default: a new file in the folder of calibrations"
+    ),
+]
 Folder = Annotated[
     Path | None,
-    typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; ./calibration_data if it is there"),
+    typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; default: your own (see 'list')"),
 ]
 ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", help="HTML page with the figures")]
 
@@ -22,7 +27,7 @@ ReportFile = Annotated[Path | None, typer.Option("--report", metavar="FILE", hel
 @calibrate.command()
 def static(
     device: DeviceUrl,
-    out: OutFile,
+    out: OutFile = None,
     report: ReportFile = None,
     steps: Annotated[
         str | None, typer.Option("--steps", metavar="A,B", help="only these; a wrong one lists all")
@@ -79,7 +84,7 @@ def static(
 
 @calibrate.command()
 def sweep(
-    out: OutFile,
+    out: OutFile = None,
     device: Annotated[str | None, typer.Option("--device", metavar="URL", help="see 'tissueid devices'")] = None,
     report: ReportFile = None,
     first: Annotated[float, typer.Option("--from", metavar="MM", help="first position on the stroke")] = 2.0,

@@ -46,7 +46,11 @@ def list_calibrations(folder: Path | None, serial: str | None, json_file: Path |
         )
         answers.append(_listed(item.path, found, age, is_newest))
     if chosen is None:
-        people.print("there is no folder of calibrations yet: name one with --calibrations DIR", markup=False)
+        people.print(
+            "there are no calibrations yet: 'tissueid calibrate static' makes the first, or name another folder with "
+            "--calibrations DIR",
+            markup=False,
+        )
     elif not answers:
         people.print(f"no calibrations in {chosen}", markup=False, soft_wrap=True)
     else:

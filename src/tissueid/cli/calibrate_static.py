@@ -10,10 +10,9 @@ from rich.markup import escape
 
 from tissueid.calibration import StaticCalibration, StaticPlan, calibrate_static, keep_calibration
 from tissueid.calibration.coil import Spring
-from tissueid.calibration.file import check_writable
 from tissueid.calibration.procedure import STEPS, Ask
 from tissueid.calibration.words import readable, verdict_of
-from tissueid.cli.calibrate_verdict import check_passed
+from tissueid.cli.calibrate_verdict import check_passed, check_place, place_of, print_place
 from tissueid.cli.logged import end_noted, logged, noted
 from tissueid.cli.output import (
     check_different,
@@ -77,7 +76,7 @@ class StaticOptions:
         )
 
 
-def run_static(url: str, out: Path, report: Path | None, json_file: Path | None, options: StaticOptions) -> None:
+def run_static(url: str, out: Path | None, report: Path | None, json_file: Path | None, options: StaticOptions) -> None:
     """Calibrate, keep it, and tell it. A failed calibration is kept as well, beside one that passed.
 
     Raises:
@@ -85,7 +84,7 @@ def run_static(url: str, out: Path, report: Path | None, json_file: Path | None,
     """
     options.plan(_DEFAULT)  # what is wrong with the options is said before anything moves
     check_different(out, report, json_file)
-    check_writable(out)
+    check_place(out)
     check_output(report, ("<!DOCTYPE html",))
     check_json(json_file)
     ask = _asker()
@@ -102,6 +101,7 @@ def run_static(url: str, out: Path, report: Path | None, json_file: Path | None,
     calibration = found.calibration.model_copy(
         update={"conditions": found.calibration.conditions | ({"audit_head": head} if head else {})}
     )
+    out = place_of(out, calibration.serial_number, "static")
     kept = keep_calibration(out, calibration)
     noted(
         "technician",
@@ -164,4 +164,4 @@ def _tell(found: StaticCalibration, out: Path, json_file: Path | None) -> None:
         people.print(f"- {problem}", markup=False, soft_wrap=True)
     for note in found.notes:
         people.print(f"note: {note}", markup=False, soft_wrap=True)
-    people.print(f"calibration: {out}", markup=False, soft_wrap=True)
+    print_place(people, out)

@@ -17,14 +17,13 @@ from rich.text import Text
 
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import Calibration, keep_calibration
-from tissueid.calibration.file import check_writable
 from tissueid.calibration.in_force import go_by_static, static_conditions
 from tissueid.calibration.moved_by_hand import Standing, wait_until_there
 from tissueid.calibration.sweep import Bring, Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.words import notes_of, verdict_of
-from tissueid.cli.calibrate_verdict import check_passed
+from tissueid.cli.calibrate_verdict import check_passed, check_place, place_of, print_place
 from tissueid.cli.logged import end_noted, logged, noted, trail
 from tissueid.cli.output import (
     check_different,
@@ -99,7 +98,9 @@ class SweepOptions:
         return SweptSpring(stiffness, relative, 1e-3 * self.spring_g)
 
 
-def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path | None, options: SweepOptions) -> None:
+def run_sweep(
+    url: str | None, out: Path | None, report: Path | None, json_file: Path | None, options: SweepOptions
+) -> None:
     """Sweep, or take a sweep that was kept; analyse it, keep the calibration, and tell it.
 
     Raises:
@@ -112,7 +113,7 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
     if options.kept is not None and options.session is not None:
         raise UnusableInputError("--session keeps what is recorded now; it does not go with --kept")
     check_different(out, report, json_file, options.session, options.kept)
-    check_writable(out)
+    check_place(out)
     check_output(report, ("<!DOCTYPE html",))
     check_json(json_file)
     begin = time.perf_counter()
@@ -139,6 +140,7 @@ def run_sweep(url: str | None, out: Path, report: Path | None, json_file: Path |
         valid_days=options.valid_days,
         now=made,
     )
+    out = place_of(out, calibration.serial_number, "sweep")
     place = keep_calibration(out, calibration)
     noted(
         "technician",
@@ -307,6 +309,6 @@ def _tell(
         people.print(f"- {problem}", markup=False, soft_wrap=True)
     for note in notes_of(calibration):
         people.print(f"note: {note}", markup=False, soft_wrap=True)
-    people.print(f"calibration: {out}", markup=False, soft_wrap=True)
+    print_place(people, out)
     if session is not None:
         people.print(f"session: {session}", markup=False, soft_wrap=True)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from platformdirs import user_data_path, user_log_path
+from platformdirs import user_log_path
 from PySide6.QtCore import QSettings
 
 from tissueid.app.language import _
 from tissueid.app.surroundings import Surroundings
 from tissueid.app.words import in_words
-from tissueid.calibration.store import LOCAL, calibration_folder
+from tissueid.calibration.store import calibration_folder, own_folder
 from tissueid.errors import TissueIDError
 
 
 def whereabouts(around: Surroundings, settings: QSettings) -> list[tuple[str, str]]:
     """What is kept, in a word or two, and its place."""
     try:
-        calibrations = str(around.calibrations or calibration_folder() or user_data_path("tissueid") / LOCAL)
+        calibrations = str(around.calibrations or calibration_folder() or own_folder())
     except TissueIDError as error:
         calibrations = in_words(error)
     return [
