@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
+    QComboBox,
     QFrame,
     QHBoxLayout,
     QLabel,
@@ -29,7 +30,7 @@ from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
 from tissueid.app.language import _, marked
 from tissueid.app.live_analysis import LiveAnalysis
-from tissueid.app.notice import Notice
+from tissueid.app.notice import Notice, NoticeLine
 from tissueid.app.rail import Rail
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
@@ -205,13 +206,12 @@ class Layout:
         columns.addWidget(self.rail)
         right = QVBoxLayout()
         right.setSpacing(0)
-        strip = QVBoxLayout()
-        strip.setContentsMargins(12, 0, 12, 0)
-        strip.addWidget(self.notice)
-        right.addLayout(strip)
+        line = NoticeLine(self.notice)
+        right.addWidget(line)
         right.addWidget(self.stack, 1)
         columns.addLayout(right, 1)
         rows.addLayout(columns, 1)
+        self.notice.setParent(page)
         return page
 
     def test_page(self) -> QWidget:
@@ -244,20 +244,22 @@ class Layout:
 
     def _fold(self, width: int) -> None:
         """Give the page more of a narrow window."""
-        self._side_frame.setFixedWidth(_NARROW_SIDE_WIDTH if width < _NARROW else SIDE_WIDTH)
+        narrow = width < _NARROW
+        self._research.setWordWrap(narrow)
+        self._side_frame.setFixedWidth(_NARROW_SIDE_WIDTH if narrow else SIDE_WIDTH)
 
     def _header(self) -> QWidget:
         header = QFrame()
         header.setProperty("role", "header")
         title = QLabel("TissueID")
         title.setProperty("role", "title")
-        research = QLabel(_(RESEARCH_USE))
-        research.setProperty("role", "research")
+        self._research = QLabel(_(RESEARCH_USE))
+        self._research.setProperty("role", "research")
         row = QHBoxLayout(header)
         row.setContentsMargins(14, 7, 12, 7)
         row.setSpacing(10)
         row.addWidget(title)
-        row.addWidget(research)
+        row.addWidget(self._research)
         row.addStretch(1)
         row.addWidget(self.halt)
         row.addWidget(self.role)
@@ -275,8 +277,9 @@ class Layout:
         scroll.setWidget(content)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        for choice in self.form.findChildren(QComboBox):  # or the longest entry decides how wide the form is
+            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         scroll.setMinimumHeight(_LEAST_FORM)
         side = self._side_frame
         side.setProperty("role", "side")

@@ -2,11 +2,47 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QAccessible, QAccessibleEvent
+from PySide6.QtCore import QPoint, QRect, QSize, Qt, Signal
+from PySide6.QtGui import QAccessible, QAccessibleEvent, QMoveEvent, QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
 
 from tissueid.app.language import _
+
+_MARGIN = 4
+_HEIGHT = 34
+"""A line of text and its buttons, pixels."""
+
+
+class NoticeLine(QWidget):
+    """The room that is kept for a notice, whether there is one or not: nothing moves when one comes or goes.
+
+    A notice of several lines lies over what is below, from the top; it takes none of its room.
+    """
+
+    def __init__(self, notice: Notice, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._notice = notice
+        self.setFixedHeight(_HEIGHT)
+        notice.changed.connect(self._place)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Keep the notice where this line is."""
+        super().resizeEvent(event)
+        self._place()
+
+    def moveEvent(self, event: QMoveEvent) -> None:  # noqa: N802
+        """Keep the notice where this line is."""
+        super().moveEvent(event)
+        self._place()
+
+    def _place(self) -> None:
+        over = self._notice.parentWidget()
+        if over is None or not over.isAncestorOf(self):
+            return
+        width = self.width() - 2 * _MARGIN
+        height = max(_HEIGHT - _MARGIN, self._notice.needed_height(width))
+        self._notice.setGeometry(QRect(self.mapTo(over, QPoint(_MARGIN, 0)), QSize(width, height)))
+        self._notice.raise_()
 
 
 class Notice(QFrame):
@@ -17,6 +53,8 @@ class Notice(QFrame):
     """
 
     accepted = Signal()
+    changed = Signal()
+    """Sent when the text is another one, which may need more or less room."""
     said = Signal(str, bool)
     """What was said, and whether it was a problem."""
 
@@ -33,14 +71,20 @@ class Notice(QFrame):
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.offer = QPushButton()
         self.dismiss = QPushButton(_("Dis&miss"))
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(12, 8, 8, 8)
+        layout = self._row = QHBoxLayout(self)
+        layout.setContentsMargins(10, 1, 2, 1)
         layout.addWidget(self.text, 1)
         layout.addWidget(self.offer, 0, Qt.AlignmentFlag.AlignTop)
         layout.addWidget(self.dismiss, 0, Qt.AlignmentFlag.AlignTop)
         self.offer.clicked.connect(self.accepted)
         self.dismiss.clicked.connect(self.retract)
         self.hide()
+
+    def needed_height(self, width: int) -> int:
+        """Return the height in which all of the text can be read, pixels."""
+        self.ensurePolished()
+        self._row.activate()
+        return self._row.totalMinimumHeightForWidth(width)
 
     def turn_to(self, page: str) -> None:
         """Another page is shown: what was said stays with its own."""
@@ -85,6 +129,7 @@ class Notice(QFrame):
         self.setAccessibleName(text)
         self.offer.setText(offer)
         self.offer.setVisible(bool(offer))
+        self.changed.emit()
         self.show()
         self.said.emit(text, problem)
         QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))

@@ -114,6 +114,8 @@ QPushButton { background: $panel; border: 1px solid $edge; border-radius: 4px; p
     min-height: 18px; }
 QPushButton:hover { border-color: $accent; }
 QPushButton:focus { border: 2px solid $accent; padding: 2px 11px; }
+QPushButton[role="small"] { padding: 0px 10px; min-height: 16px; }
+QPushButton[role="small"]:focus { padding: 0px 9px; }
 QPushButton[role="toggle"]:checked { border-color: $accent; color: $accent; background: $window; }
 QPushButton:disabled { color: $muted; background: $window; border-color: $line; }
 QComboBox QAbstractItemView { background: $panel; color: $text; selection-background-color: $accent;

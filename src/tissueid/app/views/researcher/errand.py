@@ -55,6 +55,7 @@ class ErrandStrip(QWidget):
         self._bar.setTextVisible(False)
         self._bar.setAccessibleName(_("Progress"))
         self.stop = QPushButton(_("Cancel"))
+        self.stop.setProperty("role", "small")  # it stands in the corner of a bar of tabs
         self.stop.setAccessibleName(_("Cancel what is going on"))
         self.stop.clicked.connect(self.cancel)
         row = QHBoxLayout(self)

@@ -18,7 +18,7 @@ from tissueid.app.views.view import Desk, View
 
 _SPLIT, _TAB = "research/split", "research/tab"
 _WIDTHS = (400, 600)
-_STRIP = 330
+_STRIP = 240
 
 
 class ResearchView(View):

@@ -40,6 +40,7 @@ class InstrumentView(View):
         self.doing.setProperty("role", "muted")
         self.doing.setTextFormat(Qt.TextFormat.PlainText)
         self.give_up = QPushButton(_("Cancel"))
+        self.give_up.setProperty("role", "small")  # it stands in the corner of a bar of tabs
         self.give_up.setToolTip(_("Ends what is being read or asked"))
         self.give_up.clicked.connect(self.errands.cancel)
         self.tabs = QTabWidget()
