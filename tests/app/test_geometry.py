@@ -6,7 +6,7 @@ import functools
 import shutil
 
 import pytest
-from app.benches import WAIT_MS, Gate, found
+from app.benches import WAIT_MS, Clock, Gate, found
 from PySide6.QtCore import QCoreApplication, QPoint, QRect, QSettings, Qt
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -22,6 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.elided import ElidedLabel
+from tissueid.app.emergency import EmergencyStop
 from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
@@ -197,6 +198,7 @@ def opened(tmp_path_factory, saved):
                 folder=folder,
                 wait=(lambda _: None) if gate is None else gate.wait,
                 apart=False,
+                stop=lambda: EmergencyStop(Clock().read),  # no window has to keep up with these tests
                 calibrate=lambda _: None,
                 calibrations=folder,
                 show_file=lambda _: True,
