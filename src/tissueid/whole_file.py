@@ -236,9 +236,6 @@ def _publish(partial: Path, path: Path, *, new: bool) -> None:
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from error
         partial.replace(path)
-    else:
-        with contextlib.suppress(FileNotFoundError):
-            partial.unlink()
 
 
 def _lock(descriptor: int, *, exclusive: bool) -> bool:

@@ -37,7 +37,7 @@ from tissueid.sessions import read_session, write_session
         "h5py.File",
         "tissueid.sessions.writing._write_test",
         "tissueid.whole_file.os.fsync",
-        "tissueid.whole_file.Path.replace",
+        "tissueid.whole_file.os.link",
     ],
 )
 def test_a_session_that_cannot_be_written_leaves_its_journal_and_nothing_else(tmp_path, monkeypatch, place, number):

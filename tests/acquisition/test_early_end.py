@@ -7,7 +7,7 @@ from support import connect
 
 from tissueid.acquisition import GuidedTest, SessionRecorder, recover, run_guided_test
 from tissueid.acquisition.journal import Entry, encode_json, journal_path
-from tissueid.errors import FirmwareFaultError, UnusableInputError
+from tissueid.errors import FirmwareFaultError
 from tissueid.instrument import ReplayInstrument, SimulatedInstrument
 from tissueid.sessions import read_session
 from tissueid.stimuli import guided
@@ -124,12 +124,14 @@ def test_a_host_that_dies_after_an_early_end_leaves_just_what_was_played(tmp_pat
 
 
 @pytest.mark.parametrize("samples", [0, -1, 10_000_000])
-def test_a_journal_whose_lengths_make_no_sense_is_refused(samples, tmp_path):
+def test_an_end_whose_length_makes_no_sense_is_passed_over_and_said(samples, tmp_path):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     run_guided_test(instrument, GuidedTest(noise(0.5), "x"), recorder, surface_m=SURFACE)
     recorder.abandon()
     with journal_path(tmp_path / "s.h5").open("ab") as file:
         file.write(encode_json(Entry.TEST_END, {"status": "completed", "notes": {}, "samples": samples}))
-    with pytest.raises(UnusableInputError, match="samples that played"):
-        recover(tmp_path / "s.h5")
+    told: list[str] = []
+    test = recover(tmp_path / "s.h5", told=told.append)[1].test()
+    assert (test.status, test.samples) == ("completed", recorder.samples_appended)
+    assert "damaged at 1 place" in told[0]

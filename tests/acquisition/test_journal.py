@@ -133,7 +133,7 @@ def test_an_end_that_was_cut_off_is_no_damage(tmp_path, left):
     journal = journal_path(tmp_path / "s.h5")
     journal.write_bytes(journal.read_bytes() + left)
     damage = Damage()
-    assert len(list(read_entries(journal, damage))) == 8
+    assert len(list(read_entries(journal, damage))) == 9
     assert damage == Damage()
     told: list[str] = []
     assert recover(tmp_path / "s.h5", told=told.append)[1].test().samples == 20
@@ -146,7 +146,7 @@ def test_rubbish_at_the_end_that_was_not_cut_off_is_damage(tmp_path):
     journal = journal_path(tmp_path / "s.h5")
     journal.write_bytes(journal.read_bytes() + b"\x03\x02\x00\x00\x00abcdefghi")
     damage = Damage()
-    assert len(list(read_entries(journal, damage))) == 8
+    assert len(list(read_entries(journal, damage))) == 9
     assert damage == Damage(1, 14)
 
 

@@ -69,7 +69,7 @@ def test_a_file_that_the_system_lets_grow_no_further(tmp_path):
     assert words.startswith(
         f"cannot write {tmp_path / 's.h5.journal'}: File too large. What was recorded before is kept"
     )
-    assert acknowledged == 15_000
+    assert acknowledged == 14_000  # 924 kB, and some 5 kB a second of whose they are
     position = recover(tmp_path / "s.h5")[1].test().signals["position"]
     np.testing.assert_array_equal(position, np.arange(acknowledged))
 

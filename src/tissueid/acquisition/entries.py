@@ -9,7 +9,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 from typing import IO, Any
@@ -51,15 +51,22 @@ def encode_json(kind: Entry, value: dict[str, Any]) -> bytes:
 
 @dataclass
 class Damage:
-    """What of a journal is not as it was written. An end that was cut off is none."""
+    """What of a journal is not as it was written, or makes no sense. An end that was cut off is none."""
 
     places: int = 0
     bytes: int = 0
+    left_out: list[str] = field(default_factory=list)
+    """Tests of which too little can be read to make anything of them, in words."""
 
     def add(self, count: int) -> None:
-        """One more place, of so many bytes."""
+        """Count one more place, of ``count`` bytes."""
         self.places += 1
         self.bytes += count
+
+    def leave_out(self, words: str) -> None:
+        """Count a test that is left out."""
+        self.places += 1
+        self.left_out.append(words)
 
 
 def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Entry, bytes]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
 import threading
 import uuid
@@ -41,6 +42,10 @@ _NUMBERS = len(SIGNALS) + 2
 """Of a sample in a session: what was recorded, force and time."""
 _IN_SESSION = 8 * _NUMBERS + 2
 """Bytes of a sample in a session at the worst; most are compressed to half."""
+HEAD_S = 1.0
+"""Seconds of samples after which the journal says again whose they are: what follows a damage is read by it."""
+_HEAD_SHARE = 0.1
+"""Of the journal at most, however long the description of a stimulus is."""
 _CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date")
 """What the audit log keeps of the calibration in force."""
 
@@ -89,6 +94,11 @@ class SessionRecorder:
         self.samples_appended = 0
         self.gate = QualityGate(device)
         """Judges the tests of this sitting as they end, each against those before it."""
+        self._sample_rate_hz = device.sample_rate_hz
+        self._head = b""
+        """Whose the samples of the running test are, to be repeated."""
+        self._head_at = 0
+        """Samples of the running test after which that is due."""
         self._sample_entries: deque[tuple[int, int]] = deque()
         self._run_samples = 0
         self._turn = threading.Lock()
@@ -107,7 +117,8 @@ class SessionRecorder:
                 "sample_fields": [list(item) for item in SAMPLE.descr],
                 "audit_head": "" if trail is None else trail.head,
             }
-            self._journal.append(_twice(encode_json(Entry.SITTING, sitting)))
+            self._sitting = encode_json(Entry.SITTING, sitting)
+            self._journal.append(_twice(self._sitting))
         except BaseException:
             self._discard()
             raise
@@ -153,8 +164,15 @@ class SessionRecorder:
         self.tests_begun += 1
         self._run_samples = 0
         entry = {"number": self.tests_begun, "run": asdict(run), "attributes": attributes}
-        self._journal.append(_twice(encode_json(Entry.TEST, entry)))
+        self._head = self._sitting + encode_json(Entry.TEST, entry | {"again": True})
+        self._head_at = 0
+        self._repeat_head_later()
+        self._journal.append(self._sitting + _twice(encode_json(Entry.TEST, entry)))
         return self.tests_begun
+
+    def _repeat_head_later(self) -> None:
+        least = len(self._head) / (_HEAD_SHARE * SAMPLE.itemsize)
+        self._head_at += math.ceil(max(HEAD_S * self._sample_rate_hz, least))
 
     def add(self, samples: NDArray[np.void]) -> None:
         """Samples of the running test, shape (k,) of instrument.SAMPLE.
@@ -163,6 +181,9 @@ class SessionRecorder:
             JournalError: they cannot be written, or wait for too long.
         """
         if samples.size:
+            if self._run_samples >= self._head_at:
+                self._journal.append(self._head)
+                self._repeat_head_later()
             number = self._journal.append(encode_entry(Entry.SAMPLES, samples.tobytes()))
             self.samples_appended += samples.size
             self._run_samples += samples.size
@@ -295,7 +316,11 @@ class SessionRecorder:
         Raises:
             JournalError: says how much is free, and how much is wanted.
         """
-        wanted = samples * SAMPLE.itemsize + (self.samples_appended + samples) * _IN_SESSION + ROOM_LEFT
+        wanted = (
+            round(samples * SAMPLE.itemsize * (1.0 + _HEAD_SHARE))
+            + (self.samples_appended + samples) * _IN_SESSION
+            + ROOM_LEFT
+        )
         free = self._or_keep(lambda: shutil.disk_usage(self.path.parent).free)
         if free < wanted:
             raise JournalError(

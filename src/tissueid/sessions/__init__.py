@@ -2,6 +2,7 @@
 
 from tissueid.sessions.file import (
     MAX_NUMBERS,
+    MAX_TESTS,
     read_outline,
     read_session,
     read_session_head,
@@ -14,6 +15,7 @@ from tissueid.sessions.writing import write_session
 __all__ = [
     "KINDS",
     "MAX_NUMBERS",
+    "MAX_TESTS",
     "SIGNAL_UNITS",
     "Outline",
     "Session",
