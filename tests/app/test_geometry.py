@@ -27,6 +27,7 @@ from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
 from tissueid.app.surroundings import Surroundings
+from tissueid.calibration.in_force import calibrated
 from tissueid.instrument import SimulatedInstrument
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -199,7 +200,7 @@ def opened(tmp_path_factory, saved):
                 wait=(lambda _: None) if gate is None else gate.wait,
                 apart=False,
                 stop=lambda: EmergencyStop(Clock().read),  # no window has to keep up with these tests
-                calibrate=lambda _: None,
+                calibrate=functools.partial(calibrated, folder=folder),
                 calibrations=folder,
                 show_file=lambda _: True,
                 first_page="measure",
@@ -212,6 +213,7 @@ def opened(tmp_path_factory, saved):
         window.show()
         return window
 
+    make.gate = lambda wanted: next(gate for window, gate in windows.values() if window is wanted)
     yield make
     close()
 
@@ -235,7 +237,9 @@ def in_state(qtbot, opened):
             if not window.testing:
                 ui.form.site.setEditText("left forearm")
                 ui.start.click()
-                qtbot.waitUntil(lambda: window._live.look().fraction > 0, timeout=WAIT_MS)
+                qtbot.waitUntil(opened.gate(window).reached.is_set, timeout=WAIT_MS)
+                window._frames.stop()  # nothing new is drawn while one looks
+                window._show_frame()
             window.pages.show(page)
             settle()
             return window
