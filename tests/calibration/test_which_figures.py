@@ -227,7 +227,7 @@ def payload():
 
 
 @pytest.mark.parametrize("name", ["moving_mass_kg", "coil_inductance_h", "force_constant_n_per_a", "amplifier_limit_v"])
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0, 1e300, -1e-300])
 def test_a_device_that_says_the_impossible_of_itself_is_refused(payload, name, value):
     assert read_hello(payload, "port").device.moving_mass_kg == DEVICE.moving_mass_kg
     at = wire.HELLO_ACK.fields[name][1]

@@ -18,8 +18,10 @@ WIDE = Limits(max_force_n=14.9, max_temperature_c=84.0, max_seconds=60.0)
 
 def rig(bench: Bench | None = None, *, watchdog_s: float = WATCHDOG_S) -> SerialInstrument:
     """A driver on a simulated firmware; its link is ``instrument._link``."""
-    link = LoopbackLink(Firmware(bench or Bench(seed=1), watchdog_s=watchdog_s))
-    return SerialInstrument(link, clock=link.clock)
+    link = LoopbackLink(Firmware(bench or Bench(seed=1)))
+    instrument = SerialInstrument(link, clock=link.clock)
+    link.firmware.watchdog_s = watchdog_s  # which a handshake may not say
+    return instrument
 
 
 def without_host(monkeypatch: pytest.MonkeyPatch) -> None:

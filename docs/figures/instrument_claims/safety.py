@@ -62,8 +62,9 @@ def _samples_until_free(upset: Upset, off: Mapping[str, object], seed: int) -> i
     """Samples with the coil energised from the upset on; the whole run when nothing frees it."""
     with _switched_off(off):
         bench = Bench("left-posterior-forearm", seed=seed)
-        link = LoopbackLink(Firmware(bench, watchdog_s=1e9))
+        link = LoopbackLink(Firmware(bench))
         instrument = SerialInstrument(link, clock=link.clock)
+        link.firmware.watchdog_s = 1e9
         command = _shaken(seed)
         instrument.load(command)
         instrument.arm(WIDE)
@@ -141,8 +142,9 @@ def _hottest(off: Mapping[str, object], volts: float, bench: Bench) -> tuple[flo
     """The true winding's highest temperature, degC, and the seconds until something ended the run."""
     with _switched_off(off):
         bench.stuck.add("temperature")
-        link = LoopbackLink(Firmware(bench, watchdog_s=1e9))
+        link = LoopbackLink(Firmware(bench))
         instrument = SerialInstrument(link, clock=link.clock)
+        link.firmware.watchdog_s = 1e9
         command = volts * np.minimum(np.arange(40 * RATE) / 500, 1.0)
         instrument.load(command)
         instrument.arm(Limits(max_force_n=14.9, max_temperature_c=80.0, max_seconds=60.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,22 +50,44 @@ class Introduction:
         return data
 
 
-_POSITIVE = (
-    "coil_resistance_ohm",
-    "force_constant_n_per_a",
-    "moving_mass_kg",
-    "amplifier_gain",
-    "amplifier_limit_v",
-    "stroke_m",
-    "calibration_spring_n_per_m",
-)
-_NOT_NEGATIVE = ("coil_inductance_h", "bearing_damping_n_s_per_m", "calibration_relative_uncertainty")
+RANGES = {
+    "samples_per_frame": (1.0, 128.0),
+    "stimulus_capacity": (1.0, 2.0**32),
+    "sample_rate_hz": (100.0, 100_000.0),
+    "watchdog_s": (0.2, 1.0),
+    "coil_resistance_ohm": (0.5, 1000.0),
+    "coil_inductance_h": (0.0, 0.1),
+    "force_constant_n_per_a": (0.05, 100.0),
+    "moving_mass_kg": (0.001, 2.0),
+    "bearing_damping_n_s_per_m": (0.0, 1000.0),
+    "amplifier_gain": (0.01, 100.0),
+    "amplifier_limit_v": (1.0, 120.0),
+    "stroke_m": (0.001, 0.5),
+    "max_force_n": (0.1, 100.0),
+    "max_temperature_c": (30.0, 150.0),
+}
+"""Between which values every figure of a device lies that this software drives (docs/protocol.md, 4.1)."""
+
+SPANS = {
+    "command": (1.0, 1000.0),
+    "voltage": (1.0, 1000.0),
+    "current": (0.1, 1000.0),
+    "position": (0.001, 1.0),
+    "temperature": (10.0, 2000.0),
+    "acceleration_x": (1.0, 10_000.0),
+    "acceleration_y": (1.0, 10_000.0),
+}
+"""How far the codes of each channel reach from end to end, in its unit; its gain is positive."""
+_CODES = 65536
+_LISTED = 8
 
 
-def _possible(device: DeviceDescription) -> bool:
-    """Whether all figures of a device are numbers, of the sign that they must have; calibrations are held to them."""
-    figures = np.array([getattr(device, name) for name in (*_POSITIVE, *_NOT_NEGATIVE)])
-    return bool(np.all(np.isfinite(figures)) and np.all(figures >= 0) and np.all(figures[: len(_POSITIVE)] > 0))
+def _impossible(figures: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
+    """Which figure cannot be, in words; "" where all can."""
+    for name, (low, high) in ranges.items():
+        if not low <= figures[name] <= high:  # so that nothing is in the range of a NaN
+            return f"{name} is {figures[name]:.4g}, not {low:g} to {high:g}"
+    return ""
 
 
 def read_hello(payload: bytes, name: str) -> Introduction:
@@ -88,15 +111,20 @@ def read_hello(payload: bytes, name: str) -> Introduction:
         raise InstrumentError(f"the handshake of {name} is damaged: {error}") from error
     channels = np.frombuffer(table, wire.CHANNEL)
     names = tuple(wire.text(channel) for channel in channels["name"])
-    if names != SIGNALS or not np.all(np.isfinite(channels["gain"] + channels["offset"]) & (channels["gain"] != 0)):
-        raise InstrumentError(f"{name} has other channels than this software knows: {names}")
+    if names != SIGNALS:
+        listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+        raise InstrumentError(f"{name} has other channels than this software knows: {listed}")
+    gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
+    spans = {signal: _CODES * float(gain) for signal, gain in zip(SIGNALS, gains, strict=True)}
+    odd = _impossible(fields, RANGES)
+    if scale := _impossible(spans, SPANS):
+        odd = odd or f"from end to end {scale}"
+    for signal, offset in zip(SIGNALS, offsets, strict=True):
+        if not odd and not abs(offset) <= spans[signal]:
+            odd = f"the offset of {signal} is {offset:.4g}, which its codes do not reach"
+    if odd:
+        raise InstrumentError(f"{name} reports impossible figures of itself: {odd}. Update its firmware")
     figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
     figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
     device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
-    if not 100 <= device.sample_rate_hz <= 100_000 or not _possible(device):
-        raise InstrumentError(f"{name} reports impossible figures of itself")
-    furthest = fields["max_force_n"], fields["max_temperature_c"]
-    if not (np.all(np.isfinite(furthest)) and min(furthest) > 0):
-        raise InstrumentError(f"{name} reports impossible limits of its own")
-    gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
-    return Introduction(device, gains, offsets, fields["boot_id"], *furthest)
+    return Introduction(device, gains, offsets, fields["boot_id"], fields["max_force_n"], fields["max_temperature_c"])
