@@ -21,6 +21,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
+from tissueid.wire import Flag
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs limits and signals of POSIX")
 
@@ -38,6 +39,7 @@ def batch(first: int, count: int) -> np.ndarray:
     samples = np.zeros(count, SAMPLE)
     samples["index"] = first + np.arange(count)
     samples["position"] = 0.01 + 1e-6 * samples["index"]
+    samples["flags"] = Flag.PLAYING
     return samples
 
 

@@ -19,6 +19,7 @@ from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.instrument.interface import empty_samples
 from tissueid.sessions import Subject, read_session
+from tissueid.wire import Flag
 
 BATCH = 5
 ATTRIBUTES = dict(kind="stochastic", site="forearm", sample_rate_hz=2000.0, preload_s=0.0)
@@ -27,6 +28,7 @@ ATTRIBUTES = dict(kind="stochastic", site="forearm", sample_rate_hz=2000.0, prel
 def batch(first: int, count: int = BATCH) -> np.ndarray:
     samples = np.zeros(count, SAMPLE)
     samples["index"] = first + np.arange(count)
+    samples["flags"] = Flag.PLAYING
     for field, name in enumerate(SAMPLE.names[1:-1]):
         samples[name] = 10.0 * field + samples["index"]
     return samples

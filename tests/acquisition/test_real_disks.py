@@ -45,6 +45,7 @@ try:
     for first in range(0, 400_000, 1000):
         samples = np.zeros(1000, SAMPLE)
         samples["index"] = first + np.arange(1000)
+        samples["flags"] = 2
         samples["position"] = samples["index"]
         recorder.add(samples)
         recorder._journal.sync()
@@ -129,6 +130,7 @@ from tissueid.instrument import SAMPLE, Run
 tests = int(sys.argv[2])
 recorder = SessionRecorder(Path(sys.argv[1]), DeviceDescription())
 samples = np.zeros(60_000, SAMPLE)
+samples["flags"] = 2
 for number in range(tests):
     samples["index"] = 100_000 * number + np.arange(60_000)
     recorder.begin_test(Run(100_000 * number, 60_000), kind="stochastic", site="x", sample_rate_hz=2000.0)

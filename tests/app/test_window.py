@@ -13,6 +13,7 @@ from tissueid.acquisition import SessionRecorder, journal_path
 from tissueid.app.layout import RESEARCH_USE
 from tissueid.instrument import Run, SimulatedInstrument
 from tissueid.sessions import read_session, write_session
+from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -272,7 +273,9 @@ def leave_journal(folder, instrument):
     recorder = SessionRecorder(folder / "lost.h5", instrument.device)
     recorder.begin_test(Run(0, 4000), kind="stochastic", site="thigh", sample_rate_hz=2000.0)
     for _ in range(50):
-        recorder.add(instrument.poll(0.0))
+        samples = instrument.poll(0.0)
+        samples["flags"] = Flag.PLAYING
+        recorder.add(samples)
     return recorder
 
 

@@ -22,6 +22,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import Session, write_session
+from tissueid.wire import Flag
 
 
 def test_a_whole_log_ends_with_status_0(audit_file, capsys):
@@ -153,6 +154,7 @@ def test_a_recovery_is_logged_and_never_refused(audit_file, tmp_path, monkeypatc
         recorder.begin_test(Run(0, 10), kind="stochastic", site="forearm", sample_rate_hz=2000.0)
         samples = np.zeros(10, SAMPLE)
         samples["index"] = np.arange(10)
+        samples["flags"] = Flag.PLAYING
         recorder.add(samples)
         recorder.abandon()
     assert main(["recover", str(tmp_path / "s.h5")]) == 0

@@ -67,7 +67,10 @@ def test_without_a_word_from_the_device_its_samples_tell(tmp_path, before_the_en
     test, message = stopped_test(tmp_path, STIMULUS_SAMPLES - before_the_end, Deaf())
     assert message == "the instrument stopped the test by itself; the coil is free: measure again"
     assert test.status == "aborted"
-    assert np.nanmax(np.abs(np.asarray(test.signals["command"])[-10:])) == 0.0
+    stopped_at = STIMULUS_SAMPLES - before_the_end
+    assert stopped_at < test.samples <= stopped_at + 40, "what came after the release is no part of the test"
+    assert 20 <= test.notes["samples_after_release"] <= before_the_end
+    assert np.nanmin(np.abs(np.asarray(test.signals["command"])[-10:])) > 0.0
 
 
 @pytest.mark.parametrize("before_the_end", [60, 300, 700])

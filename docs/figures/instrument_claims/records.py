@@ -39,6 +39,7 @@ from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run
 recorder = SessionRecorder(Path(sys.argv[1]), DeviceDescription())
 samples = np.zeros(60_000, SAMPLE)
+samples["flags"] = 2
 for number in range(int(sys.argv[2])):
     samples["index"] = 100_000 * number + np.arange(60_000)
     recorder.begin_test(Run(100_000 * number, 60_000), kind="stochastic", site="x", sample_rate_hz=2000.0)

@@ -20,7 +20,17 @@ from tissueid.acquisition.waiting import meanwhile
 from tissueid.configuration import Configuration
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, TissueIDError, UnusableInputError
-from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits, Run, check_stimulus, force
+from tissueid.instrument import (
+    CLINICAL,
+    SAMPLE,
+    Instrument,
+    Limits,
+    Run,
+    check_stimulus,
+    force,
+    not_played,
+    until_released,
+)
 from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.wire import Flag
@@ -140,6 +150,7 @@ class _Recording:
         self.set_points: SetPoints | None = None
         self.planned: Run | None = None
         self.taken = 0
+        self.after_release = 0
         self._instrument = instrument
         self._test = test
         self._recorder = recorder
@@ -182,7 +193,12 @@ class _Recording:
         self._open = OpenTest(number, run, attributes)
 
     def take(self, samples: NDArray[np.void], fraction: float) -> None:
-        """Samples of the run, and the fraction of it that is played."""
+        """Samples of the run, and the fraction of it that is played; those after a release are counted alone."""
+        played = samples[:0] if self.after_release else until_released(samples)
+        self.after_release += int(np.count_nonzero(not_played(samples[played.size :])))
+        if self.after_release and not played.size:
+            return
+        samples = played
         self._recorder.add(samples)
         if self._open is not None:
             self._open.blocks.append(samples)
@@ -216,6 +232,8 @@ class _Recording:
             if (margin := self._instrument.setpoint_margin_s) is not None:
                 notes["setpoint_margin_s"] = margin
             notes |= self.set_points.notes(run, whole=status == "completed")
+        if self.after_release:
+            notes["samples_after_release"] = float(self.after_release)
         notes |= self._figures()
         if (quality := self._quality(status, run, notes)) is not None:
             notes |= quality.as_notes()

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition.feedback import SetPoints
 from tissueid.errors import CancelledError, LinkLostError
-from tissueid.instrument import Instrument, Limits, Run
-from tissueid.wire import Flag
+from tissueid.instrument import Instrument, Limits, Run, not_played
 
 POLL_S = 0.05
 _RELEASE_S = 0.08
@@ -88,7 +87,7 @@ def play(
             if samples.size:
                 last = int(samples["index"][-1]) + 1
                 inside = samples[(samples["index"] >= run.first_index) & (samples["index"] < run.end_index)]
-                whole = whole and bool(np.all(np.isnan(inside["position"]) | (inside["flags"] & Flag.PLAYING > 0)))
+                whole = whole and not not_played(inside).any()
                 received = inside["index"][np.isfinite(inside["position"])]
                 seen_to = int(received[-1]) + 1 if received.size else seen_to
                 if set_points is not None:

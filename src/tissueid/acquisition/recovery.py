@@ -25,7 +25,7 @@ from tissueid.acquisition.journal import Damage, Entry, JournalError, journal_pa
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.instrument import SAMPLE, SIGNALS, Run, force
+from tissueid.instrument import SAMPLE, SIGNALS, Run, force, not_played, until_released
 from tissueid.sessions import MAX_NUMBERS, Session, Subject, Test, read_session, read_session_head, write_session
 from tissueid.whole_file import remove_leftovers
 
@@ -66,9 +66,10 @@ class OpenTest:
         samples = np.frombuffer(payload, SAMPLE)
         first = self.run.first_index
         inside = samples[(samples["index"] >= first) & (samples["index"] < first + self.run.samples)]
-        self.received += inside.size
-        if inside.size:
-            self.reach = max(self.reach, int(inside["index"].max()) - first + 1)
+        played = inside[~not_played(inside)]
+        self.received += played.size
+        if played.size:
+            self.reach = max(self.reach, int(played["index"].max()) - first + 1)
         if keep:
             self.blocks.append(inside)
 
@@ -90,14 +91,16 @@ class OpenTest:
         return self.run.samples if self.status == "completed" else min(self.reach, self.run.samples)
 
     def close(self, device: DeviceDescription) -> Test | None:
-        """The finished test, or None when no sample of it was received."""
+        """The finished test, up to the release of the coil, or None when no sample of it was received."""
         samples = np.concatenate([*self.blocks, np.zeros(0, SAMPLE)])
         place = samples["index"].astype(np.int64) - self.run.first_index
         inside = (place >= 0) & (place < self.run.samples)  # one that ended early has fewer than were planned
-        samples, place = samples[inside], place[inside]
+        played = until_released(samples[inside])
+        after_release = int(np.count_nonzero(not_played(samples[inside][played.size :])))
+        samples, place = played, place[inside][: played.size]
         if not samples.size:
             return None
-        # A test that ended early is as long as what was received of it; holes inside it stay NaN.
+        # A test that ended early is as long as what was received and played of it; holes inside it stay NaN.
         length = self.run.samples if self.status == "completed" else int(place.max()) + 1
         signals = {}
         for name in SIGNALS:
@@ -109,6 +112,8 @@ class OpenTest:
         notes = attributes.pop("notes", {}) | self.notes
         if missing := int(np.isnan(signals["position"]).sum()):
             notes["samples_lost"] = missing
+        if after_release:
+            notes["samples_after_release"] = float(after_release)
         if self.events:
             notes["events"] = _events_text(self.events)
         return Test(number=self.number, signals=signals, status=self.status, notes=notes, **attributes)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tissueid.instrument.correction import Correction
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force, not_played, until_released
 from tissueid.instrument.limits import (
     CLINICAL,
     PROFILES,
@@ -55,5 +55,7 @@ __all__ = [
     "check_stimulus",
     "find_instruments",
     "force",
+    "not_played",
     "open_instrument",
+    "until_released",
 ]

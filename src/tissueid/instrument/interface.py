@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.instrument.correction import Correction
 from tissueid.instrument.limits import Limits
+from tissueid.wire import Flag
 
 SIGNALS = ("command", "voltage", "current", "position", "temperature", "acceleration_x", "acceleration_y")
 """The recorded channels, SI: V, V, A, m, degC, m/s^2, m/s^2."""
@@ -128,6 +129,23 @@ def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
     for name in SIGNALS:
         samples[name] = np.nan
     return samples
+
+
+def not_played(samples: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Whether each of samples, shape (k,), was received and belongs to no run, shape (k,)."""
+    return np.asarray(np.isfinite(samples["position"]) & ((samples["flags"] & Flag.PLAYING) == 0))
+
+
+def until_released(samples: NDArray[np.void]) -> NDArray[np.void]:
+    """Samples of a run, shape (k,), up to its release: those from the first that was not played on are left out.
+
+    Samples that were lost right before it go as well: nothing says whether they were played.
+    """
+    gone = np.flatnonzero(not_played(samples))
+    if not gone.size:
+        return samples
+    played = np.flatnonzero(samples["flags"][: gone[0]] & Flag.PLAYING)
+    return samples[: played[-1] + 1 if played.size else 0]
 
 
 def force(samples: NDArray[np.void], device: DeviceDescription) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError
 from tissueid.instrument.answers import Status, describe_faults
 from tissueid.instrument.handshake import Introduction
-from tissueid.instrument.interface import Run
+from tissueid.instrument.interface import Run, not_played
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits
 from tissueid.instrument.sample_stream import MAX_GAP_S, SampleStream
@@ -153,11 +153,12 @@ class RunWatch:
             InstrumentError: samples were played that are none of the run, or after it was stopped; ``stop_due``.
         """
         inside = (read["index"] >= run.first_index) & (read["index"] < run.end_index) & np.isfinite(read["position"])
+        idle = inside & not_played(read)
         if inside.any():
             self._received_to = int(read["index"][inside][-1]) + 1
         played = (read["flags"] & Flag.PLAYING) > 0
-        if not self.finishing and self._stopped_at is None and np.any(inside & ~played):
-            self._stopped_at = int(read["index"][inside & ~played][0])
+        if not self.finishing and self._stopped_at is None and idle.any():
+            self._stopped_at = int(read["index"][idle][0])
         if played.any():
             self._played_to = int(read["index"][played][-1]) + 1
             stopped_at = run.end_index if self._stopped_at is None else self._stopped_at
