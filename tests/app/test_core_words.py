@@ -18,7 +18,9 @@ from tissueid.app.language import speak
 from tissueid.app.words import for_window, in_words
 from tissueid.calibration.in_force import NOT_CALIBRATED
 from tissueid.errors import UnusableInputError
-from tissueid.gap.next_experiment import NextExperiment
+from tissueid.gap.diagnosis import Ranked
+from tissueid.gap.next_experiment import NextExperiment, odds
+from tissueid.gap.statement import headline_of, next_steps_of, sentences_of
 from tissueid.identification import engine_names, get_engine
 from tissueid.identification import recommendation_words as advice
 from tissueid.identification.family import Family
@@ -26,7 +28,6 @@ from tissueid.identification.recommendation import Choice, Standing
 from tissueid.identification.validation.paired import Difference
 from tissueid.instrument.answers import describe_faults
 from tissueid.records import Record
-from tissueid.reports.gap import headline_of, next_steps_of, sentences_of
 from tissueid.twin.catalogue import all_effects
 from tissueid.wire import Fault
 
@@ -231,20 +232,23 @@ def why(words, named):
     """The reason of a next test, as the core would put it together."""
     for node in ast.walk(ast.parse((CORE / "gap" / "next_experiment.py").read_text(encoding="utf-8"))):
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "why":
-            given = {"chosen": SimpleNamespace(words=words), "_listed": " and ".join, "names": named}
+            titles = "; ".join(all_effects()[name].title for name in named)
+            given = {"chosen": SimpleNamespace(words=words), "titles": titles, "odds": odds}
             given |= {"apart": 3.2, "gain": 1.4, "others": [1.4, 0.3]}
             return eval(compile(ast.Expression(node.value), "why", "eval"), given)
     raise AssertionError("the next experiment says no reason any more")
 
 
 def diagnosis(**changes):
-    item = SimpleNamespace(effect="coil_heating", closed=0.4, indistinguishable=("dry_friction", "end_stop", "reflex"))
+    alike = ("dry_friction", "end_stop", "reflex")
+    item = Ranked("coil_heating", "coil", 0.95, 0.4, (0.3, 0.5), alike, {})
     regions = {"bands_hz": ((3.0, 9.0), (20.0, 40.0)), "depth_m": ((1e-3, 2e-3),), "current_a": ((0.1, 0.2),)}
     regions |= {"amplitude_n": ((1.0, 2.0),), "mains_phase_rad": ((0.1, 1.0), (2.0, 3.0)), "mains_hz": 50.0}
     where = {"stage": "coil", "above_floor": True, "shares": dict.fromkeys(STAGES_, 0.1) | {"coil": 0.7}}
     where["regions"] = SimpleNamespace(channel="position", direction="into", **regions)
     found = {"verdict": "effect", "combination": ("coil_heating",), "ranking": (item,), "next_experiment": None}
-    return SimpleNamespace(**found | {"where": SimpleNamespace(**where)} | changes)
+    found |= {"where": SimpleNamespace(**where), "beside": {}} | changes
+    return SimpleNamespace(at_fault=() if found["verdict"] == "no_gap" else ("coil",), **found)
 
 
 STAGES_ = ("drive", "coil", "mechanics", "tissue", "sensing", "environment")
@@ -261,12 +265,14 @@ def test_where_the_gap_shows_and_what_to_do_is_said_in_german():
         reason = why("press slowly and let go again", (one, other))
         step = NextExperiment("slow_ramp", reason, (one, other))
         found = diagnosis(combination=(one, other), next_experiment=step)
-        said = [headline_of(found)[0], *next_steps_of(found)]
-        assert [text for text in said if not is_german(text)] == []
+        assert not ENGLISH_WORDS & set(headline_of(found, said_by_core)[0].replace(",", "").split())
+        assert [text for text in next_steps_of(found) if not is_german(text)] == []
     for verdict, way in itertools.product(("effect", "unexplained", "no_gap"), ("into", "out", "both")):
-        found = diagnosis(verdict=verdict)
+        found = diagnosis(verdict=verdict, combination=("coil_heating",) if verdict == "effect" else ())
         found.where.regions.direction = way
-        said = [headline_of(found)[0], *sentences_of(found), *next_steps_of(found)]
+        assert headline_of(found, said_by_core)[0] != headline_of(found)[0]
+        assert not ENGLISH_WORDS & set(headline_of(found, said_by_core)[0].replace(",", "").split())
+        said = [*sentences_of(found), *next_steps_of(found)]
         assert [text for text in said if not is_german(text)] == []
     assert said_by_core(list(sentences_of(diagnosis()))[1]) == (
         "Am meisten zeigt sie sich in: Position, von 3 bis 9 Hz und 20 bis 40 Hz, in Tiefen von 1 bis 2 mm, bei "

@@ -13,9 +13,10 @@ from tissueid.gap.observing import observe
 from tissueid.gap.regions import Profile
 from tissueid.gap.rhythm import lines, restlessness, slips
 from tissueid.gap.scoring import judged
-from tissueid.gap.stagewise import DRIVE, bounded_least_squares, motion, substitute
+from tissueid.gap.stagewise import DRIVE, bounded_least_squares, carried_noise, motion, substitute
 from tissueid.gap.where import Where, where
 from tissueid.sessions import Session, Test
+from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGES
 
 SAMPLES = 4000
@@ -139,3 +140,24 @@ def test_least_squares_stay_within_their_bounds():
 def test_connected_bins_are_one_interval():
     profile = Profile(np.arange(6.0), np.ones(5), np.array([True, True, False, False, True]))
     assert profile.intervals() == ((0.0, 2.0), (4.0, 5.0))
+
+
+def test_noise_of_the_measured_current_counts_as_noise_of_a_motion_with_friction():
+    tests = observed("dry_friction", 3)
+    baseline = judged(fit(tests, [effect("dry_friction")], most_steps=20))
+    assert baseline.score < 0.12
+    carried = carried_noise(baseline.fit, tests.tests, "current", tests.noise["current"])
+    assert carried > tests.noise["position"], "it makes the twin stick and slip elsewhere"
+    told = where(tests, baseline)
+    alone = told.evidence.answers["tissue"].residual(tests.tests[0])[40:].std() / tests.noise["position"]
+    assert alone > 1.3 * told.evidence.errors["tissue"]
+    without = fit(observed("", 3))
+    assert carried_noise(without, tests.tests, "current", tests.noise["current"]) < 0.3 * tests.noise["position"]
+
+
+def test_a_neutral_place_blames_no_stage_and_no_region():
+    told = found("quadratic_drag").neutral()
+    assert (told.above_floor, told.findings) == (False, ())
+    assert told.regions.bands_hz == told.regions.depth_m == told.regions.time_s == ()
+    assert not any(profile.above.any() for profile in told.regions.profiles.values())
+    assert set(told.regions.profiles) == set(found("quadratic_drag").regions.profiles)

@@ -95,8 +95,8 @@ NEXT = (
     marked("Play a test of the kind “{kind}”, which tells {cause} from {rival}: {why}."),
     marked("Play a test of the kind “{kind}”: {why}."),
     marked(
-        "{test}: there {names} lie {apart} noise deviations apart after a refit, worth {gain} nats a channel; the "
-        "next best test on the menu is worth {next}"
+        "{test}: there the predictions differ by {apart} times the noise after a refit ({rivals}); expected odds "
+        "{odds} to 1, with the next best test {next} to 1"
     ),
 )
 """Why one of them is the next to run."""

@@ -226,7 +226,11 @@ ERRORS = (
 GAP = (
     marked("No gap: the twin explains this recording down to its noise"),
     marked("There is a gap that no known effect explains; it arises in {stage}"),
+    marked("There is a gap that no known effect explains; no single stage shows it"),
     marked("The gap is explained: {causes}"),
+    marked("The gap is probably explained: {causes}"),
+    marked(" or "),
+    marked("It arises in {stages}, where the causes belong."),
     marked("It arises in {stage}: {percent} % of what noise does not explain."),
     marked(
         "It arises in {stage}, where the cause belongs. The stages alone would have suspected {other}: what the "

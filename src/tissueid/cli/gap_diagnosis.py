@@ -16,17 +16,12 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, crew, diagnose, observe
 from tissueid.gap.named import believing
 from tissueid.gap.search import Progress
+from tissueid.gap.statement import headline_of, listed, members_of, percent
 from tissueid.gap.workers import Alone
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.sessions import Session, read_session
 from tissueid.twin.effect import STAGE_NAMES
 from tissueid.wording import MISSING
-
-VERDICTS = {
-    "effect": "an effect that the twin does not model explains the gap",
-    "no_gap": "nothing stands above the noise: the twin is as good as this recording can tell",
-    "unexplained": "there is a gap, and no candidate explains it",
-}
 
 
 def diagnose_session(
@@ -61,7 +56,8 @@ def diagnose_session(
     console = people_read(json_file)
     for line in in_words(found):
         console.print(line, markup=False)
-    console.print(ranking_table(found))
+    if listed(found):
+        console.print(ranking_table(found))
     if json_file is not None:
         write_json(json_file, as_answer(found))
     if out is not None:
@@ -158,17 +154,19 @@ def interruptible() -> Iterator[None]:
 def _short(found: Diagnosis) -> str:
     named = " + ".join(found.combination) or found.verdict.replace("_", " ")
     figures = found.gap
-    sure = f", {found.ranking[0].probability:.0%} sure" if found.combination and found.ranking else ""
+    details = [f"stage {' and '.join(found.at_fault)}"] if found.at_fault else []
+    details += [f"{member.effect} {percent(member.probability)} %" for member in members_of(found)]
+    about = f" ({', '.join(details)})" if details else ""
     return (
-        f"{named} (stage {found.where.stage or MISSING}{sure}); gap {figures.before:.2%} to {figures.after:.2%}, "
-        f"floor {figures.floor:.2%}, {found.seconds:.0f} s"
+        f"{named}{about}; gap {figures.before:.2%} to {figures.after:.2%}, floor {figures.floor:.2%}, "
+        f"{found.seconds:.0f} s"
     )
 
 
 def in_words(found: Diagnosis) -> list[str]:
     """The diagnosis in a few lines."""
     figures = found.gap
-    lines = [f"{found.verdict}: {VERDICTS[found.verdict]}."]
+    lines = [f"{headline_of(found)[0]}."]
     lines.append(f"Gap on held-out data: {figures.before:.2%} before; what noise alone leaves is {figures.floor:.2%}.")
     if found.combination:
         lines.append(
@@ -179,8 +177,8 @@ def in_words(found: Diagnosis) -> list[str]:
         lines.append(
             f"Ceiling: {found.ceiling:.0%}, what a flexible regression closes, or a candidate if that is more."
         )
-    if found.verdict != "no_gap":
-        lines.append(f"It lies in the stage: {STAGE_NAMES.get(found.where.stage, MISSING)}.")
+    if found.at_fault:
+        lines.append(f"It lies in the stage: {' and '.join(STAGE_NAMES[stage] for stage in found.at_fault)}.")
     if found.next_experiment is not None:
         lines.append(f"Next: {found.next_experiment.kind}. {found.next_experiment.why}")
         if found.next_experiment.command_line:
@@ -193,18 +191,22 @@ def _interval(of: tuple[float, float]) -> str:
     return f"{of[0]:.0%} to {of[1]:.0%}" if of[0] <= of[1] else MISSING
 
 
+def _share(of: float) -> str:
+    return f"{of:.0%}" if np.isfinite(of) else MISSING
+
+
 def ranking_table(found: Diagnosis) -> Table:
     """The candidates, best first."""
     rows = table("Candidates", "Effect", "Stage", "Probable", "Closed", "Cannot be told from")
     for column in rows.columns[:4]:
         column.no_wrap = True
-    for item in found.ranking:
+    for item in listed(found):
         interval = _interval(item.closed_ci)
         rows.add_row(
             item.effect,
             item.stage,
-            f"{item.probability:.1%}",
-            f"{item.closed:.0%} ({interval})" if interval != MISSING else f"{item.closed:.0%}",
+            f"{item.probability:.1%}" if np.isfinite(item.probability) else MISSING,
+            f"{item.closed:.0%} ({interval})" if interval != MISSING else _share(item.closed),
             ", ".join(item.indistinguishable),
         )
     return rows

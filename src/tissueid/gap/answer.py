@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tissueid.gap.diagnosis import Diagnosis
+from tissueid.gap.statement import members_of
 
 
 def as_answer(found: Diagnosis) -> dict[str, Any]:
@@ -34,6 +35,14 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             for item in found.ranking
         ],
         "combination": list(found.combination),
+        "members": [
+            {
+                "effect": item.effect,
+                "probability": item.probability,
+                "rivals": [{"effect": name, "probability": share} for name, share in item.rivals],
+            }
+            for item in members_of(found)
+        ],
         "next_experiment": None
         if found.next_experiment is None
         else {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from tissueid.gap.screening import Screen, cosine
 from tissueid.gap.search import Found, Progress, Search
 from tissueid.gap.where import Where, where
 from tissueid.gap.workers import Crew
-from tissueid.twin.catalogue import effect
+from tissueid.twin.catalogue import all_effects, effect
 from tissueid.twin.effect import Stage, kin
 
 RANKED = 10
@@ -74,7 +74,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the diagnosis of a session found."""
+    """What the diagnosis of a session found. Where the verdict is ``no_gap``, ``where`` is neutral."""
 
     verdict: Verdict
     gap: GapFigures
@@ -90,6 +90,27 @@ class Diagnosis:
     """The accepted explanation, or the best attempt at one; None where nothing was refitted."""
     ceiling: float = float("nan")
     """Share of the gap that something flexible closes on the same samples, or the best candidate if that is more."""
+    beside: Mapping[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    """For a named effect that the ranking of single effects does not judge: the probability of each candidate for its
+    place beside the other named effects, likeliest first."""
+
+    def __post_init__(self) -> None:
+        if self.verdict == "no_gap":
+            object.__setattr__(self, "where", self.where.neutral())
+
+    @property
+    def at_fault(self) -> tuple[Stage, ...]:
+        """Stages that the verdict blames, the one of ``where`` first.
+
+        Those of the named effects; without any the stage that stands above its floor; none where there is no gap.
+        """
+        if self.verdict == "no_gap":
+            return ()
+        known = all_effects()
+        stages = [known[name].stage for name in self.combination if name in known]
+        if not stages:
+            return (self.where.stage,) if self.where.above_floor else ()
+        return tuple(dict.fromkeys(sorted(stages, key=lambda stage: stage != self.where.stage)))
 
 
 def diagnose(
@@ -132,12 +153,13 @@ def diagnose(
         verdict = "effect" if best is not None and _explained(found, best, figures, ranking, places) else "unexplained"
     elif shows_in_the_check_alone(baseline):
         verdict, remarks = "unexplained", (*remarks, RARE)
+    named = best if verdict == "effect" else None
     return Diagnosis(
         verdict,
         figures,
-        _blamed(places, best if verdict == "effect" else None, known),
+        _blamed(places, named, known),
         ranking,
-        tuple(name for name in best.effects if name not in known) if verdict == "effect" and best is not None else (),
+        () if named is None else tuple(name for name in named.effects if name not in known),
         _next(observed, found, ranking, places, verdict),
         remarks,
         time.monotonic() - began,
@@ -145,7 +167,28 @@ def diagnose(
         found,
         best,
         _ceiling(baseline, figures) if there_is else float("nan"),
+        {} if named is None else _beside(found, named, ranking, places),
     )
+
+
+def _beside(
+    found: Found, best: Candidate, ranking: Sequence[Ranked], places: Where
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    # The likeliest single effect keeps the odds of the ranking: not all its rivals were refitted beside the others.
+    named = set(best.effects) - set(found.baseline.effects)
+    if len(named) == 1:
+        return {}
+    clearly = more_is_asked(best, places, found.baseline.effects)
+    odds = {}
+    for name in named - {item.effect for item in ranking[:1]}:
+        others = set(best.effects) - {name}
+        rivals = [
+            item for item in found.candidates if others < set(item.effects) and len(item.effects) == len(others) + 1
+        ]
+        shares = probabilities(found.baseline, rivals, clearly=clearly)
+        pairs = [(next(iter(set(item.effects) - others)), share) for item, share in zip(rivals, shares, strict=True)]
+        odds[name] = tuple(sorted(pairs, key=lambda pair: -pair[1]))
+    return odds
 
 
 def _ceiling(baseline: Candidate, figures: GapFigures) -> float:

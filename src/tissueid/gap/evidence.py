@@ -22,6 +22,7 @@ from tissueid.gap.stagewise import (
     SPRING,
     TISSUE,
     Substituted,
+    carried_noise,
     substitute,
     velocity_noise,
 )
@@ -105,6 +106,7 @@ class _Inquiry:
         self._step = max((coarse_step(test.signals["position"]) for test in observed.tests), default=0.0)
         self._position_noise = float(np.hypot(self._noise["position"], self._step / np.sqrt(12.0)))
         self._slipped = False
+        self._floors: dict[str, float] = {}
 
     def run(self) -> Evidence:
         """Ask everything."""
@@ -227,13 +229,21 @@ class _Inquiry:
 
     # -- the motion ---------------------------------------------------------------------------------------------
 
+    def _motion_floor(self, tests: Sequence[ObservedTest], upstream: tuple[str, ...]) -> float:
+        # The measured current drives the twin with its noise. A nearly linear twin filters it away; friction that
+        # sticks or slips by it moves the probe by more than the position's own noise.
+        if not upstream or not self._baseline.parameters.effects:
+            return self._position_noise
+        carried = carried_noise(self._baseline, tests, upstream[0], self._noise[upstream[0]])
+        return float(np.hypot(self._position_noise, carried))
+
     def _ask_motion(
         self, name: str, tests: Sequence[ObservedTest], free: Sequence[str], *, on_tissue: bool
     ) -> list[Family]:
         if not tests:
             return []
         upstream = ("current",) if "current" in self._has else ("voltage",) if "voltage" in self._has else ()
-        floor = self._position_noise
+        floor = self._floors[name] = self._motion_floor(tests, upstream)
         answer = substitute(self._baseline, tests, upstream, "position", free, floor)
         if _worst(answer) > _FAR * floor:
             # The baseline may lie far off where another stage misled it: begin once more where nothing is known.
@@ -257,7 +267,6 @@ class _Inquiry:
         if self._fixture and self._errors["spring"] <= MARGIN:
             # A wrong sensor is wrong on the spring as well.
             wrong_reading = False
-        floor = self._position_noise
         drive = self._errors.get("drive", 1.0)
         if coil > MARGIN and not self._slipped:
             # Volts that the amplifier does not deliver are amperes that the coil does not get.
@@ -283,6 +292,7 @@ class _Inquiry:
             times = self._errors.get(name, 1.0)
             if not found or self._slipped or max(times / MARGIN, found[0].gain / _LEAST_GAIN) <= 1.0:
                 continue
+            floor = self._floors[name]
             if wrong_reading and not at_coil:
                 self._add("sensing", f"{_PLACES[name]} the reading departs from the motion", times, "position", floor)
                 continue

@@ -25,6 +25,8 @@ from tissueid.gap.scoring import Candidate
 from tissueid.stimuli.kinds.quiet import Quiet
 from tissueid.stimuli.kinds.slow_ramp import SlowRamp
 from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.twin.catalogue import effect
+from tissueid.wording import number
 
 FloatArray = NDArray[np.float64]
 
@@ -35,6 +37,8 @@ MOST_SAMPLES = 3000
 WORTH_NATS = 0.05
 """Rivals that no test separates by this are not told apart by running one."""
 _WORST = 1e6
+_MOST_NATS = np.log(1e6)
+"""Odds above a million to one say nothing more."""
 _FIXTURES = {"spring": '"calibration spring"', "free_air": '"free air"'}
 """What the probe meets where that is no tissue, as the site of the test."""
 
@@ -97,9 +101,10 @@ def next_experiment(
     names = tuple(dict.fromkeys(name for rival in rivals for name in _own(rival, rivals)))
     gains = {item.kind: each for each, _, item in found}
     others = sorted((each for each in gains.values()), reverse=True)
+    titles = "; ".join(effect(name).title for name in names)
     why = (
-        f"{chosen.words[0].upper()}{chosen.words[1:]}: there {_listed(names)} lie {apart:.2g} noise deviations apart "
-        f"after a refit, worth {gain:.2g} nats a channel; the next best test on the menu is worth {others[1]:.2g}."
+        f"{chosen.words[0].upper()}{chosen.words[1:]}: there the predictions differ by {apart:.2g} times the noise "
+        f"after a refit ({titles}); expected odds {odds(gain)} to 1, with the next best test {odds(others[1])} to 1."
     )
     return NextExperiment(chosen.kind, why, names, gain, apart, gains, command_line(observed, chosen))
 
@@ -121,13 +126,14 @@ def command_line(observed: Observed, chosen: MenuItem) -> str:
     return f"tissueid test --device URL --site {site} {played} --seconds {seconds:.1f} --out next.h5"
 
 
+def odds(gain_nats: float) -> str:
+    """Return the odds to which an expected gain in evidence (nats) amounts, to two digits."""
+    return number(float(np.exp(min(gain_nats, _MOST_NATS))), 2)
+
+
 def _own(rival: Candidate, rivals: Sequence[Candidate]) -> list[str]:
     # Effects that not all rivals share.
     return [name for name in rival.effects if not all(name in other.effects for other in rivals)]
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _noise(observed: Observed, best: Candidate) -> dict[str, float]:

@@ -9,7 +9,7 @@ significance of itself; Holm's correction keeps the size of all bins of a pictur
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -112,6 +112,21 @@ class Regions:
     """Frequency of the mains where it shows in what is left; 0 where it does not."""
     mains_phase_rad: tuple[tuple[float, float], ...] = ()
     """Phases of the mains, 0 to 2 pi, counted from the start of the test."""
+
+    def unmarked(self) -> Regions:
+        """Return a copy with the same profiles and no region or bin marked as above the noise."""
+        return replace(
+            self,
+            bands_hz=(),
+            depth_m=(),
+            velocity_m_s=(),
+            current_a=(),
+            direction="both",
+            time_s=(),
+            profiles={name: replace(item, above=np.zeros_like(item.above)) for name, item in self.profiles.items()},
+            amplitude_n=(),
+            mains_phase_rad=(),
+        )
 
     def as_answer(self) -> dict[str, Any]:
         """Plain values under the contract's names, with the other regions besides."""

@@ -40,6 +40,8 @@ MOTION_HZ = 350.0
 _TAPS = 61
 _STEPS = 14
 _TOLERANCE = 1e-4
+_DRAWS = 3
+"""Realisations of the noise that are carried through the baseline."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ def substitute(
         whole[places] = values
         found = []
         for test, given in zip(tests, givens, strict=True):
-            readings = played(parameters, whole, test, given, _substeps(test, names))
+            readings = played(parameters, whole, test, given, _substeps(test, names, bool(parameters.effects)))
             found.append({name: np.asarray(getattr(readings, name)) for name in (channel, *keep)})
         return found
 
@@ -174,10 +176,36 @@ def _used(test: ObservedTest, channel: str) -> NDArray[np.bool_]:
     return (test.purpose > 0) & np.isfinite(test.signals[channel])
 
 
-def _substeps(test: ObservedTest, names: tuple[str, ...]) -> int:
-    # What moves is slower than the coil: where the current is measured half as many steps serve.
+def _substeps(test: ObservedTest, names: tuple[str, ...], has_effects: bool) -> int:
+    # What moves is slower than the coil: where the current is measured half as many steps serve, unless the twin has
+    # an effect. Friction that sticks is stiff, and half the steps leave errors above the noise.
     finest = int(np.ceil(1.0 / (test.sample_rate_hz * STEP_S)))
-    return max(1, finest // 2 if "current" in names or "motion" in names else finest)
+    coarse = not has_effects and ("current" in names or "motion" in names)
+    return max(1, finest // 2 if coarse else finest)
+
+
+def carried_noise(baseline: Fit, tests: Sequence[ObservedTest], name: str, noise: float) -> float:
+    """Return the standard deviation of the position that noise of a measured upstream signal causes, m.
+
+    The simulated signal is played through the baseline with and without white noise added.
+
+    Args:
+        baseline: whose predictions and coordinates are used.
+        tests: some of the baseline's.
+        name: the upstream signal, ``current`` or ``voltage``.
+        noise: its standard deviation, SI.
+    """
+    parameters = baseline.parameters
+    predicted = {test.number: one for test, one in zip(parameters.observed.tests, baseline.predictions, strict=True)}
+    squares = []
+    for test in tests:
+        clean = bridged(predicted[test.number][name])
+        quiet = played(parameters, baseline.theta, test, Given(**{name: clean})).position
+        for seed in range(_DRAWS):
+            noisy = clean + np.random.default_rng(seed).normal(0.0, noise, clean.size)
+            moved = played(parameters, baseline.theta, test, Given(**{name: noisy})).position
+            squares.append(float(np.nanvar(moved - quiet)))
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
 def bounded_least_squares(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tissueid.gap.evidence import Evidence, StageFinding, evidence
@@ -31,6 +31,14 @@ class Where:
     def above_floor(self) -> bool:
         """Whether any stage stands above its floor."""
         return any(share > 0.0 for share in self.shares.values())
+
+    def neutral(self) -> Where:
+        """Return a copy that blames no stage and no region: for a recording that the whole twin explains.
+
+        A stage by itself is driven by measured signals, and their noise can move it further than the whole twin errs.
+        Shares of what is insignificant would contradict the verdict.
+        """
+        return replace(self, shares=dict.fromkeys(STAGES, 0.0), findings=(), regions=self.regions.unmarked())
 
     def as_answer(self) -> dict[str, Any]:
         """Plain values under the contract's names, SI, with the findings by stage."""

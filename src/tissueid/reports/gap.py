@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from tissueid import __version__
 from tissueid.gap.diagnosis import Diagnosis, Ranked
+from tissueid.gap.statement import effect_words, headline_of, listed, next_steps_of, percent, sentences_of
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_figures import tables_of, times_noise
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.reports.html import RESEARCH_LINE, template, write_whole
 from tissueid.reports.tables import Table, readable_date
 from tissueid.sessions import Session
-from tissueid.twin.catalogue import all_effects
-from tissueid.twin.effect import STAGE_NAMES, STAGES
+from tissueid.twin.effect import STAGE_NAMES
 from tissueid.wording import MISSING, fixed, number
 
-Level = Literal["good", "check", "poor"]
-
-STAGE_WORDS = {stage: f"the {name}" for stage, name in STAGE_NAMES.items()}
-"""The stages as they stand in a sentence."""
-_DIRECTIONS = {"into": "while the probe goes in", "out": "while the probe comes out", "both": "in both directions"}
 _LISTED = 8
 
 
@@ -67,7 +60,7 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded", origin: Or
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(next_steps_of(found, origin)),
+        remedies=tuple(next_steps_of(found, None if origin is None else origin.file)),
         tables=tuple(tables_of(found, effect_words)),
         remarks=found.remarks,
     )
@@ -82,75 +75,6 @@ def write_gap_report(
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     write_whole(path, gap_html(found, title, origin))
-
-
-def effect_words(name: str) -> str:
-    """What an effect is, as it stands in a sentence."""
-    known = all_effects().get(name)
-    return name.replace("_", " ") if known is None else known.title[:1].lower() + known.title[1:]
-
-
-def headline_of(found: Diagnosis) -> tuple[str, Level]:
-    """The verdict in a line, and how it is to be taken."""
-    if found.verdict == "no_gap":
-        return "No gap: the twin explains this recording down to its noise", "good"
-    if found.verdict == "unexplained":
-        return f"There is a gap that no known effect explains; it arises in {STAGE_WORDS[found.where.stage]}", "check"
-    causes = "; ".join(effect_words(name) for name in found.combination)
-    return f"The gap is explained: {causes}", "good"
-
-
-def sentences_of(found: Diagnosis) -> Iterator[str]:
-    """Where the gap lies, and what it cannot be told from."""
-    where = found.where
-    if found.verdict != "no_gap" and where.above_floor:
-        share = 100.0 * where.shares[where.stage]
-        suspected = max(STAGES, key=where.shares.__getitem__)
-        if where.shares[where.stage] >= where.shares[suspected]:
-            yield f"It arises in {STAGE_WORDS[where.stage]}: {fixed(share, 0)} % of what noise does not explain."
-        else:
-            yield (
-                f"It arises in {STAGE_WORDS[where.stage]}, where the cause belongs. The stages alone would have "
-                f"suspected {STAGE_WORDS[suspected]}: what the cause leaves looks like a fault there."
-            )
-    regions = where.regions
-    told = []
-    if regions.bands_hz:
-        told.append("from " + _spans(regions.bands_hz, 1.0, "Hz"))
-    if regions.depth_m:
-        told.append("at depths of " + _spans(regions.depth_m, 1e3, "mm"))
-    if regions.current_a:
-        told.append("at currents of " + _spans(regions.current_a, 1.0, "A"))
-    if regions.amplitude_n:
-        told.append("at an amplitude (of the stimulus over the last 0.1 s) of " + _spans(regions.amplitude_n, 1.0, "N"))
-    if regions.mains_phase_rad:
-        told.append(
-            f"at phases of the mains ({number(regions.mains_hz, 3)} Hz) of "
-            + _spans(regions.mains_phase_rad, 180.0 / np.pi, "degrees")
-        )
-    if told:
-        words = _listed(told)
-        yield f"It shows most in the {regions.channel}, {words}, {_DIRECTIONS[regions.direction]}."
-    alike = _alike(found)
-    if alike:
-        names = ", ".join(effect_words(name) for name in alike)
-        yield f"This data cannot tell it from: {names}."
-    if found.verdict == "unexplained" and found.ranking:
-        best = found.ranking[0]
-        yield f"The best attempt, {effect_words(best.effect)}, closes {_percent(best.closed)} and does not explain it."
-
-
-def _listed(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def _alike(found: Diagnosis) -> tuple[str, ...]:
-    named = [item for item in found.ranking if item.effect in found.combination]
-    return tuple(dict.fromkeys(name for item in named for name in item.indistinguishable))
-
-
-def _spans(intervals: tuple[tuple[float, float], ...], scale: float, unit: str) -> str:
-    return _listed([f"{number(scale * low, 2)} to {number(scale * high, 2)} {unit}" for low, high in intervals])
 
 
 def _percent(share: float) -> str:
@@ -211,11 +135,11 @@ def _findings(found: Diagnosis) -> Table | None:
 
 
 def _ranking(found: Diagnosis) -> Table | None:
-    if not found.ranking:
+    candidates = listed(found)[:_LISTED]
+    if not candidates:
         return None
-    listed = found.ranking[:_LISTED]
-    places = {item.effect: str(place) for place, item in enumerate(listed, 1)}
-    rows = tuple(_ranked(item, places) for item in listed)
+    places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
+    rows = tuple(_ranked(item, places) for item in candidates)
     head = ("", "Effect", "Stage", "Probability", "Closed", "95 %", "Alike")
     # A column that says nothing in any row only makes the others narrow.
     kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
@@ -227,29 +151,7 @@ def _ranking(found: Diagnosis) -> Table | None:
 
 def _ranked(item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
     alike = ", ".join(places.get(name) or effect_words(name) for name in item.indistinguishable)
-    probability = f"{fixed(100.0 * item.probability, 0)} %"
+    probability = f"{percent(item.probability)} %" if np.isfinite(item.probability) else ""
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
     name, stage = effect_words(item.effect), STAGE_NAMES[item.stage]
     return (places[item.effect], name, stage, probability, closed, _interval(item.closed_ci), alike)
-
-
-def next_steps_of(found: Diagnosis, origin: Origin | None = None) -> Iterator[str]:
-    """What to do now, a sentence each; with what to type where it is told which file was diagnosed."""
-    if found.verdict == "no_gap":
-        yield "Nothing needs to be done: the twin may be used as it is."
-        return
-    known = all_effects()
-    for name in found.combination:
-        if name in known and known[name].remedy:
-            yield known[name].remedy
-    if found.next_experiment is not None:
-        step = found.next_experiment
-        separates = " from ".join(effect_words(name) for name in step.separates[:2])
-        words = f", which tells {separates}" if len(step.separates) > 1 else ""
-        yield f"Play a test of the kind “{step.kind.replace('_', ' ')}”{words}: {step.why.rstrip('.')}."
-    if found.verdict == "effect":
-        named = "Add the effect to a named twin, so that simulation and later diagnoses have it"
-        file = "" if origin is None else shlex.quote(str(origin.file))
-        yield f"{named}: tissueid gap accept {file} --out TWIN.toml" if file else f"{named}."
-    elif found.next_experiment is None:
-        yield f"Look at {STAGE_WORDS[found.where.stage]}: the cause is there, and none of the known effects fits it."

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.patches import FancyBboxPatch
 
-from tissueid.gap.where import Where
+from tissueid.gap.diagnosis import Diagnosis
 from tissueid.reports.style import INK, MUTED, ORANGE, SHADE
 from tissueid.twin.effect import Stage
 
@@ -25,14 +25,14 @@ _HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.27
 _DARKEST = 0.85
 
 
-def draw_chain(figure: FigureBase, where: Where) -> None:
+def draw_chain(figure: FigureBase, found: Diagnosis) -> None:
     """Boxes for the stages, arrows for the signals; the deeper a box is coloured, the larger its share of the gap."""
     axes = figure.subplots(1, 1)
     axes.set_axis_off()
     axes.set_xlim(-0.7, 8.9)
     axes.set_ylim(-0.5, 1.65)
     for stage, label, x, y in _PLACES:
-        _box(axes, label, x, y, where.shares[stage], lit=where.above_floor and stage == where.stage)
+        _box(axes, label, x, y, found.where.shares[stage], lit=stage in found.at_fault)
     for x, label in _SIGNALS:
         axes.annotate(
             "",
@@ -75,7 +75,7 @@ def _box(axes: Axes, label: str, x: float, y: float, share: float, *, lit: bool)
         FancyBboxPatch(corner, *size, boxstyle=style, facecolor="none", edgecolor=edge, linewidth=width, zorder=3)
     )
     axes.text(x, y + 0.07, label, ha="center", va="center", zorder=4, weight="bold" if lit else "normal")
-    words = f"{100.0 * share:.0f} %" if share > 0.0 else "only noise"
+    words = f"{100.0 * share:.0f} %" if share > 0.0 else "named cause" if lit else "only noise"
     axes.text(x, y - 0.12, words, ha="center", va="center", zorder=4, fontsize=8.0)
 
 

@@ -51,7 +51,8 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
     shares = tuple(
         (f"{STAGE_NAMES[item]}: {_TASKS[item]}", f"{fixed(100.0 * where.shares[item], 0)} %") for item in STAGES
     )
-    yield Table("Stages", (), shares, "Shares of what noise does not explain, as logarithms of error over noise.")
+    if found.verdict != "no_gap":
+        yield Table("Stages", (), shares, "Shares of what noise does not explain, as logarithms of error over noise.")
     for name in found.combination:
         # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
         if found.best is not None and (table := _parameters(found.best, name, called(name))):
@@ -60,14 +61,20 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
         unasked = set() if any(test.quiet for test in found.observed.tests) else {"quiet"}
         asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
         errors = tuple((_QUESTIONS.get(name, name), times_noise(times)) for name, times in asked.items())
+        whole = ""
+        if found.verdict == "no_gap":
+            whole = (
+                "The simulation as a whole leaves only noise. An error here is no gap: it is what noise of the "
+                "measured signals makes of one stage by itself. "
+            )
         yield Table(
             "Errors by question",
             (),
             errors,
-            "How far one signal is missed when everything upstream of it is as measured; 1 × noise is what noise alone "
-            "leaves. These are not the shares of the stages: an error counts there only by its logarithm, only above "
-            "the noise, and for the stage whose kind of force explains it, so motion on tissue may speak against the "
-            "moving part.",
+            f"{whole}How far one signal is missed when everything upstream of it is as measured; 1 × noise is what "
+            "noise alone leaves. These are not the shares of the stages: an error counts there only by its logarithm, "
+            "only above the noise, and for the stage whose kind of force explains it, so motion on tissue may speak "
+            "against the moving part.",
         )
 
 

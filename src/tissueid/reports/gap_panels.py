@@ -15,6 +15,7 @@ from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.observed import ObservedTest
 from tissueid.gap.regions import Profile, Regions, Spectrum
 from tissueid.gap.scoring import Candidate
+from tissueid.gap.statement import listed
 from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, without
 from tissueid.reports.panels import image
@@ -38,10 +39,10 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     yield Panel(
         "chain",
         "The chain and the stage at fault",
-        f"Stages from command to recorded numbers; at fault: {found.where.stage}.",
+        f"Stages from command to recorded numbers; at fault: {', '.join(found.at_fault) or 'none'}.",
         "Each stage is given what was measured upstream of it and refitted within its calibration; its share is what "
         "it still leaves, as the logarithm of error over noise. The deeper the colour, the larger the share.",
-        lambda figure: draw_chain(figure, found.where),
+        lambda figure: draw_chain(figure, found),
         height=2.5,
     )
     if not regions.profiles:
@@ -97,7 +98,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         height=3.2,
     )
     yield from _more_profiles(regions, of)
-    if found.ranking:
+    if candidates := listed(found):
         yield Panel(
             "ranking",
             "Candidates",
@@ -105,7 +106,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
             "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on held-out "
             "data, with 95 %. The same colour: candidates that this data cannot tell from the leading one.",
             lambda figure: draw_ranking(figure, found),
-            height=0.9 + 0.28 * min(len(found.ranking), _LISTED),
+            height=0.9 + 0.28 * min(len(candidates), _LISTED),
         )
     yield Panel(
         "overlay",
@@ -224,18 +225,18 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
 def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
     """Probability and closed share of the leading candidates."""
     left, right = figure.subplots(1, 2, sharey=True)
-    listed = found.ranking[:_LISTED]
-    rows = np.arange(len(listed))
-    alike = {listed[0].effect, *listed[0].indistinguishable}
-    colours = [ORANGE if item.effect in alike else BLUE for item in listed]
-    left.barh(rows, [100.0 * item.probability for item in listed], color=colours, height=0.62, alpha=0.85)
-    for row, item, colour in zip(rows, listed, colours, strict=True):
+    shown = listed(found)[:_LISTED]
+    rows = np.arange(len(shown))
+    alike = {shown[0].effect, *shown[0].indistinguishable}
+    colours = [ORANGE if item.effect in alike else BLUE for item in shown]
+    left.barh(rows, [100.0 * item.probability for item in shown], color=colours, height=0.62, alpha=0.85)
+    for row, item, colour in zip(rows, shown, colours, strict=True):
         if not np.isfinite(item.closed):
             continue
         low, high = (100.0 * np.clip(end, -1.0, 1.0) for end in item.closed_ci)
         right.plot([low, high], [row, row], color=colour, linewidth=1.6)
         right.plot([100.0 * max(item.closed, -1.0)], [row], color=colour, marker="o", markersize=4.5)
-    left.set_yticks(rows, [item.effect.replace("_", " ") for item in listed])
+    left.set_yticks(rows, [item.effect.replace("_", " ") for item in shown])
     left.invert_yaxis()
     left.set_xlim(0.0, 100.0)
     left.set_xlabel("Probability (%)")

@@ -90,7 +90,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     _, page = diagnosed()
     result = page.result
     assert result.isVisible()
-    assert result.headline.text() == "The gap is explained: dry friction in the bearing"
+    assert result.headline.text() == "The gap is explained: dry friction in the bearing (> 99 %)"
     assert "Clean and realign the bearing" in result.todo.text()
     assert result.chain.stages["mechanics"].accessibleName().endswith("at fault")
     assert "dry friction" in result.evidence.text()
@@ -105,6 +105,18 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     for card in (*result.where.cards, *result.far.cards):
         assert card.plot.accessibleName().startswith("Plot: ")
     assert not page.asking.stop.isVisible()
+
+
+def test_another_result_opens_at_the_top(diagnosed, qapp):
+    window, page = diagnosed()
+    window.resize(1100, 640)
+    qapp.processEvents()
+    bar = page.result.verticalScrollBar()
+    bar.setValue(bar.maximum())
+    assert bar.value() > 0
+    page.history.add(page.history.result)
+    qapp.processEvents()
+    assert bar.value() == 0
 
 
 def test_the_tab_key_visits_every_tab_of_a_diagnosis(qtbot, diagnosed):

@@ -62,6 +62,11 @@ class Chain(QWidget):
         for name, box in self.stages.items():  # the tab key comes to the chosen one, the arrow keys to the others
             box.setFocusPolicy(Qt.FocusPolicy.StrongFocus if name == stage else Qt.FocusPolicy.ClickFocus)
 
+    @property
+    def chosen_box(self) -> QAbstractButton:
+        """The box that is shown as chosen."""
+        return self._group.checkedButton()
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
@@ -176,7 +181,7 @@ class _Box(QAbstractButton):
     def show_share(self, share: float, *, lit: bool) -> None:
         """Its share, and whether it is at fault."""
         self._share, self._lit = share, lit
-        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("only noise")
+        words = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
         self.setText(words)
         fault = _(", at fault") if lit else ""
         of = _("of what noise does not explain") if share > 0.0 else ""

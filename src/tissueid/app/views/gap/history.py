@@ -104,8 +104,8 @@ class History(QWidget):
 def _words(result: Result) -> list[str]:
     story = result.story
     words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_WORDS[story.verdict])]
-    if story.verdict != "no_gap":
-        words[1] += f"  ·  {_(STAGE_TITLES[story.at_fault])}"
+    if story.at_fault:
+        words[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
     if story.effect:
         words.append(story.effect[:1].upper() + story.effect[1:])
     if result.twin is not None:

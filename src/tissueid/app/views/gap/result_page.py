@@ -85,8 +85,9 @@ class ResultPage(QScrollArea):
         self.todo.setText(_("What to do: {advice}").format(advice=" ".join(story.todo)))
         self.todo.setVisible(bool(story.todo))
         self.chain.show_shares([(item.stage, item.share, item.lit) for item in story.stages])
-        self.chain.choose(story.at_fault)
-        self._show_stage(story.at_fault)
+        first = story.at_fault[0] if story.at_fault else story.stages[0].stage
+        self.chain.choose(first)
+        self._show_stage(first)
         for tab in (self.where, self.which, self.far, self.next):
             tab.show_story(story)
         self.verticalScrollBar().setValue(0)

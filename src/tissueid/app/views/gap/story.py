@@ -19,8 +19,15 @@ from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.evidence import MARGIN
 from tissueid.gap.named import twin_of
 from tissueid.gap.regions import Profile, Spectrum
+from tissueid.gap.statement import (
+    effect_words,
+    headline_of,
+    listed,
+    next_steps_of,
+    percent,
+    sentences_of,
+)
 from tissueid.records import Estimate
-from tissueid.reports.gap import effect_words, headline_of, next_steps_of, sentences_of
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 from tissueid.twin.effect import STAGES, Stage
@@ -84,6 +91,7 @@ class Rival:
     stage: Stage
     named: bool
     probability: float
+    odds: str
     closed: str
     alike: str
     signature: str
@@ -103,7 +111,7 @@ class Story:
     todo: tuple[str, ...]
     remarks: tuple[str, ...]
     stages: tuple[StageStory, ...]
-    at_fault: Stage
+    at_fault: tuple[Stage, ...]
     spectrum: SpectrumStory | None
     profiles: Mapping[str, ProfileStory]
     ranking: tuple[Rival, ...]
@@ -116,22 +124,22 @@ class Story:
 def story_of(found: Diagnosis, session: Session) -> Story:
     """Tell a diagnosis."""
     regions = found.where.regions
-    headline, level = headline_of(found)
+    headline, level = headline_of(found, said_by_core)
     spectra = [item for item in regions.spectra if item.channel == regions.channel]
     profiles = {name: _profile(regions.profiles[name], scale) for name, scale in _PROFILES if name in regions.profiles}
     return Story(
         found.verdict,
         ", ".join(_cause(name) for name in found.combination),
-        for_window(headline),
+        headline,
         level,
         tuple(for_window(line) for line in sentences_of(found)),
         tuple(for_window(line) for line in next_steps_of(found)),
         tuple(sentence(said_by_core(clean(remark))) for remark in found.remarks),
         tuple(_stage(found, stage) for stage in STAGES),
-        found.where.stage,
+        found.at_fault,
         _spectrum(spectra[0], regions.bands_hz) if spectra else None,
         profiles,
-        tuple(_rival(found, item) for item in found.ranking),
+        tuple(_rival(found, item) for item in listed(found)),
         (found.gap.before, None if found.verdict == "no_gap" else found.gap.after, found.gap.floor),
         _closing(found),
         overlays_of(found),
@@ -141,7 +149,10 @@ def story_of(found: Diagnosis, session: Session) -> Story:
 
 def _stage(found: Diagnosis, stage: Stage) -> StageStory:
     where = found.where
-    lit = found.verdict != "no_gap" and where.above_floor and stage == where.stage
+    if found.verdict == "no_gap":
+        return StageStory(
+            stage, 0.0, False, (_("The simulation as a whole leaves only noise: nothing speaks against it."),)
+        )
     lines = [
         _("{finding}: {error} times the noise of the {channel}.").format(
             finding=sentence(said_by_core(item.what)).rstrip("."),
@@ -166,7 +177,9 @@ def _stage(found: Diagnosis, stage: Stage) -> StageStory:
                 else _("Nothing speaks against it: {left}, which is put down to another stage.")
             ).format(left=left)
         )
-    return StageStory(stage, where.shares[stage], lit, tuple(lines) or (_("Nothing speaks against it."),))
+    return StageStory(
+        stage, where.shares[stage], stage in found.at_fault, tuple(lines) or (_("Nothing speaks against it."),)
+    )
 
 
 def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumStory:
@@ -195,12 +208,17 @@ def _rival(found: Diagnosis, item: Ranked) -> Rival:
         if np.isfinite(low) and np.isfinite(high)
         else ""
     )
+    together = item.effect in found.combination and not np.isfinite(item.closed) and np.isfinite(found.gap.closed)
+    closed = f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else _("cannot be told")
+    if together:
+        closed = _("{closed} % together").format(closed=_percent(found.gap.closed))
     return Rival(
         sentence(_cause(item.effect)).rstrip("."),
         item.stage,
         item.effect in found.combination,
         item.probability,
-        f"{_percent(item.closed)} %{interval}" if np.isfinite(item.closed) else _("cannot be told"),
+        f"{percent(item.probability)} %" if np.isfinite(item.probability) else "",
+        closed,
         ", ".join(_cause(name) for name in item.indistinguishable),
         "" if known is None else sentence(said_by_core(known.signature)),
         "" if known is None else sentence(said_by_core(known.remedy)),

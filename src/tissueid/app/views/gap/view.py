@@ -138,7 +138,7 @@ class GapView(View):
             return
         self.history.add(result)
         if waited:
-            self.result.chain.stages[result.story.at_fault].setFocus()
+            self.result.chain.chosen_box.setFocus()
 
     def _failed(self, words: str) -> None:
         self._rest()

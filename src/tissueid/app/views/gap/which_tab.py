@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
+from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.gap.bars import BarTable
@@ -16,6 +16,9 @@ from tissueid.wording import plus_minus, with_unit
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.story import Fitted, Rival, Story
+
+_NO_TRACE = marked("No effect leaves a trace in this recording that a refit of the twin would not take up.")
+_NO_GAP = marked("There is no gap, so no cause is looked for: the twin explains this recording down to its noise.")
 
 
 class WhichTab(QWidget):
@@ -28,7 +31,6 @@ class WhichTab(QWidget):
             _("Candidates, likeliest first"), (_("Effect"), _("Stage"), _("Probability"), _("Closed (95 %)")), 2
         )
         self.none = plain_label("muted")
-        self.none.setText(_("No effect leaves a trace in this recording that a refit of the twin would not take up."))
         self.title = plain_label("heading")
         self.alike = plain_label()
         self.leaves = plain_label("muted")
@@ -49,8 +51,8 @@ class WhichTab(QWidget):
         self.table.fill(
             [
                 (
-                    (item.title, _(STAGE_TITLES[item.stage]), _percent(item.probability), item.closed),
-                    item.probability,
+                    (item.title, _(STAGE_TITLES[item.stage]), item.odds, item.closed),
+                    item.probability if item.probability == item.probability else 0.0,
                     item.named,
                 )
                 for item in self._rivals
@@ -59,6 +61,7 @@ class WhichTab(QWidget):
         there = bool(self._rivals)
         self.table.setVisible(there)
         self._details.setVisible(there)
+        self.none.setText(_(_NO_GAP if story.verdict == "no_gap" else _NO_TRACE))
         self.none.setVisible(not there)
         if there:
             self.table.clearSelection()
@@ -109,7 +112,3 @@ class WhichTab(QWidget):
 def _spoken(item: Fitted) -> str:
     unit, scale = shown_si(item.si_unit)
     return f"{item.meaning}: {with_unit(plus_minus(item.value, scale), unit)}"
-
-
-def _percent(share: float) -> str:
-    return "< 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"

@@ -1,0 +1,128 @@
+"""One statement per diagnosis: page, chain, tabs, report and shell agree for every verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from html import escape
+
+import numpy as np
+import pytest
+from gap_records import observed, recorded
+
+from tissueid.app.views.gap.result_page import ResultPage
+from tissueid.app.views.gap.story import story_of
+from tissueid.cli.gap_diagnosis import in_words
+from tissueid.gap.diagnosis import Diagnosis, diagnose
+from tissueid.gap.named import believing, twin_of
+from tissueid.gap.statement import LIKELY, headline_of, listed, members_of
+from tissueid.gap.workers import Alone
+from tissueid.reports.gap import gap_html
+from tissueid.reports.gap_panels import gap_panels
+
+EFFECT, RIVAL, PARTNER = "dry_friction", "directional_damping", "latency"
+SAMPLES, SEED = 3000, 3
+
+
+@cache
+def diagnosis() -> Diagnosis:
+    return diagnose(observed(EFFECT, SEED, SAMPLES), Alone(), candidates=[EFFECT, RIVAL])
+
+
+@cache
+def with_twin() -> Diagnosis:
+    best = diagnosis().best
+    assert best is not None
+    tests = believing(observed(EFFECT, SEED, SAMPLES), twin_of(best, "accepted"))
+    return diagnose(tests, Alone(), known=[EFFECT], candidates=[RIVAL])
+
+
+def synthetic(case: str) -> Diagnosis:
+    found = diagnosis()
+    if case == "sure":
+        return found
+    if case == "doubtful":
+        shares = {EFFECT: 0.4, RIVAL: 0.37}
+        ranking = tuple(replace(item, probability=shares[item.effect]) for item in found.ranking)
+        return replace(found, ranking=ranking)
+    if case == "pair":
+        odds = {PARTNER: ((PARTNER, 0.95), (RIVAL, 0.04))}
+        return replace(found, combination=(EFFECT, PARTNER), beside=odds)
+    if case == "no gap":
+        return replace(found, verdict="no_gap", combination=())
+    if case == "unexplained":
+        return replace(found, verdict="unexplained", combination=())
+    if case == "nowhere":
+        nothing = dict.fromkeys(found.where.shares, 0.0)
+        return replace(found, verdict="unexplained", combination=(), where=replace(found.where, shares=nothing))
+    return with_twin()
+
+
+CASES = ("sure", "doubtful", "pair", "no gap", "unexplained", "nowhere", "twin")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
+    found = synthetic(case)
+    story = story_of(found, recorded(EFFECT, SEED, SAMPLES))
+    page = ResultPage()
+    qtbot.addWidget(page)
+    page.show_story(story)
+    headline, level = headline_of(found)
+    assert (page.headline.text(), page.headline.property("level")) == (headline, level)
+    lit = {stage for stage, box in page.chain.stages.items() if box.accessibleName().endswith("at fault")}
+    assert lit == set(found.at_fault) == {item.stage for item in story.stages if item.lit}
+    html = gap_html(found)
+    assert escape(headline) in html
+    assert f'class="verdict {level}"' in html
+    alternative = next(panel for panel in gap_panels(found) if panel.key == "chain").alt
+    assert alternative.endswith(f"at fault: {', '.join(found.at_fault) or 'none'}.")
+    shell = in_words(found)
+    assert shell[0] == f"{headline}."
+    assert any(line.startswith("It lies in the stage") for line in shell) == bool(found.at_fault)
+    assert page.which.table.rowCount() == len(listed(found)) == len(story.ranking)
+    if found.verdict != "no_gap":
+        return
+    assert level == "good"
+    assert all((item.share, item.lit) == (0.0, False) for item in story.stages)
+    assert not any("times the noise" in line for item in story.stages for line in item.evidence)
+    assert all(box.text() == "only noise" for box in page.chain.stages.values())
+    assert story.spectrum is None or story.spectrum.bands == ()
+    assert not any(profile.above.any() for profile in story.profiles.values())
+    assert list(story.means) == []
+    assert page.which.none.text().startswith("There is no gap")
+    assert "What speaks against each stage" not in html
+
+
+def test_an_accepted_twin_explains_its_own_recording_stage_by_stage():
+    found = with_twin()
+    assert (found.verdict, found.at_fault) == ("no_gap", ())
+
+
+def test_rivals_close_to_the_named_effect_stand_in_the_headline_and_lower_the_level():
+    found = synthetic("doubtful")
+    member = members_of(found)[0]
+    assert (member.effect, member.rivals) == (EFFECT, ((RIVAL, 0.37),))
+    headline, level = headline_of(found)
+    assert level == "check"
+    assert "(40 %) or " in headline
+    assert "(37 %)" in headline
+    alone = replace(found, ranking=tuple(replace(item, probability=LIKELY / 2) for item in found.ranking[:1]))
+    assert headline_of(alone)[1] == "check"
+
+
+def test_every_member_of_a_combination_is_listed_first_with_its_odds():
+    found = synthetic("pair")
+    rows = listed(found)
+    assert [item.effect for item in rows[:2]] == [EFFECT, PARTNER]
+    assert rows[1].probability == 0.95
+    assert rows[1].stage == "drive"
+    assert found.at_fault == ("mechanics", "drive")
+    assert [item.effect for item in rows[2:]] == [RIVAL]
+
+
+def test_where_nothing_is_named_the_list_is_ordered_by_what_is_closed():
+    found = synthetic("unexplained")
+    first, second = found.ranking[0], found.ranking[1]
+    ranking = (replace(first, closed=0.1), replace(second, closed=0.4), replace(first, effect=PARTNER, closed=np.nan))
+    assert [item.closed for item in listed(replace(found, ranking=ranking))[:2]] == [0.4, 0.1]
