@@ -46,6 +46,7 @@ def test_number(value: float | None, text: str) -> None:
         (Estimate(-3.306, 2.3), 1.0, "−3.3 ± 2.3"),
         (Estimate(0.0, 0.5), 1.0, "0.00 ± 0.50"),
         (Estimate(21.0), 1.0, "21"),
+        (Estimate(2959.73969462, 1e-13), 1.0, "2960"),
         (Estimate(21.0, float("nan")), 1.0, "21"),
         (Estimate(float("nan"), 1.0), 1.0, MISSING),
         (Estimate(1.0, float("inf")), 1.0, "1"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import datetime
 from typing import Any
 
 from tissueid.records import Estimate
@@ -11,6 +12,8 @@ from tissueid.records import Estimate
 MISSING = "—"
 """What stands where there is no number."""
 
+_ARITHMETIC = 1e-12
+"""Share of a value below which a deviation is rounding of the arithmetic."""
 _LARGEST_INTEGER = 10**15
 _MOST_ITEMS = 12
 _LONGEST_TEXT = 1000
@@ -148,7 +151,7 @@ def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
         return MISSING, "", ""
     value = found.value * scale
     std = 0.0 if found.std is None else abs(found.std * scale)
-    if not math.isfinite(std) or std == 0.0:
+    if not math.isfinite(std) or std <= _ARITHMETIC * abs(value):
         return number(value), "", ""
     exponent = math.floor(math.log10(max(abs(value), std)))
     power = 0 if -3 <= exponent < 6 else exponent
@@ -218,6 +221,27 @@ def plain_text(value: Any, depth: int = 0) -> str:
     if _DIGEST.fullmatch(text):
         return f"{text[:_DIGITS]}…"
     return (text[:_LONGEST_TEXT] + " …" if len(text) > _LONGEST_TEXT else text) or MISSING
+
+
+def local_time(created: str) -> datetime | None:
+    """Return a date of ISO 8601 in the time zone of this computer; None where it is no date or has no zone."""
+    try:
+        moment = datetime.fromisoformat(created)
+        return moment.astimezone() if moment.tzinfo is not None else None
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def local_minute(created: str) -> str:
+    """Return a date of ISO 8601 in local time, such as "2026-11-23 14:32"; empty where it is no date."""
+    moment = local_time(created)
+    return "" if moment is None else f"{moment:%Y-%m-%d %H:%M}"
+
+
+def zone_offset(moment: datetime) -> str:
+    """Return how far the clock of an aware date is from UTC, such as "UTC+01:00", or "UTC"."""
+    offset = f"{moment:%z}"
+    return "UTC" if offset in ("", "+0000", "-0000") else f"UTC{offset[:3]}:{offset[3:5]}"
 
 
 def clean(text: str) -> str:

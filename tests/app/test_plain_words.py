@@ -2,7 +2,7 @@
 
 import pytest
 from app.benches import WAIT_MS
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
 from tissueid.app.pseudonym import reads_like_name
@@ -104,14 +104,6 @@ def test_a_report_that_is_there_is_not_written_anew(qtbot, shown_result):
         qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
     assert len(asked) == 2
     assert asked[0] == asked[1]
-
-
-def test_headline_and_site_stand_apart(shown_result):
-    result = shown_result().ui.result
-    end = result.headline.mapTo(result, QPoint(result.headline.width(), 0)).x()
-    assert result.whose.mapTo(result, QPoint(0, 0)).x() - end >= 12
-    needed = result.headline.fontMetrics().horizontalAdvance(result.headline.text())
-    assert result.headline.width() >= needed
 
 
 def test_no_abbreviation_without_its_meaning(shown_result):

@@ -19,7 +19,7 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
-from tissueid.app.views.clinician.sitting import Repeat, Sitting, rows_of
+from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.app.views.gap.story import Fitted, Rival
 from tissueid.app.views.gap.which_tab import WhichTab
@@ -197,13 +197,14 @@ def test_the_mean_of_repeats_is_shown_in_the_units_and_printed_as_always(qtbot, 
         sitting.repeats.append(Repeat(path, read_session(saved).test(), "good", {"mass_kg": Estimate(value, 0.001)}))
     card = SittingSummary()
     qtbot.addWidget(card)
-    card.show_sitting(sitting)
+    found = standing(sitting, None, None)
+    card.show_standing(found)
     assert card.cells["mass_kg"][1].text() == "85.0 ± 7.1 g"
     units.use("si")
     card.take_units()
     assert card.cells["mass_kg"][1].text() == "0.0850 ± 0.0071 kg"
     assert card.accessibleName().count("kg") == 2
-    assert rows_of(sitting)["mass_kg"][1].endswith(" g")
+    assert found.rows()["mass_kg"][1].endswith(" g")
 
 
 @pytest.fixture

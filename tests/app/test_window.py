@@ -10,9 +10,11 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from tissueid.acquisition import SessionRecorder, journal_path
+from tissueid.app.gate import UNJUDGED
 from tissueid.app.layout import RESEARCH_USE
 from tissueid.instrument import Run, SimulatedInstrument
 from tissueid.sessions import read_session, write_session
+from tissueid.sessions.quality import NOTE, quality_of
 from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -60,14 +62,14 @@ def test_the_whole_path_by_keyboard(qtbot, window, tmp_path):
     )
     assert not journal_path(path).exists()
     assert ui.pages.currentWidget() is ui.result
-    assert ui.result.headline.text() == "Good measurement"
+    assert ui.gate.headline.text() == "Good test"
     assert "no sample lost" in ui.result.facts.text()
     numbers = {number.label: number for number in window.findings.numbers}
     assert 70 < float(numbers["Mass"].value) < 95
     assert numbers["Mass"].unit.startswith("± ")
     assert numbers["Mass"].unit.endswith(" g")
     assert numbers["Stiffness"].unit.endswith(" N/m")
-    assert float(numbers["Explained, Wiener"].value) > 95
+    assert float(numbers["Motion explained, nonlinear"].value) > 95
     assert path.name in ui.guidance.instruction.text()
     assert not ui.notice.isVisible()
     # A hand that still hammers on Return when the test is over must not begin the next one.
@@ -133,7 +135,12 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     assert bench.opened[0]._run is None
     assert "Stopped" in window.ui.notice.text.text()
     assert str(path) in window.ui.notice.text.text()
-    assert "ended early" in window.ui.result.reasons.text()
+    gate, result = window.ui.gate, window.ui.result
+    said = " ".join([gate.headline.text(), *gate.words, result.reasons.text(), result.facts.text()])
+    assert said.count("broken off") == 1  # once on the page, under one red light, with one button
+    assert "ended early" not in said.lower()
+    assert (gate.headline.text(), gate.light.property("level")) == ("Do the test again", "poor")
+    assert (gate.run_again.isVisible(), gate.repeats.repeat.isVisible()) == (True, False)
 
 
 def test_stop_while_the_probe_is_placed_leaves_no_file(qtbot, open_window, bench, tmp_path):
@@ -236,7 +243,7 @@ def test_a_test_too_short_to_identify_is_shown_without_numbers(qtbot, window, tm
     write_session(path, dataclasses.replace(session, tests=(short,)))
     window.open_session(path)
     wait_for_result(qtbot, window)
-    assert window.ui.result.headline.text() == "Do not rely on this measurement"
+    assert window.ui.gate.headline.text() == "Do the test again"
     assert window.findings.numbers == ()
     assert "could be estimated" in window.findings.impulse.missing
     assert not window.ui.result.impulse.plot.isVisible()
@@ -287,7 +294,42 @@ def test_an_unfinished_test_is_offered_and_recovered(qtbot, open_window, tmp_pat
     wait_for_result(qtbot, window)
     assert "Recovered" in window.ui.notice.text.text()
     assert window.findings.test.status == "recovered"
+    assert "ended_early" in {finding.code for finding in window.findings.quality.findings}
+    assert (window.ui.gate.headline.text(), window.ui.gate.property("level")) == ("Do the test again", "poor")
+    assert quality_of(read_session(tmp_path / "lost.h5").test()) == window.findings.quality
+    assert window.ui.gate.judge_now.isHidden()
     assert not (tmp_path / "lost.h5.journal").exists()
+
+
+def test_a_stored_test_that_was_never_judged_is_judged_by_a_button(qtbot, window, tmp_path, saved):
+    session = read_session(saved)
+    first = session.tests[0]
+    notes = {name: value for name, value in first.notes.items() if name != NOTE}
+    path = tmp_path / "old.h5"
+    write_session(path, dataclasses.replace(session, tests=(dataclasses.replace(first, notes=notes),)))
+    before = path.read_bytes()
+    window.open_session(path)
+    wait_for_result(qtbot, window)
+    gate = window.ui.gate
+    assert gate.words == (UNJUDGED,)
+    assert "'" not in UNJUDGED
+    press(qtbot, gate.judge_now)
+    qtbot.waitUntil(lambda: idle(window) and window.findings.quality is not None, timeout=WAIT_MS)
+    assert gate.judge_now.isHidden()
+    assert window.findings.quality == quality_of(first)
+    assert path.read_bytes() == before
+
+
+def test_an_emptied_place_to_save_is_named_by_date_again(qtbot, window, tmp_path):
+    field = window.ui.form.path
+    field.selectAll()
+    qtbot.keyClick(field, Qt.Key.Key_Backspace)
+    assert window.ui.form.plan().path.parent == tmp_path
+    assert window.ui.form.plan().path.suffix == ".h5"
+    field.selectAll()
+    qtbot.keyClick(field, Qt.Key.Key_Backspace)
+    field.editingFinished.emit()
+    assert field.text() == str(window.ui.form.plan().path)
 
 
 def test_an_empty_journal_gives_words(qtbot, open_window, tmp_path):
@@ -312,7 +354,6 @@ def test_a_test_that_still_runs_is_not_offered(open_window, tmp_path):
         (lambda form: form.min_force.setValue(11.0), "must be below the highest"),
         (lambda form: _save_to(form, form.folder / "there.h5"), "never overwritten"),
         (lambda form: _save_to(form, form.folder / "nowhere" / "s.h5"), "no folder"),
-        (lambda form: _save_to(form, ""), "say where to save"),
     ],
 )
 def test_what_cannot_be_is_refused_in_words(qtbot, open_window, tmp_path, spoil, words):

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from tissueid.reports import Comparison, ComparisonRow, html, report_html, write
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
-from tissueid.reports.tables import parameter_table, score_table, settings_tables
+from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.validation_figures import prediction_figure, readable_stretch
 from tissueid.reports.verdict import judge, key_numbers
 from tissueid.sessions import Session, Subject
@@ -85,6 +86,16 @@ def test_page_has_every_section_and_stays_small(source: str, session: Session) -
     assert "Research use only" in found.text
 
 
+def test_dates_are_local_and_say_how_far_from_utc(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    assert readable_date("2026-05-04T09:30:00Z") == "4 May 2026, 11:30 UTC+02:00"
+    assert readable_date("2026-05-04T09:30:00") == "4 May 2026, 09:30"
+    assert readable_date("yesterday") == "yesterday"
+    monkeypatch.undo()
+    time.tzset()
+
+
 def test_numbers_are_in_peoples_units(source: str, analyses: Analyses) -> None:
     text = checked(source).text
     mass = analyses[1]["lms"].model.report.parameters["mass_kg"]
@@ -119,11 +130,15 @@ def test_verdict_follows_the_facts(session: Session, analyses: Analyses) -> None
     assert "as under drift" in judge(test, with_scores(71.0, 95.0)).reasons[0]
     assert "worse on unseen" in judge(test, with_scores(95.0, 75.0)).reasons[0]
     for status in ("aborted", "recovered"):
-        assert judge(replace(test, status=status), found).level == "check"
+        ended = judge(replace(test, status=status), found)
+        assert (ended.level, ended.headline, len(ended.reasons)) == ("poor", "Do the test again", 1)
+    imported = replace(test, notes=test.notes | {"source_format": "csv"})
+    assert judge(imported, with_scores(38.0, 31.0)).headline == "Do not rely on this measurement"
     for name, level in (("lms", "check"), ("wiener", "good")):
         warned = replace(found[name], model=found[name].model.with_report(warnings=("mind the gap",)))
         assert judge(test, found | {name: warned}).level == level
-        assert "Warnings from" in judge(test, found | {name: warned}).reasons[-1]
+        reasons = ("LMS: mind the gap.",) if level == "check" else ()
+        assert judge(test, found | {name: warned}).reasons == reasons
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -133,7 +148,7 @@ def test_warnings_are_listed_once_with_their_engines(session: Session, analyses:
     }
     text = checked(report_html(session, {1: warned})).text
     assert "LMS, Spectral, Wiener: mind the gap" in text
-    assert "Look closer before use" in text
+    assert "Read this before you use the test" in text
 
 
 def test_hostile_strings_stay_text() -> None:
@@ -358,8 +373,8 @@ def test_parameters_of_an_engine_that_predicts_nothing_are_left_out(session: Ses
     assert parameter_table(found) is None
     assert all("predicts nothing" in row[2] for row in score_table(found).rows)
     assert [number.label for number in key_numbers(found)] == [
-        "Linear model: unseen motion explained",
-        "Wiener model: unseen motion explained",
+        "Motion explained, linear model",
+        "Motion explained, nonlinear model",
     ]
     one = {**analyses[1], "lms": found["lms"]}
     table = parameter_table(one)

@@ -22,6 +22,7 @@ from tissueid.acquisition.entry_contents import (
     content_of,
 )
 from tissueid.acquisition.journal import Damage, Entry, JournalError, journal_path, lock, read_entries
+from tissueid.acquisition.quality import QualityGate, quality_of
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
@@ -270,6 +271,14 @@ def _tests(entries: _Entries, device: DeviceDescription, damage: Damage) -> Iter
             yield test
 
 
+def _judged(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
+    """Judge the tests that the host died before it could judge, each against those before it."""
+    gate = QualityGate(device)
+    for test in tests:
+        found = gate.judge(test)
+        yield test if quality_of(test) is not None else replace(test, notes=test.notes | found.as_notes())
+
+
 def session_from_entries(entries: _Entries) -> Session:
     """The session that a journal's entries tell, all of it in memory.
 
@@ -380,7 +389,7 @@ def recover(
             raise UnusableInputError(f"{journal} holds {holds}; {advice} there is nothing to save")
         else:
             again = Damage()
-            tests_again = _tests(read_entries(journal, again), session.instrument, again)
+            tests_again = _judged(_tests(read_entries(journal, again), session.instrument, again), session.instrument)
             write_session(target, session, tests=tests_again)
     for session_file in {target, journal.with_name(journal.name.removesuffix(".journal"))}:
         remove_leftovers(session_file)

@@ -131,7 +131,6 @@ VERDICT = (
     marked("The test was ended early; only what was recorded until then is analysed."),
     marked("The test was recovered after its recording was interrupted."),
     marked("{lost} of {samples} samples ({share} %) were not received."),
-    marked("Warnings from {engines}: see the list of warnings."),
     marked("The probe stood above the surface for {percent} % of the time: it left the tissue."),
     marked("No model could be tried on data that it had not seen."),
     marked("No model accounts for more than {percent} % of motion that it had not seen."),
@@ -145,6 +144,7 @@ VERDICT = (
         "motion, {unseen} % of the unseen)."
     ),
     marked("the model predicts nothing of data that it was not fitted to: its parameters are no results"),
+    marked("{engine}: the model predicts nothing of data that it was not fitted to: its parameters are no results."),
     marked("Uncertain by more than {percent} %: {names}."),
     marked("mass"),
     marked("damping"),

@@ -18,6 +18,7 @@ from tissueid.wording import clean
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
     from tissueid.reports.verdict import Verdict
+    from tissueid.sessions.accepted import AcceptedResult
 
 Array = NDArray[np.float64]
 LONGEST = 80
@@ -60,7 +61,8 @@ class Number:
 class Findings:
     """One test of a session, analysed. ``cautions`` is what engines refused or warned of.
 
-    ``quality`` is what the gate said when the test ended, None for a test that it never judged.
+    ``quality`` is what the gate said when the test ended, None for a test that it never judged. ``accepted`` is the
+    accepted result of its sitting, as the file next to the session has it.
     """
 
     path: Path
@@ -77,6 +79,7 @@ class Findings:
     bode: Curves
     nonlinearity: Curves
     prediction: Curves
+    accepted: AcceptedResult | None = None
 
 
 def whose(findings: Findings) -> str:

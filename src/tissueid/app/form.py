@@ -67,7 +67,8 @@ class PlanForm(QWidget):
         self._applying = False
         self._forces_n: dict[str, float] = {}
         self.instrument = InstrumentChooser()
-        self.subject = QLineEdit(ANONYMOUS)
+        self.subject = QLineEdit()
+        self.subject.setPlaceholderText(_("such as P-001; empty: anonymous"))
         self.subject.setToolTip(_("A pseudonym, never a name"))
         self.like_name = QLabel(_(_LIKE_NAME))
         self.like_name.setProperty("role", "readout")
@@ -140,7 +141,9 @@ class PlanForm(QWidget):
         self.limits.currentIndexChanged.connect(self._apply_limits)
         self.instrument.choice.currentTextChanged.connect(self._apply_limits)
         self.max_force.valueChanged.connect(self._take_own_force)
+        self.path.setPlaceholderText(_("empty: a name by date and time"))
         self.path.textEdited.connect(self._take_own_path)
+        self.path.editingFinished.connect(self._name_by_date)
         self.browse.clicked.connect(self._choose_path)
         self.limits.setCurrentIndex(self.limits.findData("clinical"))
         self._apply_limits()
@@ -304,7 +307,11 @@ class PlanForm(QWidget):
         self._own_force = self._own_force or not self._applying
 
     def _take_own_path(self) -> None:
-        self._own_path = True
+        self._own_path = bool(self.path.text().strip())
+
+    def _name_by_date(self) -> None:
+        if not self.path.text().strip():
+            self.renew_path()
 
     def _choose_path(self) -> None:
         dialog = QFileDialog(self, _("Save the session to"), str(self.folder), _("Sessions (*.h5)"))

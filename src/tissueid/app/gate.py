@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
@@ -9,20 +11,29 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushBut
 from tissueid.app.language import _, marked
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
+from tissueid.app.views.clinician.sitting import Sitting
 from tissueid.app.words import for_window
 from tissueid.sessions.quality import Quality, Verdict
+
+if TYPE_CHECKING:
+    from tissueid.reports import verdict as report
 
 _LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
 _ONE_ROW = 640
 MOST_SHOWN = 3
 """Findings that are shown at once; the others are counted, and shown when asked for."""
-UNJUDGED = marked("This test was not judged when it was made; 'tissueid quality' judges it.")
+UNJUDGED = marked("The quality gate did not judge this test when it was made.")
 
 
 class QualityGate(QFrame):
-    """Hidden until a test is over. ``again`` is sent by the button that is there when the test should be repeated."""
+    """The verdict on a test, hidden until it is over.
+
+    ``again`` is sent by the button that is there when the test should be repeated, ``judge`` by the one that is there
+    when the gate never judged it.
+    """
 
     again = Signal()
+    judge = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -39,6 +50,8 @@ class QualityGate(QFrame):
         self.more.setAccessibleName(_("All findings"))
         self.run_again = QPushButton(_("Run again"))
         self.run_again.setToolTip(_("The same test once more, into a file of its own"))
+        self.judge_now = QPushButton(_("Judge this test"))
+        self.judge_now.setToolTip(_("Let the quality gate look at the recorded signals; the file stays as it is"))
         said, offered = QHBoxLayout(), QHBoxLayout()
         said.setSpacing(8)
         said.addWidget(self.light)
@@ -46,7 +59,7 @@ class QualityGate(QFrame):
         self.repeats = RepeatBar()
         offered.setSpacing(8)
         offered.addStretch(1)
-        for part in (self.repeats, self.more, self.run_again):
+        for part in (self.repeats, self.more, self.judge_now, self.run_again):
             offered.addWidget(part)
         top = FoldingBox(_ONE_ROW)
         top.setSpacing(4)
@@ -64,26 +77,40 @@ class QualityGate(QFrame):
         layout.addLayout(self._grid)
         self.more.toggled.connect(self._fill)
         self.run_again.clicked.connect(self.again)
+        self.judge_now.clicked.connect(self.judge)
         self.hide()
 
-    def show_quality(self, quality: Quality | None, *, can_repeat: bool) -> None:
-        """Show what the gate said; None where it was never asked. ``can_repeat`` is whether a test can be run now."""
+    def show_quality(self, quality: Quality | None, *, can_repeat: bool, verdict: report.Verdict | None = None) -> None:
+        """Show what the gate found, None where it never judged the test, under one light and one headline.
+
+        These are the gate's until the ``verdict`` on the analysed test, which has the gate's findings in it, is known.
+        ``can_repeat`` is whether a test can be run now.
+        """
         self._quality = quality
-        verdict: Verdict | None = None if quality is None else quality.verdict
-        level = "" if verdict is None else _LEVELS[verdict]
+        level = "" if quality is None else _LEVELS[quality.verdict]
+        headline = "" if quality is None else quality.headline
+        if verdict is not None:
+            level, headline = verdict.level, verdict.headline
         for widget in (self, self.light, self.headline):
             widget.setProperty("level", level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
-        self.headline.setText(_("Not judged") if quality is None else _(quality.headline))
-        self.run_again.setVisible(verdict == "repeat" and can_repeat)
+        self.headline.setText(_(headline) if headline else _("Not judged"))
+        self.run_again.setVisible(level == "poor" and can_repeat)
+        self.judge_now.setVisible(quality is None and verdict is not None)
         self.repeats.hide()
         self.more.setChecked(False)
         self._fill()
         self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.words]))
         self.show()
-        if verdict in ("look", "repeat"):
+        if level in ("check", "poor"):
             QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
+
+    def show_sitting(self, sitting: Sitting | None) -> None:
+        """Show how far the sitting of the shown test has come; one button repeats it."""
+        self.repeats.show_sitting(sitting)
+        if self.repeats.offers_repeat:
+            self.run_again.hide()
 
     @property
     def words(self) -> tuple[str, ...]:

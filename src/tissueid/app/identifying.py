@@ -10,7 +10,7 @@ import numpy as np
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.language import _, marked
-from tissueid.app.words import for_window, sentence
+from tissueid.app.words import for_window, in_words, sentence
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
@@ -18,6 +18,7 @@ from tissueid.identification.engines.wiener import WienerModel
 from tissueid.reports.configured import surface_of
 from tissueid.reports.verdict import judge, visited
 from tissueid.sessions import Session, Test
+from tissueid.sessions.accepted import AcceptedResult, result_of
 from tissueid.sessions.quality import quality_of
 from tissueid.wording import engine_label, estimate, fixed, named_unit, people_unit
 
@@ -51,9 +52,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
             analyses |= analyse_all(session, (name,), test=test)
         except UnusableInputError as error:
             refusals.setdefault(str(error), []).append(engine_label(name))
-    for name, analysis in analyses.items():
-        for warning in analysis.model.report.warnings:
-            refusals.setdefault(warning, []).append(engine_label(name))
+    accepted, unread = _accepted(path, test)
     return Findings(
         path=path,
         session=session,
@@ -64,12 +63,26 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),
         visited=for_window(visited(analyses, surface_of(test))),
-        cautions=tuple(sentence(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in refusals.items()),
+        cautions=(
+            *(sentence(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in refusals.items()),
+            *unread,
+        ),
         impulse=_drawn(_impulse, analyses),
         bode=_drawn(_bode, analyses),
         nonlinearity=_drawn(_nonlinearity, analyses),
         prediction=_drawn(_prediction, analyses),
+        accepted=accepted,
     )
+
+
+def _accepted(path: Path, test: Test) -> tuple[AcceptedResult | None, tuple[str, ...]]:
+    """Return the accepted result of the sitting of a test, and why it cannot be read where that is so."""
+    try:
+        return result_of(path.parent, test), ()
+    except (UnusableInputError, OSError) as error:
+        return None, (
+            _("The accepted result of this sitting cannot be read: {problem}").format(problem=in_words(error)),
+        )
 
 
 def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
@@ -83,10 +96,10 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
             value, deviation, power = estimate(parameters[quantity], scale)
             rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
             yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit)
-    for engine, label in ((linear, _("Explained, linear")), ("wiener", _("Explained, Wiener"))):
+    for engine, label in ((linear, _("Motion explained, linear")), ("wiener", _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
-            note = _("unseen; fitted {vaf} %").format(vaf=fixed(report.vaf_percent, 1))
+            note = _("in the part kept for checking; {vaf} % in the rest").format(vaf=fixed(report.vaf_percent, 1))
             yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
 
 
@@ -99,6 +112,9 @@ def how_it_ended(test: Test) -> str:
     )
     if test.status == "completed":
         return _("Completed: {seconds:.1f} s, {missing}.").format(seconds=seconds, missing=missing)
+    quality = quality_of(test)
+    if quality is not None and any(finding.code == "ended_early" for finding in quality.findings):
+        return _("Recorded: {seconds:.1f} s, {missing}.").format(seconds=seconds, missing=missing)  # why is said there
     if test.status == "recovered":
         return _("Recovered after an interruption: {seconds:.1f} s, {missing}.").format(
             seconds=seconds, missing=missing

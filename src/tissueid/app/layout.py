@@ -135,7 +135,8 @@ class Layout:
         order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.guidance.lamp.watch]
         order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
-        order += [self.gate.more, self.gate.run_again, self.gate.repeats.repeat, self.gate.repeats.accept]
+        order += [self.gate.more, self.gate.judge_now, self.gate.run_again]
+        order += [self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo]
         order += [self.pages.tabBar(), self.result, self.result.test, self.result.pdf, self.result.comparison.cancel]
         order += self.calibration.fields
         order += [*self.rail.buttons.values(), *self.rail.feet]
@@ -172,6 +173,7 @@ class Layout:
         self.role.setEnabled(not busy)
         self.calibration.settle(busy=busy)
         self.gate.run_again.setEnabled(not busy)
+        self.gate.judge_now.setEnabled(not busy)
         self.form.instrument.refresh.setEnabled(not busy)
         self.start.setEnabled(not busy)
         self.open.setEnabled(not busy)
@@ -185,7 +187,7 @@ class Layout:
         """What is grey while something goes on elsewhere: on these it is said what that is."""
         of_test = self.start, self.guidance.lamp.watch, self.form.instrument.refresh, self.gate.run_again
         of_result = self.open, self.report, self.result.pdf, self.result.test
-        of_sitting = self.gate.repeats.repeat, self.gate.repeats.accept
+        of_sitting = self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo, self.gate.judge_now
         return *of_test, *of_result, *of_sitting, *self.calibration.begin.values()
 
     def paint_with(self, theme: Theme) -> None:

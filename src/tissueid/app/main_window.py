@@ -16,6 +16,7 @@ from tissueid.app import ending
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
+from tissueid.app.errands import judge_and_find
 from tissueid.app.findings import Findings, find, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.language import _, speak
@@ -26,7 +27,7 @@ from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
 from tissueid.app.place_to_save import check_place
 from tissueid.app.plan import Plan
-from tissueid.app.remembered import remembered_role
+from tissueid.app.remembered import remember_role, remembered_role
 from tissueid.app.reporting import Reports
 from tissueid.app.searching import Searching
 from tissueid.app.stop_keys import StopKeys
@@ -44,6 +45,7 @@ from tissueid.whole_file import private_folder
 
 if TYPE_CHECKING:
     from tissueid.app.measuring import Outcome
+    from tissueid.reports.verdict import Verdict
 
 FRAME_MS = 33
 
@@ -254,9 +256,10 @@ class MainWindow(QMainWindow):
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
         why = _("A test is being analysed on Measure: wait a few seconds.")
-        self.jobs.do(functools.partial(find, path, session, number), self._show_findings, self.say_failed, why=why)
+        self.jobs.do(functools.partial(find, path, session, number), self.show_findings, self.say_failed, why=why)
 
-    def _show_findings(self, findings: Findings) -> None:
+    def show_findings(self, findings: Findings) -> None:
+        """Show the page of an analysed test."""
         self.findings = findings
         self.reports.forget()
         self.panels.log.note(
@@ -265,7 +268,7 @@ class MainWindow(QMainWindow):
             )
         )
         self.ui.signals.show_test(findings.test, findings.session.instrument)
-        self._show_gate(findings.test)
+        self._show_gate(findings.test, findings.verdict)
         self.ui.result.show_findings(findings)
         self.ui.form.tell_apart(self._plan is None or self._plan.path != findings.path)
         self.clinician.found(findings, self._plan)
@@ -274,9 +277,17 @@ class MainWindow(QMainWindow):
         self.ui.pages.tabBar().setFocus()
         self.rest()
 
-    def _show_gate(self, test: Test) -> None:
-        """What the quality gate said, as soon as it is known: the models may take a while."""
-        self.ui.gate.show_quality(quality_of(test), can_repeat=self._plan is not None and not self._closing)
+    def _judge(self) -> None:
+        """Let the quality gate judge the tests of the shown session that it never saw; the file stays as it is."""
+        if self.findings is None or self.busy:
+            return
+        self.ui.guidance.say(_("Judging the test."))
+        self.jobs.do(functools.partial(judge_and_find, self.findings), self.show_findings, self.say_failed)
+
+    def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
+        """Show what the quality gate said as soon as it is known, and the verdict on the test once it is analysed."""
+        can_repeat = self._plan is not None and not self._closing
+        self.ui.gate.show_quality(quality_of(test), can_repeat=can_repeat, verdict=verdict)
 
     def rest(self) -> None:
         """Nothing goes on: name what is shown, or say how to begin."""
@@ -314,6 +325,7 @@ class MainWindow(QMainWindow):
     def _change_role(self, before: str, now: Role) -> None:
         self.ui.show_role(now)
         self.pages.take_role(now)
+        remember_role(self.settings, now)
         trail = Trail(self.around.audit, now)
         work = functools.partial(trail.record, "role.changed", old=before, new=now)
         self.jobs.do(work, self._logged, self.ui.notice.say_everywhere)
@@ -366,6 +378,7 @@ class MainWindow(QMainWindow):
         ui.start.clicked.connect(self.start_test)
         ui.role.changed.connect(self._change_role)
         ui.gate.again.connect(self.start_test)
+        ui.gate.judge.connect(self._judge)
         ui.form.filled.connect(ui.start.setFocus)
         ui.form.changed.connect(ui.notice.form_changed)
         ui.stop.clicked.connect(self._stop_by_button)

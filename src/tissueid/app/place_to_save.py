@@ -12,6 +12,14 @@ from tissueid.errors import UnusableInputError
 SUFFIX = ".h5"
 
 
+def free_place(path: Path) -> Path:
+    """Return a path, or the first of ``name-2.ext``, ``name-3.ext``, ... where a file of that name is there already."""
+    free, number = path, 2
+    while free.exists() or free.is_symlink():
+        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return free
+
+
 def check_place(path: Path) -> None:
     """Refuse a path that no new session can be saved to; nothing is left there by the asking.
 

@@ -1,4 +1,4 @@
-"""What the window finds again at the next start: everything but the site, which is another one every time."""
+"""What the window finds again at the next start: all but subject and site, which the next test has others of."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ _PAGE = "window/page"
 _ROLE = "window/role"
 _FOLD = "window/settings-unfolded"
 _INSTRUMENT = "test/instrument"
-_SUBJECT = "test/subject"
 _LIMITS = "test/limits"
 _LONGEST = 200
 _VERSION = 1
@@ -28,6 +27,12 @@ def remembered_role(settings: QSettings) -> Role:
     """Who sat there last; at first a clinician."""
     kept = _text(settings, _ROLE)
     return next((role for role in ROLES if role == kept), "clinician")
+
+
+def remember_role(settings: QSettings, role: Role) -> None:
+    """Save a role as soon as it is chosen, so that it is the one in use after a crash too."""
+    settings.setValue(_ROLE, role)
+    settings.sync()
 
 
 def remembered_page(settings: QSettings) -> str:
@@ -44,7 +49,7 @@ def remember(window: MainWindow, settings: QSettings) -> None:
     settings.setValue(_ROLE, window.ui.role.role)
     settings.setValue(_FOLD, "yes" if form.fold.isChecked() else "no")
     settings.setValue(_INSTRUMENT, form.instrument.url)
-    settings.setValue(_SUBJECT, form.subject.text())
+    settings.remove("test/subject")  # kept by earlier versions
     settings.setValue(_LIMITS, form.limits.currentData())
 
 
@@ -59,8 +64,6 @@ def put_back(window: MainWindow, settings: QSettings) -> None:
     form.fold.setChecked(_text(settings, _FOLD) == "yes")
     if url := _text(settings, _INSTRUMENT):
         form.instrument.choose(url)
-    if subject := _text(settings, _SUBJECT):
-        form.subject.setText(subject)
     if (place := form.limits.findData(_text(settings, _LIMITS))) >= 0:
         form.limits.setCurrentIndex(place)
 

@@ -28,6 +28,7 @@ from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.app.words import for_window
 from tissueid.sessions import Test
+from tissueid.wording import local_time, zone_offset
 
 _TILES = 5
 _ROOM_FOR_TILES = 720
@@ -36,7 +37,6 @@ _ONE_ROW = 560
 _ROOM_FOR_TWO_PLOTS = 840
 _APART = 16
 """Pixels."""
-SEE_ABOVE = marked("For the reasons above.")
 _METHODS = marked(
     "LMS: a linear model by least squares. Spectral: the same by frequency. Wiener: a linear model with a curve behind "
     "it."
@@ -81,22 +81,14 @@ class ResultPage(QScrollArea):
 
     def show_findings(self, findings: Findings) -> None:
         """Fill the page."""
-        verdict = findings.verdict
-        for widget in (self._verdict, self.headline):
-            widget.setProperty("level", verdict.level)
-            widget.style().unpolish(widget)
-            widget.style().polish(widget)
-        self.headline.setText(_(verdict.headline))
         self.whose.setText(whose(findings))
         self.whose.setToolTip(self.whose.text())
-        # What the quality gate said stands above already.
+        # Headline and light stand above, and so does what the quality gate said.
         told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
-        reasons = [reason for reason in verdict.reasons if reason not in told]
-        if verdict.reasons and not reasons:
-            reasons = [_(SEE_ABOVE)]
+        reasons = [reason for reason in findings.verdict.reasons if reason not in told]
         self.reasons.setText("\n".join(for_window(line) for line in [*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
-        self.facts.setText(" ".join(text for text in (findings.ended, findings.visited) if text))
+        self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
         for place, tile in enumerate(self._tiles):
             tile.setVisible(place < len(findings.numbers))
             if place < len(findings.numbers):
@@ -108,6 +100,7 @@ class ResultPage(QScrollArea):
             if curves.x.size:
                 card.plot.setXRange(float(curves.x.min()), float(curves.x.max()), padding=0.02)
         self._offer_tests(findings.session.tests, findings.test)
+        self.verticalScrollBar().setValue(0)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Fewer things side by side where there is no room for all of them."""
@@ -125,8 +118,6 @@ class ResultPage(QScrollArea):
     def _make_verdict(self) -> QWidget:
         self._verdict = QFrame()
         self._verdict.setProperty("role", "verdict")
-        self.headline = QLabel()
-        self.headline.setProperty("role", "headline")
         self.whose = ElidedLabel()
         self.whose.setProperty("role", "headline")
         self.facts = QLabel()
@@ -147,7 +138,6 @@ class ResultPage(QScrollArea):
         offered.setSpacing(_APART)
         self.pdf = QPushButton(_("PDF report"))
         self.pdf.setToolTip(_("One or two pages to print, beside the session"))
-        named.addWidget(self.headline)
         named.addWidget(self.whose, 1)
         offered.addStretch(1)
         offered.addWidget(self.test)
@@ -237,6 +227,16 @@ class ResultPage(QScrollArea):
 
     def _choose_test(self) -> None:
         self.test_chosen.emit(self.test.currentData())
+
+
+def _recorded(findings: Findings) -> str:
+    """When the test was recorded, in local time with its offset from UTC; empty where that is not known."""
+    moment = local_time(findings.session.created)
+    if moment is None:
+        return ""
+    return _("Recorded {date} {time} ({zone}).").format(
+        date=f"{moment:%Y-%m-%d}", time=f"{moment:%H:%M}", zone=zone_offset(moment)
+    )
 
 
 class _Tile(QFrame):

@@ -17,8 +17,6 @@ SAID_BY_CORE = (
     marked("Good test"),
     marked("Read this before you use the test"),
     marked("Do the test again"),
-    marked("Good measurement"),
-    marked("Look closer before use"),
     marked("Do not rely on this measurement"),
     marked("simulation in this process"),
 )

@@ -50,9 +50,17 @@ Analyses = Mapping[str, Analysis]
 
 
 def write_pdf(
-    path: Path, session: Session, test: Test, analyses: Analyses, *, further: Sequence[FurtherTable] = ()
+    path: Path,
+    session: Session,
+    test: Test,
+    analyses: Analyses,
+    *,
+    result: tuple[FurtherTable, Sequence[str]] | None = None,
+    further: Sequence[FurtherTable] = (),
 ) -> None:
     """Write the report of one test so that ``path`` is whole or untouched; one page, or two where ``further`` is long.
+
+    ``result`` is the table of what stands as the result of the sitting, with lines below it: it comes first.
 
     Raises:
         UnusableInputError: nothing was analysed.
@@ -64,17 +72,29 @@ def write_pdf(
     with warnings.catch_warnings():
         # Letters that the font lacks stand as boxes; the numbers are what matters.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
-        _write(written, session, test, analyses, further)
+        _write(written, session, test, analyses, result, further)
     with whole_file(path) as partial:
         partial.write_bytes(written.getvalue())
 
 
 @drawing
 def _write(
-    target: io.BytesIO, session: Session, test: Test, analyses: Analyses, further: Sequence[FurtherTable]
+    target: io.BytesIO,
+    session: Session,
+    test: Test,
+    analyses: Analyses,
+    result: tuple[FurtherTable, Sequence[str]] | None,
+    further: Sequence[FurtherTable],
 ) -> None:
     paper = _Paper()
     _heading(paper, session, test)
+    if result is not None:
+        table, below = result
+        paper.table(*table)
+        for line in below:
+            for words in textwrap.wrap(clean(line), _ACROSS):
+                paper.line(words, size=8.0, colour=MUTED)
+        paper.rule()
     _verdict(paper, test, analyses)
     _numbers(paper, test, analyses)
     for table in further:

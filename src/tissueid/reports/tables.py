@@ -25,6 +25,7 @@ from tissueid.wording import (
     engine_label,
     fixed,
     grouped,
+    local_time,
     named_unit,
     named_value,
     number,
@@ -32,6 +33,7 @@ from tissueid.wording import (
     plain_text,
     plus_minus,
     with_unit,
+    zone_offset,
 )
 
 Row = tuple[str, ...]
@@ -175,13 +177,12 @@ def with_sign(value: float | None, decimals: int) -> str:
 
 
 def readable_date(created: str) -> str:
-    """An ISO date as people write it, or the text as it stands."""
+    """Return an ISO date as people write it, in local time with its offset; a text that is no date as it stands."""
     try:
-        moment = datetime.fromisoformat(created)
+        moment = local_time(created) or datetime.fromisoformat(created)
     except ValueError:
         return created or "date not recorded"
-    zone = f" {moment.tzname()}" if moment.tzinfo else ""
-    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
+    return f"{moment.day} {moment:%B %Y, %H:%M} {zone_offset(moment) if moment.tzinfo else ''}".rstrip()
 
 
 def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> tuple[Table, ...]:

@@ -13,7 +13,8 @@ from tissueid.identification.engines.wiener import WienerModel
 from tissueid.reports.configured import surface_of
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
-from tissueid.sessions.quality import quality_of
+from tissueid.sessions.quality import HEADLINES, quality_of
+from tissueid.sessions.quality import Verdict as QualityVerdict
 from tissueid.wording import (
     engine_label,
     estimate,
@@ -37,11 +38,9 @@ SURFACE_KNOWN_TO_M = 0.3e-3
 """How far the surface found at placing may be off."""
 
 _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
-_HEADLINES: dict[Level, str] = {
-    "good": "Good measurement",
-    "check": "Look closer before use",
-    "poor": "Do not rely on this measurement",
-}
+_VERDICTS: dict[Level, QualityVerdict] = {"good": "good", "check": "look", "poor": "repeat"}
+FROM_ELSEWHERE = "Do not rely on this measurement"
+"""Headline of a poor test that was imported: it cannot be done again."""
 _LINEAR_FIRST = ("lms", "spectral")
 _KEY_PARAMETERS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain", "natural_frequency_rad_per_s")
 
@@ -73,16 +72,16 @@ def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
     """Judge a test by facts: how it ended, what was lost, how models do on data that they have not seen."""
     doubts = _doubts(test, analyses)
     level: Level = max((level for level, _ in doubts), key=_SEVERITY.index, default="good")
-    return Verdict(level, _HEADLINES[level], tuple(reason for _, reason in doubts))
+    imported = level == "poor" and "source_format" in test.notes
+    headline = FROM_ELSEWHERE if imported else HEADLINES[_VERDICTS[level]]
+    return Verdict(level, headline, tuple(dict.fromkeys(reason for _, reason in doubts)))
 
 
 def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     """Remarks on a test, each with the best verdict that it leaves possible."""
     found: list[_Doubt] = []
-    if test.status == "aborted":
-        found.append(("check", "The test was ended early; only what was recorded until then is analysed."))
-    if test.status == "recovered":
-        found.append(("check", "The test was recovered after its recording was interrupted."))
+    if test.status in ENDED_EARLY:
+        found.append(("poor", _how_it_ended(test)))
     lost = int(lost_samples(test).sum())
     if lost > LOST_SHARE * test.samples:
         share = f"{100 * lost / test.samples:.1f} %"
@@ -90,11 +89,29 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     found += _gate(test)
     found += _poorly_explained(analyses)
     found += _uncertain(analyses)
-    warned = [name for name, a in analyses.items() if a.model.report.warnings]
-    if warned:
-        level: Level = "check" if (linear_engine(analyses) or warned[0]) in warned else "good"
-        found.append((level, f"Warnings from {', '.join(map(engine_label, warned))}: see the list of warnings."))
+    leading = linear_engine(analyses) or next(iter(analyses), None)
+    if leading is not None:
+        label = engine_label(leading)
+        found += [("check", _sentence(f"{label}: {words}")) for words in analyses[leading].model.report.warnings]
     return found
+
+
+ENDED_EARLY = {
+    "aborted": "The test was ended early; only what was recorded until then is analysed.",
+    "recovered": "The test was recovered after its recording was interrupted.",
+}
+"""Statuses of tests that do not count as a repeat, and what is said of them where the quality gate said nothing."""
+
+
+def _how_it_ended(test: Test) -> str:
+    """Say why a test ended early: in the words of the quality gate, so that a page has them once."""
+    quality = quality_of(test)
+    findings = quality.findings if quality is not None else ()
+    return next((item.words for item in findings if item.code == "ended_early"), ENDED_EARLY[test.status])
+
+
+def _sentence(text: str) -> str:
+    return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
 _GATE: dict[str, Level] = {"good": "good", "look": "check", "repeat": "poor"}
@@ -192,17 +209,17 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
             if name == "natural_frequency_rad_per_s" and ratio is not None:
                 note = f"damping ratio {fixed(ratio.value, 2)}"
             numbers.append(KeyNumber(label, value, std, f"{power} {unit}".strip(), note))
-    for engine, label in ((linear, "Linear model"), (wiener, "Wiener model")):
+    for label, engine in (("linear model", linear), ("nonlinear model", wiener)):
         if engine is None:
             continue
         report = analyses[engine].model.report
         numbers.append(
             KeyNumber(
-                f"{label}: unseen motion explained",
+                f"Motion explained, {label}",
                 fixed(report.vaf_validation_percent, 1),
                 "",
                 "%" if report.vaf_validation_percent is not None else "",
-                f"{fixed(report.vaf_percent, 1)} % of the fitted motion",
+                f"in the part kept for checking; {fixed(report.vaf_percent, 1)} % in the rest",
             )
         )
     return tuple(numbers)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bar.repeat.isHidden()
-    assert ui.result.summary.heading.text() == "Result: mean of 2 repeats"
+    assert ui.result.summary.heading.text() == "Accepted result: mean of 2 repeats"
     assert any(line.what == "sitting.accepted" for line in _logged(window))
     run_test(qtbot, window, ui.start)
     assert bar.dots.accessibleName().startswith("1 of 5")
@@ -205,19 +206,57 @@ def test_an_opened_session_is_compared_and_printed(qtbot, open_window, shelf_of)
     assert 1 <= content.count(b"/Type /Page ") + content.count(b"/Type /Page\n") <= 2
 
 
-def test_a_pdf_that_cannot_be_written_is_said(qtbot, open_window, shelf_of):
+def test_a_pdf_that_cannot_be_written_is_said(qtbot, open_window, shelf_of, monkeypatch):
     window = open_window()
     window.open_session(shelf_of / "s1.h5")
     qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
-    (shelf_of / "s1-report.pdf").mkdir()
+
+    def full(path, *_, **__):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("tissueid.reports.pdf.write_pdf", full)
     press(qtbot, window.ui.result.pdf)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert "s1-report.pdf" in window.ui.notice.text.text()
     assert window.ui.notice.property("level") == "problem"
 
 
+def test_no_report_is_written_over_another(qtbot, open_window, shelf_of):
+    shown = []
+    window = open_window(show_file=lambda path: shown.append(path) or True)
+    kept = {shelf_of / f"s1-report.{kind}": f"kept {kind}" for kind in ("pdf", "html")}
+    for path, content in kept.items():
+        path.write_text(content, encoding="utf-8")
+    window.open_session(shelf_of / "s1.h5")
+    qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
+    for button in (window.ui.result.pdf, window.ui.report, window.ui.result.pdf):
+        press(qtbot, button)
+        qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert [path.name for path in shown] == ["s1-report-2.pdf", "s1-report-2.html", "s1-report-2.pdf"]
+    assert {path: path.read_text(encoding="utf-8") for path in kept} == kept
+
+
 def test_long_and_hostile_sites_are_cut():
-    one = Sighting("k", "2026-01-01T00:00:00Z", "<b>x\x00" + "y" * 90, {}, count=3)
-    assert one.label.startswith("2026-01-01  <b>x\ufffd")
-    assert one.label.endswith("…  ×3")
+    one = Sighting("k", "2026-01-01T00:00:00", "<b>x\x00" + "y" * 90, {}, count=3)
+    assert one.label.startswith("2026-01-01  ×3  <b>x\ufffd")
+    assert one.label.endswith("…")
     assert len(one.label) < 50
+
+
+def test_sittings_of_one_day_and_of_other_instruments_are_told_apart(shelf_of, monkeypatch):
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    session = read_session(shelf_of / "s1.h5")
+    other = dataclasses.replace(session.instrument, serial_number="OTHER-1")
+    changes = {"created": "2026-01-02T23:30:00Z", "instrument": other, "session_id": "9"}
+    write_session(shelf_of / "s9.h5", dataclasses.replace(session, **changes))
+    found = compared(shelf_of, "s1.h5")
+    assert [one.label for one in found.sightings] == [
+        "2026-01-03 00:30†  right calf",
+        "2026-01-02 11:00  right calf",
+        "2026-01-01 11:00  left calf",
+    ]
+    assert found.remark == "† measured with another instrument: compare with care."
+    assert compared(shelf_of, "s0.h5").sightings[0].other_instrument
+    monkeypatch.undo()
+    time.tzset()

@@ -330,7 +330,7 @@ def test_the_details_of_a_defect_are_folded_away(qtbot, window, tmp_path, monkey
 # -- what is found again -----------------------------------------------------------------------------------------
 
 
-def test_everything_but_the_site_is_found_again(qtbot, open_start, open_window):
+def test_everything_but_subject_and_site_is_found_again(qtbot, open_start, open_window):
     first = open_start()
     press(qtbot, first.pages.start.cards["researcher"])
     qtbot.waitUntil(lambda: idle(first), timeout=WAIT_MS)
@@ -346,12 +346,19 @@ def test_everything_but_the_site_is_found_again(qtbot, open_start, open_window):
     again = open_window(first_page="")
     assert (again.ui.page, again.ui.role.role) == ("research", "researcher")
     form = again.ui.form
-    assert (form.instrument.url, form.subject.text()) == ("simulated://spring", "P-017")
+    assert (form.instrument.url, form.subject.text()) == ("simulated://spring", "")
     assert (form.limits.currentData(), form.site.currentText()) == ("research", "")
     assert form.fold.isChecked()
     assert again.panels.log.isVisible()
     assert again.panels.log_button.isChecked()
     assert again.height() == 700  # the screen of these tests is narrower than any window
+
+
+def test_the_role_in_use_is_kept_when_the_program_dies(qtbot, open_start, open_window):
+    first = open_start()
+    press(qtbot, first.pages.start.cards["technician"])
+    qtbot.waitUntil(lambda: idle(first), timeout=WAIT_MS)
+    assert open_window(first_page="").ui.role.role == "technician"  # the first was never closed
 
 
 def test_settings_that_somebody_else_wrote_do_no_harm(open_window, tmp_path):

@@ -19,13 +19,14 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.body_map import BodyMap
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
 from tissueid.app.views.clinician.contact import Contact, contact_in_test
+from tissueid.app.views.clinician.finishing import finish, undo
 from tissueid.app.views.clinician.paper import write_paper
-from tissueid.app.views.clinician.sitting import Repeat, Sitting, values_of
+from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
 from tissueid.app.views.clinician.watcher import Watcher
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Test
-from tissueid.sessions.quality import quality_of
+from tissueid.sessions.accepted import AcceptedResult
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow
@@ -45,10 +46,12 @@ class Clinician(QObject):
         self._comparison = Comparison()
         self._found: Findings | None = None
         self._accepted = False  # just now: what comes next is the report, once it is logged
+        self._paper: Path | None = None  # written of what is shown just so
         ui = window.ui
         ui.form.map.clicked.connect(self.open_map)
         ui.gate.repeats.again.connect(window.start_test)
         ui.gate.repeats.accepted.connect(self.accept)
+        ui.gate.repeats.undone.connect(self.undo)
         ui.result.comparison.cancel.clicked.connect(self.cancel)
         ui.result.pdf.clicked.connect(self.write_pdf)
 
@@ -78,17 +81,36 @@ class Clinician(QObject):
 
     def found(self, findings: Findings, plan: Plan | None) -> None:
         """A test was analysed: the newest of the sitting, or one out of a file that was opened."""
-        sitting, ui = self.sitting, self._window.ui
+        sitting = self.sitting
         if sitting is not None and plan is not None and findings.path == plan.path and not sitting.holds(plan.path):
-            quality = quality_of(findings.test)
-            verdict = None if quality is None else quality.verdict
-            sitting.repeats.append(Repeat(findings.path, findings.test, verdict, values_of(findings.analyses)))
+            verdict = VERDICTS[findings.verdict.level]
+            sitting.repeats.append(
+                Repeat(findings.path, findings.test, verdict, values_of(findings.analyses), findings)
+            )
         self._found, self._comparison = findings, Comparison()
-        shown = sitting if sitting is not None and sitting.holds(findings.path) else None
-        ui.gate.repeats.show_sitting(shown)
-        ui.result.summary.show_sitting(shown)
-        ui.result.comparison.rest()
+        self._show_sitting()
+        self._window.ui.result.comparison.rest()
         self._compare(findings)
+
+    def _show_sitting(self) -> None:
+        """Show how far the sitting of the shown test has come, and what stands as its result."""
+        self._paper = None
+        self._window.ui.gate.show_sitting(self._shown_sitting)
+        self._window.ui.result.summary.show_standing(self.standing)
+
+    @property
+    def _shown_sitting(self) -> Sitting | None:
+        """The sitting in progress, where the shown test is one of it."""
+        held = self.sitting is not None and self._found is not None and self.sitting.holds(self._found.path)
+        return self.sitting if held else None
+
+    @property
+    def standing(self) -> Standing | None:
+        """What stands as the result of the sitting of the shown test, in progress or read from its file."""
+        if self._found is None:
+            return None
+        sitting = self._shown_sitting
+        return standing(sitting, self._found.accepted if sitting is None else sitting.result, self._found)
 
     def settle(self, *, busy: bool, testing: bool) -> None:
         """Enable what makes sense now."""
@@ -128,32 +150,28 @@ class Clinician(QObject):
     def accept(self) -> None:
         """The repeats so far are the result; the next test begins a sitting of its own."""
         window, sitting = self._window, self.sitting
-        if sitting is None or window.busy or not sitting.counted:
+        if sitting is None or window.busy or sitting.accepted or not sitting.counted:
             return
-        sitting.accepted = True
-        self._accepted = True
-        window.ui.gate.repeats.show_sitting(sitting)
-        window.ui.result.summary.show_sitting(sitting)
-        count = sitting.counted
-        window.ui.notice.say(
-            plural(
-                "Finished: this test is the result. The next test begins a new sitting.",
-                "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
-                count,
-            ).format(count=count)
-        )
         trail = Trail(window.around.audit, window.ui.role.role)
-        new = {"repeats": sitting.counted, "tests": len(sitting.repeats)}
-        work = functools.partial(trail.record, "sitting.accepted", subject=sitting.key, new=new)
-        window.jobs.do(work, self._logged, self._failed)
+        work = functools.partial(finish, sitting, sitting.as_result(), trail)
+        window.jobs.do(work, self._finished, self._failed)
+
+    def undo(self) -> None:
+        """The finished sitting goes on."""
+        window, sitting = self._window, self.sitting
+        if sitting is None or window.busy or sitting.result is None:
+            return
+        trail = Trail(window.around.audit, window.ui.role.role)
+        window.jobs.do(functools.partial(undo, sitting, sitting.result, trail), self._undone, self._failed)
 
     def write_pdf(self) -> None:
-        """Write the shown result as PDF beside its session, and open it."""
+        """Write the shown result as PDF next to its session, and open it; what is written already is only opened."""
         if self._found is None or self._window.busy:
             return
-        sitting = self.sitting
-        shown = sitting if sitting is not None and sitting.holds(self._found.path) else None
-        work = functools.partial(write_paper, self._found, shown, self._comparison)
+        if self._paper is not None and self._paper.exists():
+            self._window.reports.show(self._paper)
+            return
+        work = functools.partial(write_paper, self._found, self.standing, self._comparison)
         self._window.ui.guidance.say(_("Writing the report."))
         self._window.jobs.do(work, self._written, self._failed)
 
@@ -177,20 +195,42 @@ class Clinician(QObject):
         self._window.jobs.do(work, self._compared, self._not_compared, why=why)
 
     def _compared(self, comparison: Comparison) -> None:
-        self._comparison = comparison
+        self._comparison, self._paper = comparison, None
         self._window.ui.result.comparison.show_comparison(comparison)
 
     def _not_compared(self, words: str) -> None:
         self._window.ui.result.comparison.rest()
         self._window.ui.notice.say(words, problem=True, page=MEASURE)
 
+    def _finished(self, result: AcceptedResult) -> None:
+        sitting, found = self.sitting, self._found
+        if sitting is None:
+            return
+        sitting.result, self._accepted = result, True
+        newest = sitting.counting[-1].findings
+        if newest is not None and (found is None or not result.holds(found.session.session_id, found.test.number)):
+            self._window.show_findings(newest)
+        else:
+            self._show_sitting()
+        words = plural(
+            "Finished: test {places} is the result. The next test begins a new sitting.",
+            "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
+            result.count,
+        )
+        places = ", ".join(map(str, sitting.places))
+        self._window.ui.notice.say(words.format(count=result.count, places=places))
+
+    def _undone(self, _result: object) -> None:
+        if self.sitting is not None:
+            self.sitting.result = None
+        self._show_sitting()
+        self._window.ui.notice.say(_("The sitting goes on: measure again, or finish it."))
+
     def _written(self, path: Path) -> None:
+        self._paper = path
         self._window.rest()
         self._window.reports.show(path)
 
     def _failed(self, words: str) -> None:
         self._window.rest()
         self._window.ui.notice.say(words, problem=True, page=MEASURE)
-
-    def _logged(self, _: object) -> None:
-        """It is in the audit log; there is nothing to say."""

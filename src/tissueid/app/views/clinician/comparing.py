@@ -8,16 +8,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
-from tissueid.app.language import _, plural
+from tissueid.app.language import _, marked, plural
 from tissueid.app.plan import ANONYMOUS
-from tissueid.app.views.clinician.sitting import QUANTITIES, values_of
+from tissueid.app.views.clinician.sitting import QUANTITIES, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head
 from tissueid.sessions.quality import quality_of
-from tissueid.wording import clean
+from tissueid.wording import clean, local_minute
 
 MOST_READ = 20
 """Sessions of one subject that are identified, the newest ones."""
@@ -27,11 +25,19 @@ LARGEST_BYTES = 50_000_000
 """A larger file is a long sitting of a researcher, and takes a while to read."""
 MOST_SHOWN = 8
 _LONGEST_SITE = 26
+OTHER_INSTRUMENT = "†"
+"""Mark of a sitting that was measured with another instrument than the shown test."""
+
+
+OF_OTHERS = marked("† measured with another instrument: compare with care.")
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one sitting found at one site. ``values`` have the deviation of one test; ``count`` tests went into it."""
+    """What one sitting found at one site. ``values`` have the deviation of one test; ``count`` tests went into it.
+
+    ``instrument`` says with what; ``other_instrument`` is true where that is not what the shown test was made with.
+    """
 
     key: str
     created: str
@@ -39,13 +45,17 @@ class Sighting:
     values: dict[str, Estimate]
     count: int = 1
     this: bool = False
+    instrument: str = ""
+    other_instrument: bool = False
 
     @property
     def label(self) -> str:
-        """Date and site, short, with the number of tests where they are several."""
+        """Local date and time, the number of tests where they are several, and the site, short."""
         site = clean(self.site)
         site = site if len(site) <= _LONGEST_SITE else site[: _LONGEST_SITE - 1] + "…"
-        return f"{self.created[:10]}  {site}" + (f"  ×{self.count}" if self.count > 1 else "")
+        when = local_minute(self.created) or self.created[:10]
+        mark = OTHER_INSTRUMENT if self.other_instrument else ""
+        return "  ".join(filter(None, [f"{when}{mark}", f"×{self.count}" if self.count > 1 else "", site]))
 
 
 @dataclass(frozen=True)
@@ -54,6 +64,11 @@ class Comparison:
 
     sightings: tuple[Sighting, ...] = ()
     left_out: str = ""
+
+    @property
+    def remark(self) -> str:
+        """What to bear in mind where several instruments are compared; empty otherwise."""
+        return _(OF_OTHERS) if any(one.other_instrument for one in self.sightings) else ""
 
 
 @dataclass
@@ -86,7 +101,10 @@ def compare_with(
         except (TissueIDError, OSError):
             skipped += 1
     here = (str(test.notes.get("sitting") or session.session_id), test.site)
-    joined = [replace(one, this=(one.key, one.site) == here) for one in _joined(found)]
+    joined = [
+        replace(one, this=(one.key, one.site) == here, other_instrument=one.instrument != _instrument(session))
+        for one in _joined(found)
+    ]
     joined.sort(key=lambda one: one.created, reverse=True)
     shown = joined[:MOST_SHOWN]
     if not any(one.this for one in shown):
@@ -141,7 +159,11 @@ def _sightings(session: Session) -> Iterable[Sighting]:
             continue
         if values:
             key = str(test.notes.get("sitting") or session.session_id)
-            yield Sighting(key, session.created, test.site, values)
+            yield Sighting(key, session.created, test.site, values, instrument=_instrument(session))
+
+
+def _instrument(session: Session) -> str:
+    return f"{session.instrument.model} {session.instrument.serial_number}"
 
 
 def _joined(found: Sequence[Sighting]) -> list[Sighting]:
@@ -155,9 +177,9 @@ def _joined(found: Sequence[Sighting]) -> list[Sighting]:
 def _mean(group: Sequence[Sighting]) -> Sighting:
     values = {}
     for name in QUANTITIES:
-        known = [one.values[name].value for one in group if name in one.values]
-        known = [value for value in known if math.isfinite(value)]
-        if known:
-            std = float(np.std(known, ddof=1)) if len(known) > 1 else None
-            values[name] = Estimate(float(np.mean(known)), std)
+        known = [one.values[name] for one in group if name in one.values and math.isfinite(one.values[name].value)]
+        if (said := together([one.value for one in known])) is not None:
+            values[name] = Estimate(said.mean, said.std)
+        elif known:
+            values[name] = Estimate(known[0].value, None)
     return replace(group[0], values=values, count=len(group), created=max(one.created for one in group))

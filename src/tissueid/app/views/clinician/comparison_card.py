@@ -15,7 +15,7 @@ from tissueid.wording import named_unit, people_unit
 
 _ROW = 17
 _AROUND = 62
-_LABELS = 215
+_LABELS = 250
 _LEGEND = marked(
     "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
 )
@@ -84,7 +84,7 @@ class ComparisonCard(QFrame):
         if len(sightings) < 2:
             self.hide()
             return
-        self.words.setText(comparison.left_out)
+        self.words.setText(" ".join(filter(None, [comparison.remark, comparison.left_out])))
         rows = range(len(sightings), 0, -1)
         ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
         for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):

@@ -1,18 +1,24 @@
-"""The shown result as a PDF beside its session: one test, or the mean of its sitting. Nothing here knows Qt."""
+"""The shown result as a PDF next to its session: one test, and the result of its sitting. Nothing here knows Qt."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.app.views.clinician.comparing import Comparison
-from tissueid.app.views.clinician.sitting import QUANTITIES, Sitting, rows_of
+from tissueid.app.place_to_save import free_place
+from tissueid.app.views.clinician.comparing import OF_OTHERS, Comparison
+from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, named_unit, people_unit, plus_minus
 
+THIS = "This:"
+"""What stands before the label of the sitting of the shown test: what follows may be cut off, this not."""
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
-def write_paper(findings: Findings, sitting: Sitting | None, comparison: Comparison) -> Path:
-    """Write it; returns its path.
+
+def write_paper(findings: Findings, standing: Standing | None, comparison: Comparison) -> Path:
+    """Write the PDF of a shown test, never over an earlier one; return its path.
 
     Raises:
         OSError: it cannot be written.
@@ -20,12 +26,8 @@ def write_paper(findings: Findings, sitting: Sitting | None, comparison: Compari
     """
     from tissueid.reports.pdf import write_pdf
 
-    path = findings.path.with_name(f"{findings.path.stem}-report.pdf")
-    further: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = []
-    if rows := rows_of(sitting):
-        count = sitting.counted if sitting is not None else 0
-        heads: tuple[str, ...] = ("", "Mean ± standard deviation", "Relative", "Two tests differ by less than")
-        further.append((f"Mean of {count} repeats", heads, list(rows.values())))
+    path = free_place(findings.path.with_name(f"{findings.path.stem}-report.pdf"))
+    further: list[Table] = []
     if len(comparison.sightings) > 1:
         names = [named_unit(name) for name in QUANTITIES]
         columns = ("Sitting", *(f"{name} ({people_unit(unit)[0]})" for name, unit in names))
@@ -35,10 +37,20 @@ def write_paper(findings: Findings, sitting: Sitting | None, comparison: Compari
                 _text(one.values.get(name), people_unit(unit)[1])
                 for name, (_, unit) in zip(QUANTITIES, names, strict=True)
             ]
-            lines.append((f"{one.label}{' (this sitting)' if one.this else ''}", *texts))
-        further.append(("The subject's other sites and sittings", columns, lines))
-    write_pdf(path, findings.session, findings.test, findings.analyses, further=further)
+            lines.append((f"{THIS} {one.label}" if one.this else one.label, *texts))
+        heading = "The subject's other sites and sittings"
+        further.append((f"{heading} ({OF_OTHERS[:-1]})" if comparison.remark else heading, columns, lines))
+    result = None if standing is None else _result(standing)
+    write_pdf(path, findings.session, findings.test, findings.analyses, result=result, further=further)
     return path
+
+
+def _result(standing: Standing) -> tuple[Table, tuple[str, ...]]:
+    """What stands as the result, as a table, and the lines below it."""
+    repeated = any(value.count > 1 for value in standing.values.values())
+    heads = HEADS if repeated else ("", VALUE_HEAD)
+    rows = [row[: len(heads)] for row in standing.rows().values()]
+    return (standing.heading, heads, rows), tuple(filter(None, [standing.tests, standing.remark]))
 
 
 def _text(found: Estimate | None, scale: float) -> str:

@@ -24,10 +24,11 @@ _FINISH_ONE = marked("Finish: use this test")
 
 
 class RepeatBar(QWidget):
-    """Hidden where there is no sitting. ``again`` and ``accepted`` are sent by its two buttons."""
+    """Hidden where there is no sitting. ``again``, ``accepted`` and ``undone`` are sent by its buttons."""
 
     again = Signal()
     accepted = Signal()
+    undone = Signal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -47,13 +48,18 @@ class RepeatBar(QWidget):
                 "new sitting. No file is changed or deleted"
             )
         )
+        self.undo = QPushButton(_("Undo Finish"))
+        self.undo.setToolTip(
+            _("Continue the sitting as if it had not been finished. Possible until the next test starts")
+        )
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(8)
-        for part in (self.dots, self.repeat, self.accept):
+        for part in (self.dots, self.repeat, self.accept, self.undo):
             row.addWidget(part)
         self.repeat.clicked.connect(self.again)
         self.accept.clicked.connect(self.accepted)
+        self.undo.clicked.connect(self.undone)
         self.hide()
 
     def show_sitting(self, sitting: Sitting | None) -> None:
@@ -67,9 +73,8 @@ class RepeatBar(QWidget):
         self.repeat.setText(_("Measure again ({number} of {count})").format(number=sitting.counted + 1, count=NORM))
         self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
-        self.accept.setText(
-            _(_FINISH_ONE) if sitting.counted == 1 else _("Finish: mean of {count}").format(count=sitting.counted)
-        )
+        self.accept.setText(_finish(sitting))
+        self.undo.setVisible(sitting.accepted)
         said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
         count = _("{done} of {count} repeats, finished") if sitting.accepted else _("{done} of {count} repeats")
         count = count.format(done=sitting.counted, count=NORM)
@@ -79,10 +84,16 @@ class RepeatBar(QWidget):
         )
         self._draw()
 
+    @property
+    def offers_repeat(self) -> bool:
+        """Whether its own button measures again."""
+        return not self.isHidden() and not self.repeat.isHidden()
+
     def settle(self, *, busy: bool) -> None:
         """Nothing begins beside something that goes on."""
         self.repeat.setEnabled(not busy)
         self.accept.setEnabled(not busy)
+        self.undo.setEnabled(not busy)
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -93,6 +104,16 @@ class RepeatBar(QWidget):
         if self._theme is None:
             return
         colours: Sequence[str] = [getattr(self._theme, _COLOURS.get(verdict, "muted")) for verdict in self._shown]
-        dots = [f'<span style="color:{html.escape(colour)}">●</span>' for colour in colours]
+        dots = [f'{place}<span style="color:{html.escape(colour)}">●</span>' for place, colour in enumerate(colours, 1)]
         dots += [f'<span style="color:{self._theme.muted}">○</span>'] * self._left
         self.dots.setText(" ".join(dots))
+
+
+def _finish(sitting: Sitting) -> str:
+    """What the button accepts: the only test, one of several by its place, or the mean of those that count."""
+    places = sitting.places
+    if len(places) == 1:
+        return _(_FINISH_ONE) if len(sitting.repeats) == 1 else _("Finish: use test {place}").format(place=places[0])
+    if len(places) == len(sitting.repeats):
+        return _("Finish: mean of {count}").format(count=len(places))
+    return _("Finish: mean of tests {places}").format(places=", ".join(map(str, places)))

@@ -11,18 +11,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tissueid.app.language import _, marked
 from tissueid.app.plan import Plan
 from tissueid.records import Estimate
 from tissueid.sessions import Test
+from tissueid.sessions.accepted import AcceptedResult, AcceptedTest, AcceptedValue
 from tissueid.sessions.quality import Verdict
-from tissueid.wording import fixed, named_unit, number, people_unit, plus_minus
+from tissueid.wording import MISSING, fixed, named_unit, number, people_unit, plus_minus
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
+    from tissueid.app.findings import Findings
 
 NORM = 5
 """Repeats that are usual."""
 QUANTITIES = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
+VERDICTS: dict[str, Verdict] = {"good": "good", "check": "look", "poor": "repeat"}
+"""Verdict on a repeat by the level of the verdict that its page shows."""
+HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("Two tests differ by less than"))
+"""Heads of the columns of :meth:`Standing.rows`."""
+VALUE_HEAD = marked("Value ± standard deviation")
+"""Head of the second column where it is of one test."""
 _TWO_TESTS = 1.96 * math.sqrt(2.0)
 """Deviations of one test within which 95 % of the differences between two of them lie (Bland and Altman 1999)."""
 _ROUNDING = 1e-9
@@ -31,12 +40,21 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Repeat:
-    """One test of a sitting. ``values`` are by quantity, SI; empty where it could not be identified."""
+    """One test of a sitting. ``values`` are by quantity, SI; empty where it could not be identified.
+
+    ``findings`` are what the page shows of it.
+    """
 
     path: Path
     test: Test
     verdict: Verdict | None
     values: Mapping[str, Estimate]
+    findings: Findings | None = None
+
+    @property
+    def session_id(self) -> str:
+        """The id of the session that it stands in."""
+        return self.findings.session.session_id if self.findings is not None else ""
 
     @property
     def counts(self) -> bool:
@@ -80,7 +98,12 @@ class Sitting:
     plan: Plan
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
     repeats: list[Repeat] = field(default_factory=list)
-    accepted: bool = False
+    result: AcceptedResult | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a person finished it."""
+        return self.result is not None
 
     def continues(self, plan: Plan) -> bool:
         """Whether a test by this plan is a repeat of those that are here."""
@@ -99,6 +122,36 @@ class Sitting:
     def counted(self) -> int:
         """How many they are."""
         return len(self.counting)
+
+    @property
+    def places(self) -> list[int]:
+        """Places from 1 of the repeats that count, among all of the sitting."""
+        return [place for place, repeat in enumerate(self.repeats, 1) if repeat.counts]
+
+    @property
+    def folders(self) -> list[Path]:
+        """Folders that hold a test of the sitting."""
+        return list(dict.fromkeys(repeat.path.parent for repeat in self.repeats))
+
+    @property
+    def values(self) -> dict[str, AcceptedValue]:
+        """Mean of the repeats that count, or the values of the only one, by quantity."""
+        counting = self.counting
+        if len(counting) == 1:
+            return {
+                name: AcceptedValue(mean=found.value, std=found.std)
+                for name, found in counting[0].values.items()
+                if math.isfinite(found.value)
+            }
+        return {
+            name: AcceptedValue(mean=said.mean, std=said.std, repeatability=said.repeatability, count=said.count)
+            for name, said in self.together.items()
+        }
+
+    def as_result(self) -> AcceptedResult:
+        """Return the tests that count as the accepted result of the sitting."""
+        tests = tuple(AcceptedTest.of(item.path, item.session_id, item.test.number) for item in self.counting)
+        return AcceptedResult(sitting=self.key, tests=tests, values=self.values)
 
     @property
     def together(self) -> dict[str, Together]:
@@ -123,24 +176,67 @@ def values_of(analyses: Mapping[str, Analysis]) -> dict[str, Estimate]:
     return {quantity: parameters[quantity] for quantity in QUANTITIES if quantity in parameters}
 
 
-def rows_of(
-    sitting: Sitting | None, unit_for: Callable[[str], tuple[str, float]] = people_unit
-) -> dict[str, tuple[str, str, str, str]]:
-    """Name, mean with deviation, relative deviation and repeatability as people read them, by quantity.
+@dataclass(frozen=True)
+class Standing:
+    """What the tests of a sitting say together: so far, or as the accepted result. Page and paper show the same.
 
-    ``unit_for`` says in which unit what is of an SI unit is read, and how many of it make one of SI.
+    ``values`` are SI, by quantity. ``tests`` names the tests that went into them; ``remark`` is empty, or says what
+    to bear in mind.
     """
-    rows = {}
-    for quantity, said in (sitting.together if sitting is not None else {}).items():
-        name, si_unit = named_unit(quantity)
-        unit, scale = unit_for(si_unit)
-        rows[quantity] = (
-            name,
-            f"{plus_minus(Estimate(said.mean, said.std), scale)} {unit}",
-            f"{fixed(100.0 * said.relative, 1)} %",
-            f"{number(scale * said.repeatability, 2)} {unit}",
-        )
-    return rows
+
+    heading: str
+    values: Mapping[str, AcceptedValue]
+    tests: str = ""
+    remark: str = ""
+
+    def rows(self, unit_for: Callable[[str], tuple[str, float]] = people_unit) -> dict[str, tuple[str, str, str, str]]:
+        """Return name, value with deviation, relative deviation and repeatability as people read them, by quantity.
+
+        ``unit_for`` returns the unit in which a value of an SI unit is read, and how many of it make one of SI.
+        """
+        rows = {}
+        for quantity in QUANTITIES:
+            if (said := self.values.get(quantity)) is None:
+                continue
+            name, si_unit = named_unit(quantity)
+            unit, scale = unit_for(si_unit)
+            relative = 100.0 * said.std / abs(said.mean) if said.std and said.mean else None
+            rows[quantity] = (
+                name,
+                f"{plus_minus(Estimate(said.mean, said.std), scale)} {unit}",
+                MISSING if relative is None else f"{fixed(relative, 1)} %",
+                f"{number(scale * said.repeatability, 2)} {unit}" if said.repeatability else MISSING,
+            )
+        return rows
+
+
+def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Findings) -> Standing | None:
+    """Return what the sitting of a shown test says; None before two repeats count and nothing is accepted.
+
+    ``sitting`` is the one in progress, if the test is of it. ``result`` is the accepted result, if there is one.
+    """
+    if result is not None:
+        inside = result.holds(shown.session.session_id, shown.test.number)
+        if result.count > 1:
+            heading = _("Accepted result: mean of {count} repeats").format(count=result.count)
+        else:
+            heading = _("Accepted result: this test") if inside else _("Accepted result: another test of this sitting")
+        remarks = [] if inside else [_("The test that is shown below does not belong to it.")]
+        values = {name: value for name, value in result.values.items() if name in QUANTITIES}
+        tests = _("Tests: {names}").format(names=", ".join(test.file for test in result.tests))
+        return Standing(heading, values, tests, " ".join([*remarks, *_identical(values)]))
+    if sitting is None or sitting.counted < 2:
+        return None
+    values = sitting.values
+    heading = _("Mean so far of {count} repeats").format(count=sitting.counted)
+    return Standing(heading, values, "", " ".join(_identical(values)))
+
+
+def _identical(values: Mapping[str, AcceptedValue]) -> list[str]:
+    repeated = [value for value in values.values() if value.count > 1]
+    if not repeated or any(value.std for value in repeated):
+        return []
+    return [_("The repeats are identical: a simulation played the same again. Nothing can be said of their spread.")]
 
 
 def _without_place(plan: Plan) -> Plan:

@@ -13,7 +13,7 @@ from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.sessions import Outline, read_outline
 from tissueid.sessions.quality import Quality, quality_of
-from tissueid.wording import MISSING, clean
+from tissueid.wording import MISSING, clean, local_minute
 
 MOST_SHOWN = 10
 LONGEST_TEXT = 80
@@ -77,7 +77,7 @@ def _line(path: Path, changed: float) -> Recent:
     verdict, level = _verdict(outline)
     return Recent(
         path,
-        _when(outline.head.created) or date,
+        local_minute(outline.head.created) or date,
         site,
         _short(clean(outline.head.subject.pseudonym).strip(), LONGEST_TEXT) or MISSING,
         verdict,
@@ -99,14 +99,6 @@ def _verdict(outline: Outline) -> tuple[str, str]:
 
 def _severity(quality: Quality) -> int:
     return list(_LEVELS).index(quality.verdict)
-
-
-def _when(created: str) -> str:
-    """A date of ISO 8601 in local time; empty where it is none."""
-    try:
-        return f"{datetime.fromisoformat(created).astimezone():%Y-%m-%d %H:%M}"
-    except (ValueError, OverflowError, OSError):
-        return ""
 
 
 def _short(text: str, most: int) -> str:
