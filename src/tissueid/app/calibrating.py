@@ -12,6 +12,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.language import _, marked
+from tissueid.app.live_calibration import LiveCalibration
 from tissueid.audit import Trail
 from tissueid.calibration import StaticPlan, calibrate_static, write_calibration
 from tissueid.calibration.coil import Spring
@@ -37,10 +38,11 @@ def calibrate(
     opener: Callable[[str], Instrument],
     trail: Trail,
     now: Callable[[], datetime] = datetime.now,
+    live: LiveCalibration | None = None,
 ) -> CalibrationOutcome:
     """Calibrate, and leave the calibration and its report in the folder; a failed one is kept too, and says so.
 
-    However it ends, the coil is released.
+    However it ends, the coil is released. ``live`` follows what is sampled.
 
     Raises:
         CancelledError: it was stopped.
@@ -49,6 +51,8 @@ def calibrate(
     instrument = opener(plan.url)
     try:
         stop.check()
+        if live is not None:
+            live.watch(instrument)
         serial_number = instrument.device.serial_number
         trail.record("calibration.begun", subject=serial_number, new=plan.kind)
         path = free_name(plan.folder, serial_number, plan.kind, now())

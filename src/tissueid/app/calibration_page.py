@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -22,8 +23,11 @@ from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
 from tissueid.app.language import _, marked
+from tissueid.app.live import Array
 from tissueid.app.number_field import NumberField
+from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
+from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.words import verdict_of
@@ -46,8 +50,15 @@ _KINDS: dict[Kind, tuple[str, str, str]] = {
         marked("Begin dynamic sweep"),
     ),
 }
+_CURVES: dict[Kind, tuple[str, str, str]] = {
+    "static": (marked("Position on the spring"), marked("Current (A)"), "mm"),
+    "sweep": (marked("Swing of the probe for an ampere"), marked("Position (mm)"), "mm/A"),
+}
+_MM = 1e3
 _STEPS = 1000
 _ROW = 22
+_LEAST_CURVE = 140
+_NO_POINTS: Array = np.zeros(0)
 _TWO_COLUMNS = 650
 
 
@@ -108,6 +119,11 @@ class CalibrationPage(QWidget):
         self.room.setValue(22.0)
         self.room.setEnabled(False)
         self.room_known.toggled.connect(self.room.setEnabled)
+        self.curve = PlotCard("", "", "mm")
+        self.curve.setMinimumHeight(_LEAST_CURVE)
+        self._shown = -1
+        self._points = self.curve.dots("measured", 6)
+        self._kind: Kind = "static"
         self._result = self._make_result()
         content = QWidget()
         layout = QVBoxLayout(content)
@@ -119,6 +135,7 @@ class CalibrationPage(QWidget):
             choices.addWidget(self._make_choice(kind), 1)
         layout.addLayout(choices)
         layout.addWidget(self._make_progress())
+        layout.addWidget(self.curve, 1)
         layout.addWidget(self._result, 1)
         self._layout = layout
         layout.addStretch()
@@ -144,6 +161,22 @@ class CalibrationPage(QWidget):
         self._show_result(False)
         self.step.setText(_("{kind}: connecting to the instrument.").format(kind=_(_KINDS[kind][0])))
         self.bar.setValue(0)
+        title, below, unit = _CURVES[kind]
+        self._kind = kind
+        self.curve.retitle(_(title), unit)
+        self.curve.relabel(_(below))
+        self.show_curve(_NO_POINTS, _NO_POINTS)
+        self.curve.show()
+
+    def show_curve(self, x: Array, y: Array) -> None:
+        """Draw what is known of the curve so far, SI, shape (n,) each."""
+        if x.size != self._shown:
+            self._shown = x.size
+            self._points.setData(x * (1.0 if self._kind == "static" else _MM), y * _MM)
+
+    def paint_with(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self.curve.paint_with(theme)
 
     def rest(self) -> None:
         """Nothing goes on."""
@@ -202,6 +235,7 @@ class CalibrationPage(QWidget):
     def _show_result(self, there: bool) -> None:
         """With a result it takes all the room that there is, without one that stays empty."""
         self._result.setVisible(there)
+        self.curve.setVisible(False)
         self._layout.setStretch(self._layout.count() - 1, 0 if there else 1)
 
     # -- building -----------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
 from tissueid.app.language import _
 from tissueid.app.layout import MEASURE
+from tissueid.app.live_calibration import LiveCalibration
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.calibration.store import made_folder
@@ -28,6 +29,7 @@ class Calibrator(QObject):
         self._window = window
         self._page = window.ui.calibration
         self._talk: Conversation | None = None
+        self._live: LiveCalibration | None = None
         self._report: Path | None = None
         self._url = ""
         self._page.begun.connect(self.begin)
@@ -52,16 +54,25 @@ class Calibrator(QObject):
             return
         self._url = plan.url
         stop = window.energise(self._show)
+        window.ui.safety.expect(calibrating=True)
+        window.ui.signals.clear()
+        window.ui.analysis.hide()
         self._talk = talk = Conversation(stop)
+        self._live = live = LiveCalibration(sweep=kind == "sweep")
         trail = Trail(around.audit, window.ui.role.role)
         self._page.expect(kind)
         window.ui.guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(calibrate, plan, talk, stop, around.opener, trail, around.now)
+        work = functools.partial(calibrate, plan, talk, stop, around.opener, trail, around.now, live)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         window.jobs.do(work, self._ended, self._failed, why=why)
         window.ui.stop.setFocus()
 
     def _show(self) -> None:
+        if self._live is not None:
+            glance = self._live.glance()
+            self._window.ui.safety.show_safety(glance.safety)
+            self._window.ui.signals.show_rolling(glance)
+            self._page.show_curve(*self._live.curve())
         if self._talk is not None and not self._talk.stopped:
             talk = self._talk.look()
             self._page.show_talk(talk)
@@ -88,7 +99,7 @@ class Calibrator(QObject):
 
     def _close(self) -> None:
         self._window.free()
-        self._talk = None
+        self._talk = self._live = None
         self._window.ui.guidance.rest()
 
     def _open_report(self) -> None:

@@ -15,6 +15,9 @@ from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
 
 IDLE = marked("Place the probe on the skin and hold the reference surface firmly. Then start the test.")
+CALIBRATION_IDLE = marked(
+    "Calibration: take people and tissue away from the probe, the coil will move. Put the calibration spring under it."
+)
 _NAMES = {
     Phase.PLACE: marked("1  Place"),
     Phase.PRELOAD: marked("2  Preload"),
@@ -38,7 +41,11 @@ class Guidance(QFrame):
         self.setProperty("role", "card")
         self.phase: Phase | None = None
         self._labels: dict[Phase, QLabel] = {}
-        phases = QHBoxLayout()
+        self._idle = ""
+        self._resting = self._calibrating = False
+        self._phases = QWidget()
+        phases = QHBoxLayout(self._phases)
+        phases.setContentsMargins(0, 0, 0, 0)
         phases.setSpacing(14)
         for phase, name in _NAMES.items():
             label = QLabel(_(name))
@@ -57,21 +64,32 @@ class Guidance(QFrame):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(14, 8, 14, 10)
         layout.setSpacing(6)
-        layout.addLayout(phases)
+        layout.addWidget(self._phases)
         layout.addWidget(self.instruction)
         self.lamp = ContactLamp()
         layout.addWidget(self.lamp)
         layout.addWidget(self.bar)
         self.rest()
 
-    def rest(self) -> None:
-        """No test runs."""
+    def rest(self, shown: str = "") -> None:
+        """Show that nothing runs: what ``shown`` says of the test that is shown, or how to begin."""
         self._mark(None)
         self.bar.setValue(0)
-        self.say(_(IDLE))
+        self._idle = shown
+        self.say(_(CALIBRATION_IDLE) if self._calibrating else shown or _(IDLE))
+        self._resting = True
+
+    def turn_to_calibration(self, calibrating: bool) -> None:
+        """Guide a calibration, which has other warnings and no phases, or else a test."""
+        self._calibrating = calibrating
+        for part in (self._phases, self.lamp, self.bar):
+            part.setVisible(not calibrating)
+        if self._resting:
+            self.rest(self._idle)
 
     def say(self, text: str) -> None:
         """Change the instruction."""
+        self._resting = False
         if text != self.instruction.text():
             self.instruction.setText(text)
             self.instruction.setAccessibleName(text)

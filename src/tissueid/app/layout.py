@@ -76,6 +76,10 @@ class Layout:
         self.role = RoleChooser(role)
         self.safety = SafetyReadouts()
         self.gate = QualityGate()
+        self._verdict = QWidget()
+        holding = QVBoxLayout(self._verdict)
+        holding.setContentsMargins(0, 0, 0, 0)
+        holding.addWidget(self.gate)
         self.start = BigButton(_("&Start test"))
         self.start.setProperty("role", "start")
         self.stop = BigButton(_("STOP – release coil"))
@@ -98,6 +102,7 @@ class Layout:
         self.calibration = CalibrationPage()
         self.pages.addTab(self.calibration, _("Calibration"))
         self.pages.setTabVisible(1, False)
+        self.pages.currentChanged.connect(self._turn_tab)
         # One stop of the tab key, not two: the bar alone.
         self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -116,6 +121,12 @@ class Layout:
         window.setMinimumSize(*SMALLEST)
         room = window.screen().availableSize() - QSize(0, _TITLE_BAR)
         window.resize(QSize(1280, 720).boundedTo(room))
+
+    def _turn_tab(self, index: int) -> None:
+        """A calibration has its own guidance, and no verdict on a test above it."""
+        calibrating = self.pages.widget(index) is self.calibration
+        self.guidance.turn_to_calibration(calibrating)
+        self._verdict.setVisible(not calibrating)
 
     def show_role(self, role: Role) -> None:
         """Show what a role has to do with."""
@@ -195,6 +206,7 @@ class Layout:
         self.signals.paint_with(theme)
         self.analysis.paint_with(theme)
         self.result.paint_with(theme)
+        self.calibration.paint_with(theme)
 
     def _arrange(self) -> QWidget:
         page = _Room()
@@ -228,7 +240,7 @@ class Layout:
         main.setContentsMargins(12, 10, 12, 10)
         main.setSpacing(8)
         main.addWidget(self.guidance)
-        main.addWidget(self.gate)
+        main.addWidget(self._verdict)
         main.addWidget(self.pages, 1)
         self.pages.setMinimumHeight(_LEAST_TABS)
         columns.addWidget(PageScroll(content), 1)

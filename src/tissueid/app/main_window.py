@@ -291,9 +291,8 @@ class MainWindow(QMainWindow):
 
     def rest(self) -> None:
         """Nothing goes on: name what is shown, or say how to begin."""
-        self.ui.guidance.rest()
-        if self.findings is not None:
-            self.ui.guidance.say(f"{whose(self.findings)}  ·  {self.findings.path.name}")
+        found = self.findings
+        self.ui.guidance.rest("" if found is None else f"{whose(found)}  ·  {found.path.name}")
 
     def say_failed(self, words: str) -> None:
         """Some work ended badly: say so, and show again what was shown."""

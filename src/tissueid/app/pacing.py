@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
-from tissueid.instrument import Instrument, Limits, Run
+from tissueid.instrument import Instrument, Limits, Observer, Run
 from tissueid.instrument.correction import Correction
 
 Wait = Callable[[float], object]
@@ -29,6 +29,15 @@ class PacedInstrument:
         self._clock = clock
         self._started = clock()
         self._delivered = 0
+
+    @property
+    def observer(self) -> Observer | None:
+        """What gets the samples of every poll too."""
+        return self._paced.observer
+
+    @observer.setter
+    def observer(self, observer: Observer | None) -> None:
+        self._paced.observer = observer
 
     def use_calibration(self, device: DeviceDescription, corrections: Mapping[str, Correction]) -> None:
         """Pass a calibration on."""

@@ -23,7 +23,7 @@ class SafetyReadouts(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setProperty("role", "card")
-        self._frame, self._free = 0, True
+        self._frame, self._free, self._calibrating = 0, True, False
         self.force, self.coil, self.contact, self.keys = (QLabel() for _ in range(4))
         grid = QGridLayout(self)
         grid.setContentsMargins(10, 6, 10, 6)
@@ -50,10 +50,10 @@ class SafetyReadouts(QFrame):
             _say(label, MISSING)
         _say(self.keys, _("The coil is free"))
 
-    def expect(self) -> None:
-        """A test begins."""
+    def expect(self, *, calibrating: bool = False) -> None:
+        """A test begins, or a calibration: that has no skin to find, and shows where the probe stands."""
         self.rest()
-        self._free = False
+        self._free, self._calibrating = False, calibrating
         _say(self.keys, _(KEYS_REACH))
 
     def tell_keys(self, *, reach: bool) -> None:
@@ -68,9 +68,12 @@ class SafetyReadouts(QFrame):
             self.rest()
         if safety is None or self._free:
             return
-        _say(self.contact, *_contact(safety))
+        if not self._calibrating:
+            _say(self.contact, *_contact(safety))
         self._frame += 1
         if self._frame % _EVERY == 1:
+            if self._calibrating:
+                _say(self.contact, *_place(safety))
             _say(self.force, *_force(safety))
             _say(self.coil, *_coil(safety))
 
@@ -107,6 +110,12 @@ def _contact(safety: Safety) -> tuple[str, str]:
         if safety.contact
         else (_("off the skin{where}").format(where=where), "check")
     )
+
+
+def _place(safety: Safety) -> tuple[str, str]:
+    if safety.position_m is None:
+        return MISSING, ""
+    return _("at {position} mm").format(position=fixed(1e3 * safety.position_m, 2)), ""
 
 
 def _say(label: QLabel, text: str, level: str = "") -> None:

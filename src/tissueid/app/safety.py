@@ -49,6 +49,7 @@ class Safety:
 
     limits: Limits
     force_n: float | None = None
+    position_m: float | None = None
     temperature_c: float | None = None
     model_c: float | None = None
     contact: bool | None = None
@@ -93,6 +94,7 @@ class SafetyWatch:
         model_c = np.nan if self._winding is None else self._winding.temperature_c
         return Safety(
             limits=self._limits,
+            position_m=float(np.median(position)) if position.size else None,
             force_n=float(force_n.max()) if force_n.size else None,
             temperature_c=float(np.median(temperature)) if temperature.size else None,
             model_c=None if np.isnan(model_c) else model_c,

@@ -22,6 +22,7 @@ MM = 1e3
 _SLACK = 0.15
 """Share of its span by which an axis grows beyond the data, so that it seldom has to."""
 _LEAST_SPAN = {"force": 2.0, "position": 1.0}
+_ROLLING_S = 10.0
 _LONG_BEFORE_S, _LONG_AFTER_S = -1e3, 1e5
 """A shade reaches as far to both sides as any test."""
 LINEAR = marked("shaded: linear")
@@ -70,6 +71,15 @@ class SignalPlots(QWidget):
         self._draw(glance.time_s, glance.force_n, MM * glance.position_m)
         if safety is not None and safety.left_region:
             self.position.remark(_(OUTSIDE), "check")
+
+    def show_rolling(self, glance: Glance) -> None:
+        """Draw the newest seconds of something that has no known end."""
+        if not glance.time_s.size:
+            return
+        now = float(glance.time_s[-1])
+        self._show_times(max(0.0, now - _ROLLING_S), max(now, _ROLLING_S), ())
+        recent = glance.time_s >= now - _ROLLING_S
+        self._draw(glance.time_s[recent], glance.force_n[recent], MM * glance.position_m[recent])
 
     def show_test(self, test: Test, device: DeviceDescription) -> None:
         """Draw a recorded test, and where the coil that recorded it was linear."""

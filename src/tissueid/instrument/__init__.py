@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 from tissueid.instrument.correction import Correction
 from tissueid.instrument.discovery import Found, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Instrument, Run, force, not_played, until_released
+from tissueid.instrument.interface import (
+    SAMPLE,
+    SIGNALS,
+    Gap,
+    Instrument,
+    Observer,
+    Run,
+    force,
+    not_played,
+    until_released,
+)
 from tissueid.instrument.limits import (
     CLINICAL,
     PROFILES,
@@ -44,6 +54,7 @@ __all__ = [
     "Instrument",
     "Limits",
     "Link",
+    "Observer",
     "ReplayInstrument",
     "Run",
     "SerialInstrument",

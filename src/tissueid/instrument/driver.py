@@ -19,7 +19,7 @@ from tissueid.instrument.conversation import ANSWER_S, TRIES, Conversation
 from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
 from tissueid.instrument.handshake import Introduction, read_hello
 from tissueid.instrument.incoming import Incoming
-from tissueid.instrument.interface import SIGNALS, Run
+from tissueid.instrument.interface import SIGNALS, Observer, Run
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.link import Link
 from tissueid.instrument.outgoing import (
@@ -60,6 +60,7 @@ class SerialInstrument:
     def __init__(self, link: Link, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = SampleStream()
         self.gaps = self._stream.gaps
+        self.observer: Observer | None = None
         self._link = link
         self._clock = clock
         self._watch = RunWatch(self._stream, lambda: self._talk.send(MessageType.STATUS_REQUEST), self._run_ended)
@@ -221,7 +222,10 @@ class SerialInstrument:
         if watch.error is not None and not self._stream:
             watch.untold()  # it is told now
             raise watch.error
-        return corrected(self._stream.drain(), self._corrections)
+        samples = corrected(self._stream.drain(), self._corrections)
+        if self.observer is not None and samples.size:
+            self.observer(samples)
+        return samples
 
     def finish(self) -> int:
         """End the run now by the soft release of its end; returns how many of its samples were played.

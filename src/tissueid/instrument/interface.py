@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,6 +42,10 @@ class Run:
         return self.first_index + self.samples
 
 
+Observer = Callable[[NDArray[np.void]], None]
+"""Takes samples, shape (k,) of SAMPLE, k > 0, and must not raise."""
+
+
 class Instrument(Protocol):
     """Connect, load, arm, start, poll until the run is over, release, close.
 
@@ -54,6 +58,8 @@ class Instrument(Protocol):
     device: DeviceDescription
     """The figures to work with: the nominal ones, or a calibration's laid over them."""
     gaps: list[Gap]
+    observer: Observer | None
+    """Is called with the samples of every ``poll``, in its thread, whatever procedure polls."""
 
     def use_calibration(self, device: DeviceDescription, corrections: Mapping[str, Correction]) -> None:
         """From now on go by ``device``, and correct what is read channel by channel.
@@ -106,7 +112,10 @@ class Instrument(Protocol):
         """Energise the coil and play."""
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
-        """Samples that arrived, shape (k,) of SAMPLE, k may be 0; waits up to ``timeout_s`` for the first."""
+        """Samples that arrived, shape (k,) of SAMPLE, k may be 0; waits up to ``timeout_s`` for the first.
+
+        ``observer``, if there is one, gets them too.
+        """
 
     def move_stage(self, position_m: float | None) -> bool:
         """Bring the fixture on a motorised stage to rest at a position on the actuator; None takes it out of reach.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument.correction import Correction
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
 from tissueid.instrument.limits import Limits
 from tissueid.wire import Flag
 
@@ -30,6 +30,7 @@ class ReplayInstrument:
     def __init__(self, device: DeviceDescription, signals: Mapping[str, NDArray[np.float64]]) -> None:
         self.device = self.nominal = device
         self.gaps: list[Gap] = []
+        self.observer: Observer | None = None
         self.late_blocks = self.held_samples = 0
         self.setpoint_margin_s: float | None = None
         usable = {name: signals[name] for name in SIGNALS if name in signals}
@@ -103,10 +104,12 @@ class ReplayInstrument:
         del timeout_s
         if not self._running:
             return np.zeros(0, SAMPLE)
-        block = self._samples[self._cursor : min(self._cursor + BLOCK, self._loaded)]
+        block = self._samples[self._cursor : min(self._cursor + BLOCK, self._loaded)].copy()
         self._cursor += block.size
         self._running = self._cursor < self._loaded
-        return block.copy()
+        if self.observer is not None and block.size:
+            self.observer(block)
+        return block
 
     def move_stage(self, position_m: float | None) -> bool:
         """False: a replay has no stage."""

@@ -11,7 +11,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError, UnusableInputError
 from tissueid.instrument.answers import describe_faults
 from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
-from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Run
+from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
@@ -74,6 +74,7 @@ class SimulatedInstrument:
         self._judge = Judge(self.nominal, winding=False)
         self._corrections: Corrections = {}
         self.gaps: list[Gap] = []
+        self.observer: Observer | None = None
         self._random = np.random.default_rng(seed)
         self._command = np.zeros(0)
         self._following = 0
@@ -205,6 +206,8 @@ class SimulatedInstrument:
             if self._index >= self._run.end_index:
                 self._run = None
                 self._limits = None
+        if self.observer is not None:
+            self.observer(samples)
         return samples
 
     def finish(self) -> int:
