@@ -10,16 +10,18 @@ from app.benches import WAIT_MS
 from app.tabbing import check_tabs
 from gap_records import recorded
 from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
+from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
 from tissueid.app.language import speak, spoken
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.proposal import Proposal
+from tissueid.app.views.gap.story import story_of
 from tissueid.audit import AuditLog, last_lines
+from tissueid.gap.next_experiment import NextExperiment
 from tissueid.gap.search import Work
 from tissueid.instrument.twin_file import read_twin
-from tissueid.sessions import write_session
+from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -339,21 +341,21 @@ def test_nothing_begins_beside_a_running_test(open_window, friction):
     assert page.asking.run.isEnabled()
 
 
-STEPS = (("The same, larger", 0.9), ("Press slowly", 0.2))
+STEPS = (("The same, larger", 0.9, "2.5"), ("Press slowly", 0.2, "1.2"))
 
 
 def with_proposal(result, proposal):
     return diagnosing.replace(result, story=diagnosing.replace(result.story, proposal=proposal))
 
 
-def test_the_next_test_is_prepared_and_its_command_copied(qtbot, diagnosed):
+def test_the_next_test_is_prepared_without_a_command_line(qtbot, diagnosed):
     window, page = diagnosed()
     fields = {"min_force_n": 1.5, "max_force_n": 9.0, "seconds": 3.0, "distribution": "uniform", "seed": 4}
-    step = Proposal(STEPS[0][0], "Because.", STEPS, fields, "", "tissueid test --device URL")
+    step = Proposal(STEPS[0][0], "Because.", STEPS, fields, "")
     page.history.add(with_proposal(page.history.result, step))
     page.result.tabs.setCurrentIndex(3)
-    press(qtbot, page.result.next.copy)
-    assert QGuiApplication.clipboard().text() == "tissueid test --device URL"
+    assert [page.result.next.gains.item(row, 1).text() for row in (0, 1)] == ["2.5 to 1", "1.2 to 1"]
+    assert not page.result.next.findChildren(QLineEdit)
     press(qtbot, page.result.next.prepare)
     form = window.ui.form
     assert window.ui.page == "measure"
@@ -362,15 +364,27 @@ def test_the_next_test_is_prepared_and_its_command_copied(qtbot, diagnosed):
     assert "Prepared" in window.ui.notice.text.text()
 
 
+@pytest.mark.parametrize("kind", ["deeper", "slow_ramp"])
+def test_no_shell_command_stands_on_the_page(diagnosed, friction, kind):
+    _, page = diagnosed()
+    found = page.history.result.diagnosis
+    line = "tissueid test --device URL --site SITE --distribution uniform --min-force 1.0 --max-force 8.0 --out next.h5"
+    gains = {"deeper": 0.9, "slow_ramp": 0.3}
+    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, gains, line)
+    page.result.show_story(story_of(diagnosing.replace(found, next_experiment=step), read_session(friction)))
+    said = " ".join(label.text() for label in page.result.findChildren(QLabel))
+    assert not {"tissueid", "nats", "--device", *FEW} & set(said.split())
+    assert page.result.next.prepare.isVisibleTo(page.result.next) == (kind == "deeper")
+
+
 def test_a_test_that_the_form_cannot_do_is_done_by_hand(diagnosed):
     _, page = diagnosed()
-    step = Proposal(STEPS[1][0], "Because.", STEPS, None, "By hand: press slowly.", "")
+    step = Proposal(STEPS[1][0], "Because.", STEPS, None, "By hand: press slowly.")
     page.history.add(with_proposal(page.history.result, step))
     page.result.tabs.setCurrentIndex(3)
     shown = page.result.next
     assert shown.by_hand.isVisible()
     assert not shown.prepare.isVisible()
-    assert not shown.command.isVisible()
 
 
 def test_names_sizes_and_keys(qtbot, diagnosed, qapp):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Signal
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
@@ -24,10 +24,9 @@ _NONE = {
 
 
 class NextTab(QWidget):
-    """``wanted`` says that the test is to be prepared, ``copied`` that the command was put on the clipboard."""
+    """``wanted`` says that the test is to be prepared."""
 
     wanted = Signal()
-    copied = Signal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -36,27 +35,18 @@ class NextTab(QWidget):
         self.by_hand = plain_label()
         self.prepare = QPushButton(_("Prepare this test"))
         self.prepare.setToolTip(_("Fill in the form of the guided test; nothing moves before you start it there"))
-        self.command = QLineEdit()
-        self.command.setReadOnly(True)
-        self.command.setAccessibleName(_("Command line of the test"))
-        self.copy = QPushButton(_("Copy"))
-        self.copy.setAccessibleName(_("Copy the command line"))
-        self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Worth (nats a channel)")), 1)
+        self.gains = BarTable(_("What each test would be worth"), (_("Test"), _("Expected odds")), 1)
         if (head := self.gains.horizontalHeaderItem(1)) is not None:
             head.setToolTip(
-                _(
-                    "How clearly the test would tell the candidates apart: 3 is about twenty to one, less than 1 is "
-                    "little"
-                )
+                _("How clearly the test would tell the candidates apart: 20 to 1 is clear, less than 3 to 1 is little")
             )
         self.prepare.clicked.connect(self.wanted)
-        self.copy.clicked.connect(self._copy)
         self._arrange()
 
     @property
     def fields(self) -> list[QWidget]:
         """What the tab key visits, in order."""
-        return [self.prepare, self.command, self.copy, self.gains]
+        return [self.prepare, self.gains]
 
     def show_story(self, story: Story) -> None:
         """Show what a diagnosis would measure next."""
@@ -66,11 +56,6 @@ class NextTab(QWidget):
         self.by_hand.setText("" if step is None else step.by_hand)
         self.by_hand.setVisible(bool(self.by_hand.text()))
         self.prepare.setVisible(step is not None and step.fields is not None)
-        line = "" if step is None else step.command_line
-        self.command.setText(line)
-        self.command.setCursorPosition(0)
-        for widget in (self.command, self.copy):
-            widget.setVisible(bool(line))
         self.gains.setVisible(step is not None)
         if step is not None:
             self._show_gains(step)
@@ -80,11 +65,13 @@ class NextTab(QWidget):
         self.gains.paint_with(theme)
 
     def _show_gains(self, step: Proposal) -> None:
-        most = max((gain for _, gain in step.gains), default=0.0) or 1.0
-        self.gains.fill([((words, f"{gain:.2f}"), gain / most, words == step.title) for words, gain in step.gains])
-
-    def _copy(self) -> None:
-        self.copied.emit(self.command.text())
+        most = max((gain for _title, gain, _odds in step.gains), default=0.0) or 1.0
+        self.gains.fill(
+            [
+                ((title, _("{odds} to 1").format(odds=odds)), gain / most, title == step.title)
+                for title, gain, odds in step.gains
+            ]
+        )
 
     def _arrange(self) -> None:
         card = QFrame()
@@ -98,10 +85,6 @@ class NextTab(QWidget):
         buttons.addWidget(self.prepare)
         buttons.addStretch(1)
         column.addLayout(buttons)
-        line = QHBoxLayout()
-        line.addWidget(self.command, 1)
-        line.addWidget(self.copy)
-        column.addLayout(line)
         column.addStretch(1)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 6, 0, 0)

@@ -13,6 +13,7 @@ from tissueid.app.language import _
 from tissueid.app.words import sentence
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.menu import menu
+from tissueid.gap.next_experiment import odds
 from tissueid.sessions import Session
 from tissueid.wording import clean
 
@@ -25,17 +26,15 @@ _OPTIONS = {"--min-force": "min_force_n", "--max-force": "max_force_n", "--secon
 class Proposal:
     """A test that would tell the rivals apart.
 
-    ``gains`` are the words of every test on the menu with what it is worth (nats a channel), best first. ``fields`` are
-    what the form of the guided test is filled in with, None where the test is done by hand; ``command_line`` runs it,
-    where there is a command that does.
+    ``gains`` are the title of every test on the menu, its expected gain (nats) and the odds that this amounts to, best
+    first. ``fields`` are what the form of the guided test is filled in with, None where the form has no such test.
     """
 
     title: str
     why: str
-    gains: tuple[tuple[str, float], ...]
+    gains: tuple[tuple[str, float, str], ...]
     fields: Mapping[str, Any] | None
     by_hand: str
-    command_line: str
 
 
 def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
@@ -50,21 +49,17 @@ def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
     return Proposal(
         title,
         sentence(said_by_core(step.why.rstrip("."))),
-        tuple((words.get(kind, kind.replace("_", " ").capitalize()), gain) for kind, gain in gains),
+        tuple((words.get(kind, kind.replace("_", " ").capitalize()), gain, odds(gain)) for kind, gain in gains),
         fields,
-        "" if fields is not None else _by_hand(title, step.command_line),
-        step.command_line,
+        "" if fields is not None else _by_hand(title),
     )
 
 
-def _by_hand(title: str, command_line: str) -> str:
-    if command_line:
-        return _("By hand: {title}. Then run this command, with the instrument's address for URL.").format(
-            title=f"{title[:1].lower()}{title[1:]}"
-        )
+def _by_hand(title: str) -> str:
     return _(
-        "By hand: {title}. The guided test has no stimulus for it: record it with the "
-        "instrument's own program, import the file, and diagnose that session."
+        "By hand: {title}. The form on the page Measure has no such test: have it recorded from the command line, "
+        "which the answer for scripts (Export JSON…) gives, or with the instrument's own program. Then diagnose that "
+        "session."
     ).format(title=f"{title[:1].lower()}{title[1:]}")
 
 

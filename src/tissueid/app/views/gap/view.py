@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication, QKeySequence, QShortcut
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QSizePolicy, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
@@ -227,10 +227,6 @@ class GapView(View):
             ).format(title=f"{step.title[:1].lower()}{step.title[1:]}", low=low, high=high),
         )
 
-    def _copy(self, text: str) -> None:
-        QGuiApplication.clipboard().setText(text)
-        self.desk.say(_("The command is on the clipboard."))
-
     # -- files that are dropped -----------------------------------------------------------------------------------
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802
@@ -278,7 +274,6 @@ class GapView(View):
         self.result.report.clicked.connect(self._report)
         self.result.export.clicked.connect(self._ask_for_json)
         self.result.next.wanted.connect(self._prepare)
-        self.result.next.copied.connect(self._copy)
         for field in (self.asking.fit, self.asking.check):
             field.installEventFilter(self)
         start = QShortcut(QKeySequence("Ctrl+Return"), self)
