@@ -212,7 +212,10 @@ def remove(*names):
         (replace_dataset("tests/0001/signals/force", data=np.zeros(7)), "900 samples where others have|7 samples"),
         (replace_dataset("tests/0001/signals/force", data=np.zeros((900, 2))), "not a row of numbers"),
         (replace_dataset("tests/0001/signals/force", data=np.array([b"a"] * 900)), "not a row of numbers"),
-        (replace_dataset("tests/0001/signals/force", shape=(10**12,), dtype="f4", chunks=(1000,)), "at most 200000000"),
+        (
+            replace_dataset("tests/0001/signals/force", shape=(10**12,), dtype="f4", chunks=(1000,)),
+            "1000000009900 numbers",
+        ),
         (remove(*(f"tests/0001/signals/{n}" for n in ("command", "voltage", "current", "force"))), "one input"),
         (lambda f: f.__setitem__("tests/0003", h5py.ExternalLink("other.h5", "/")), "0003 is a link"),
         (lambda f: f.__setitem__("tests/0001/signals/x", h5py.SoftLink("/tests/0002")), "is a link"),
@@ -295,4 +298,4 @@ def test_sessions_of_an_independent_rig_are_read(path):
     record = session.test().record()
     assert len(record) >= 2000
     assert session.test().kind == "stochastic"
-    assert session.instrument.model == "desktop indenter"
+    assert session.instrument.model.endswith(" indenter")

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Run, force
-from tissueid.sessions.members import MAX_TEXT
 from tissueid.stimuli.base import GUIDED, Array, Stimulus, preload_values, to_voltage
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
+from tissueid.untrusted import MAX_TEXT
 
 _REHEARSAL_S = 2.0
 _REHEARSED_STIFFNESS = 1000.0

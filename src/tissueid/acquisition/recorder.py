@@ -32,7 +32,7 @@ from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
 from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
-from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_session
+from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_own_session
 
 WAITING_S = 30.0
 """Seconds of samples that may wait for a disk that stands still; then the test ends."""
@@ -278,7 +278,7 @@ class SessionRecorder:
             JournalError: as ``write``.
         """
         self.write()
-        return read_session(self.path)
+        return read_own_session(self.path)
 
     def finish_or_discard(self, cause: BaseException | None = None) -> Session | None:
         """After a failure: keep what was recorded as a session, or leave nothing when there is nothing.

@@ -27,7 +27,16 @@ from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.instrument import SAMPLE, SIGNALS, Run, force, not_played, until_released
-from tissueid.sessions import MAX_NUMBERS, Session, Subject, Test, read_session, read_session_head, write_session
+from tissueid.sessions import (
+    MAX_NUMBERS,
+    Session,
+    Subject,
+    Test,
+    read_own_session,
+    read_session,
+    read_session_head,
+    write_session,
+)
 from tissueid.whole_file import remove_leftovers
 
 SPARSE_SAMPLES = 500_000
@@ -379,7 +388,7 @@ def recover(
             if isinstance(error, _CutOffError):
                 raise UnusableInputError(f"{error}; delete {journal} if it is in the way") from error
             raise
-        if target.exists():
+        if not (written := not target.exists()):
             # The host died between the rename and the removal of the journal.
             if read_session_head(target).session_id != session.session_id:
                 raise UnusableInputError(f"{target} is another session; move it away first")
@@ -393,7 +402,7 @@ def recover(
             write_session(target, session, tests=tests_again)
     for session_file in {target, journal.with_name(journal.name.removesuffix(".journal"))}:
         remove_leftovers(session_file)
-    recovered = read_session(target)
+    recovered = read_own_session(target) if written else read_session(target)
     if damage.places:
         told(_keep_damaged(journal, damage))
     else:

@@ -13,21 +13,20 @@ import numpy as np
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
-from tissueid.sessions.members import datasets, json_object, number_of, opened, plain, subgroup, text_of
+from tissueid.sessions.members import datasets, json_object, number_of, opened, plain_attributes, subgroup, text_of
 from tissueid.sessions.model import SIGNAL_UNITS, STATUSES, Session, Subject, Test
 from tissueid.sessions.outline import Outline, TestOutline
+from tissueid.untrusted import MAX_SAMPLES, MAX_TESTS, RATES_HZ, most_numbers
 
 FORMAT = "tissueid-session"
 FORMAT_VERSION = "1.0"
-MAX_SAMPLES = 20_000_000
-MAX_NUMBERS = 200_000_000
-"""In all signals of all tests together: 1.6 GB once they are read."""
-MAX_TESTS = 10_000
 _REQUIRED_TEST = ("kind", "sample_rate_hz")
 
 
 def read_session(path: Path) -> Session:
-    """Read a session. Files come from anywhere: sizes, types and links are checked before anything is loaded.
+    """Read a session in this very process: one that this process has written and compared just now.
+
+    Sizes, types and links are checked before anything is loaded, but nothing bounds the time (``reading``).
 
     Raises:
         SessionFormatError: not there, not a session, or one that breaks the format; says where.
@@ -58,7 +57,7 @@ def read_outline(path: Path) -> Outline:
         head = _read_head(file)
         tests = _tests(file)
         outline = Outline(head, tuple(_outline(name, subgroup(tests, name)) for name in sorted(tests)))
-        _check_numbers(sum(test.samples * len(test.signals) for test in outline.tests))
+        _check_numbers(file, sum(test.samples * len(test.signals) for test in outline.tests))
         return outline
 
 
@@ -85,19 +84,23 @@ def read_all_but_tests(file: h5py.File) -> Session:
     """
     head = _read_head(file)
     tests = _tests(file)
-    _check_numbers(sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name)))
+    _check_numbers(file, sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name)))
     return head
 
 
-def _check_numbers(numbers: int) -> None:
-    if numbers > MAX_NUMBERS:
-        raise SessionFormatError(f"the tests hold {numbers} numbers; at most {MAX_NUMBERS} are read")
+def _check_numbers(file: h5py.File, numbers: int) -> None:
+    most = most_numbers(file.id.get_filesize())
+    if numbers > most:
+        raise SessionFormatError(f"the tests hold {numbers} numbers; at most {most} are read from a file of this size")
 
 
 def _tests(file: h5py.File) -> h5py.Group:
     tests = subgroup(file, "tests")
     if len(tests) > MAX_TESTS:
         raise SessionFormatError(f"{len(tests)} tests; at most {MAX_TESTS} are read")
+    places = {h5py.h5o.get_info(subgroup(tests, name).id).addr for name in tests}
+    if len(places) < len(tests):
+        raise SessionFormatError("one test has several numbers")
     return tests
 
 
@@ -132,7 +135,8 @@ def _read_subject(file: h5py.File) -> Subject:
     if "subject" not in file:
         return Subject()
     attributes = subgroup(file, "subject").attrs
-    others = {name: plain(attributes[name]) for name in attributes if name != "pseudonym"}
+    others = plain_attributes(attributes)
+    others.pop("pseudonym", None)
     return Subject(text_of(attributes, "pseudonym", "anonymous"), others)
 
 
@@ -157,8 +161,11 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
             if required not in attributes:
                 raise SessionFormatError(f"the attribute {required} is missing")
         rate = number_of(attributes, "sample_rate_hz")
-        if not rate > 0:
-            raise SessionFormatError(f"a sample rate of {rate} Hz")
+        if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+            raise SessionFormatError(f"a sample rate of {rate:g} Hz; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz are read")
+        preload = max(0.0, number_of(attributes, "preload_s", 0.0))
+        if math.isinf(preload):
+            raise SessionFormatError("a preload of infinite length")
         repeat = text_of(attributes, "repeat_of", "")
         status = text_of(attributes, "status", "completed")
         known = {"kind", "configuration", "site", "sample_rate_hz", "preload_s", "surface_position_m"}
@@ -170,13 +177,13 @@ def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test
             sample_rate_hz=rate,
             configuration=text_of(attributes, "configuration", "indentation"),
             site=text_of(attributes, "site", ""),
-            preload_s=max(0.0, number_of(attributes, "preload_s", 0.0)),
+            preload_s=preload,
             surface_position_m=number_of(attributes, "surface_position_m", math.nan),
             stimulus=json_object(text_of(attributes, "stimulus", "{}"), "stimulus"),
             seed=int(number_of(attributes, "seed", 0)),
             repeat_of=int(repeat) if repeat else None,
             status=status if status in STATUSES else "completed",
-            notes={key: plain(attributes[key]) for key in attributes if key not in known},
+            notes={key: value for key, value in plain_attributes(attributes).items() if key not in known},
             units=_read_units(subgroup(group, "signals")) if signals else {},
         )
     except SessionFormatError as error:
@@ -203,7 +210,7 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
 def _read_units(group: h5py.Group) -> dict[str, str]:
     """Units of the signals that are none of the format's own; those of the format are SI, and need no reading."""
     units = {
-        name: str(plain(dataset.attrs["units"]))
+        name: text_of(dataset.attrs, "units")
         for name, dataset in datasets(group)
         if name not in SIGNAL_UNITS and "units" in dataset.attrs
     }

@@ -101,12 +101,15 @@ def _write_test(group: h5py.Group, test: Test) -> None:
         status=test.status,
     )
     signals = group.create_group("signals")
-    time = signals.create_dataset("time", data=np.arange(test.samples) / test.sample_rate_hz)
+    times = np.arange(test.samples) / test.sample_rate_hz
+    time = signals.create_dataset("time", data=times, chunks=True, fletcher32=True)
     time.make_scale("time")
     for name, values in test.signals.items():
         if name == "time":
             continue
-        dataset = signals.create_dataset(name, data=values, compression="gzip", compression_opts=4, shuffle=True)
+        dataset = signals.create_dataset(
+            name, data=values, compression="gzip", compression_opts=4, shuffle=True, fletcher32=True
+        )
         dataset.dims[0].attach_scale(time)
     for name, dataset in signals.items():
         dataset.attrs["units"] = test.unit(name) or "1"

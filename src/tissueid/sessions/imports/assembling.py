@@ -9,10 +9,10 @@ from dataclasses import fields, replace
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.sessions.file import MAX_NUMBERS, MAX_TESTS
 from tissueid.sessions.imports.attributes import unknown_device
 from tissueid.sessions.imports.building import Imported
 from tissueid.sessions.model import Session, Subject
+from tissueid.untrusted import MAX_NUMBERS, MAX_TESTS
 
 _FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
 """Every figure of an instrument, and whether it is a number."""

@@ -1,0 +1,248 @@
+"""HDF5 files from anywhere are read in a child process, which can be ended (docs/decisions/0030-reader-process.md).
+
+The HDF5 library is written in C: a damaged file can make it loop, take all memory or crash, and neither Ctrl+C nor an
+exception stops it. The child stays for further files, and is started again after one that ended it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import faulthandler
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from tissueid.errors import SessionFormatError, UnusableInputError
+from tissueid.sessions import file, members
+from tissueid.untrusted import MEMORY_BYTES, most_seconds
+
+_COMMAND = "from tissueid.sessions.reader_process import serve; serve()"
+_TIMED_OUT = -signal.SIGPROF if hasattr(signal, "SIGPROF") else 1
+"""Exit status of a child whose time ran out."""
+_MEMORY = MEMORY_BYTES * 3 // 5
+"""Bytes that a child may take for one file, beyond what it has at its start. The rest is for what it hands over."""
+_MEMORY_PER_BYTE = 16
+"""Further bytes for each byte of the file."""
+_KEPT = 100_000_000
+"""A child that holds this much more than at its start ends after the file, and another one takes its place."""
+
+
+class ReaderProcess:
+    """A child process that reads HDF5 files, one at a time. Threads wait for each other.
+
+    ``seconds`` is the time for one file, by its size.
+    """
+
+    def __init__(self, seconds: Callable[[int], float] = most_seconds) -> None:
+        self._seconds = seconds
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def read(self, task: str, path: Path, *arguments: Any) -> list[Any]:
+        """Run a task of ``_TASKS`` on a file in the child; returns what it yields.
+
+        Raises:
+            UnusableInputError: as the task, or the child could not be started.
+            SessionFormatError: as the task, or reading the file took too long or ended the child.
+        """
+        absolute = Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve would follow links, and say so in errors
+        with self._lock:
+            try:
+                return self._ask(pickle.dumps((task, absolute, self._seconds(path.stat().st_size), arguments)))
+            except (EOFError, OSError, pickle.UnpicklingError) as error:
+                timed_out = self._ended() == _TIMED_OUT
+                how = "takes too long to be read" if timed_out else "cannot be read: it ends the reading process"
+                raise SessionFormatError(f"{path} is damaged: it {how}") from error
+            except UnusableInputError as error:
+                raise type(error)(str(error).replace(str(absolute), str(path))) from error
+            except BaseException:
+                self._ended()  # an interrupt, or a defect: what is still to come from the child is not for others
+                raise
+
+    def close(self) -> None:
+        """End the child. The next file starts another one."""
+        with self._lock:
+            self._ended()
+
+    def _ask(self, request: bytes) -> list[Any]:
+        process = self._running()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(request)
+        process.stdin.flush()
+        found = []
+        while True:
+            kind, value = pickle.load(process.stdout)  # noqa: S301 - written by this program's own child
+            if kind == "item":
+                found.append(value)
+                continue
+            if kind == "last":
+                self._ended()
+            if kind == "defect":
+                raise RuntimeError(value)
+            if isinstance(value, UnusableInputError):
+                raise value
+            return found
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        self._ended()
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", _COMMAND],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                cwd=Path(sys.executable).anchor,  # no folder stays in use by it
+                # In a group of its own Ctrl+C does not reach it: it ends when its input does.
+                start_new_session=sys.platform != "win32",
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+            )
+        except OSError as error:
+            raise UnusableInputError(f"the reading process cannot be started: {error.strerror or error}") from error
+        return self._process
+
+    def _ended(self) -> int | None:
+        """End the child, whatever it does; returns its exit status where it has ended by itself."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        with process:
+            with contextlib.suppress(OSError):
+                process.stdin.close()  # type: ignore[union-attr]
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(0.2)
+            own = process.returncode
+            process.kill()
+        return own
+
+
+_reader = ReaderProcess()
+_reader_of = os.getpid()
+atexit.register(_reader.close)
+
+
+def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
+    """As ``ReaderProcess.read``, by the one child of this process."""
+    global _reader, _reader_of
+    if _reader_of != os.getpid():  # a fork: the child is its parent's
+        _reader, _reader_of = ReaderProcess(), os.getpid()
+    if not path.is_file():
+        return list(_TASKS[task](path, *arguments))  # refused, in words that tell a folder from a missing file
+    return _reader.read(task, path, *arguments)
+
+
+def _session(path: Path) -> Iterator[Any]:
+    with members.opened(path) as opened:
+        yield file.read_all_but_tests(opened)
+        tests = members.subgroup(opened, "tests")
+        for name in sorted(tests):
+            yield file.read_numbered(name, members.subgroup(tests, name))
+
+
+def _head(path: Path) -> Iterator[Any]:
+    yield file.read_session_head(path)
+
+
+def _outline(path: Path) -> Iterator[Any]:
+    yield file.read_outline(path)
+
+
+def _test(path: Path, number: int) -> Iterator[Any]:
+    yield file.read_test(path, number)
+
+
+_TASKS: dict[str, Callable[..., Iterator[Any]]] = {
+    "session": _session,
+    "head": _head,
+    "outline": _outline,
+    "test": _test,
+}
+
+
+# -- the child ------------------------------------------------------------------------------------------------
+
+
+def serve() -> None:
+    """The child itself: read file after file until the input ends."""
+    incoming, outgoing = sys.stdin.buffer, sys.stdout.buffer
+    sys.stdout = sys.stderr  # whatever else is printed must not mix with what is read
+    if hasattr(signal, "SIGPROF"):
+        signal.signal(signal.SIGPROF, signal.SIG_DFL)  # a parent may have ignored it
+    addresses, resident = _memory()
+    while True:
+        try:
+            task, path, seconds, arguments = pickle.load(incoming)  # noqa: S301 - written by this program's own parent
+        except EOFError:
+            return
+        _limit_memory(addresses, path)
+        kind, value = _served(outgoing, task, path, seconds, arguments)
+        _end_after(0.0)
+        last = kind == "done" and _memory()[1] > resident + _KEPT
+        _send(outgoing, "last" if last else kind, value)
+
+
+def _served(
+    outgoing: IO[bytes], task: str, path: Path, seconds: float, arguments: tuple[Any, ...]
+) -> tuple[str, Exception | str | None]:
+    try:
+        _end_after(seconds)
+        for item in _TASKS[task](path, *arguments):
+            _send(outgoing, "item", item)
+            _end_after(seconds)
+    except UnusableInputError as error:
+        return "done", error.with_traceback(None)
+    except MemoryError:
+        return "done", SessionFormatError(f"{path} is damaged: it would take too much memory")
+    except Exception:  # noqa: BLE001 - a defect of the software, and the parent's to report
+        return "defect", traceback.format_exc()
+    return "done", None
+
+
+def _send(outgoing: IO[bytes], kind: str, value: object) -> None:
+    pickle.dump((kind, value), outgoing, protocol=pickle.HIGHEST_PROTOCOL)
+    outgoing.flush()
+
+
+def _end_after(seconds: float) -> None:
+    """End this process when it has worked for so long, whatever it does then; never where ``seconds`` is 0.
+
+    Where the system can, time of the processor counts: a busy machine or a slow disk is no fault of the file.
+    """
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)  # nothing handles its signal, so it ends the process
+    elif seconds:
+        faulthandler.dump_traceback_later(seconds, exit=True)
+    else:
+        faulthandler.cancel_dump_traceback_later()
+
+
+def _memory() -> tuple[int, int]:
+    """Bytes of addresses in use, and of those in memory, where the system tells; else 0."""
+    try:
+        addresses, resident = Path("/proc/self/statm").read_text(encoding="ascii").split()[:2]
+        page = os.sysconf("SC_PAGE_SIZE")
+        return int(addresses) * page, int(resident) * page
+    except (OSError, ValueError):
+        return 0, 0
+
+
+def _limit_memory(addresses: int, path: Path) -> None:
+    """Limit the memory of this process, on systems that can."""
+    if not addresses:
+        return
+    import resource
+
+    with contextlib.suppress(OSError, ValueError):
+        most = addresses + _MEMORY + _MEMORY_PER_BYTE * path.stat().st_size
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))

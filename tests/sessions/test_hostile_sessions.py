@@ -1,0 +1,97 @@
+"""Whatever a session file holds, reading it ends, in a session or in one line."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from sessions import hostile
+
+from tissueid.cli import main
+from tissueid.errors import SessionFormatError
+from tissueid.sessions import read_outline, read_session, read_session_head
+from tissueid.sessions.heap_check import check_heaps
+from tissueid.sessions.reader_process import ReaderProcess
+
+
+@pytest.fixture
+def path(tmp_path):
+    return hostile.a_session(tmp_path / "s.h5")
+
+
+def test_every_flipped_bit_of_a_size_in_the_heap_is_met(path):
+    whole = path.read_bytes()
+    objects = list(hostile.heap_objects(whole))
+    assert len(objects) > 20
+    refused = 0
+    for at in objects:
+        for bit in range(12):
+            data = bytearray(whole)
+            data[at + 8 + bit // 8] ^= 1 << bit % 8
+            path.write_bytes(data)
+            try:
+                read_session(path)
+            except SessionFormatError:
+                refused += 1
+    assert refused > len(objects)
+
+
+def test_an_endless_heap_is_refused_before_the_library_reads_it(path):
+    check_heaps(path)
+    hostile.endless_heap(path)
+    with pytest.raises(SessionFormatError, match="its texts overlap"):
+        check_heaps(path)
+    with pytest.raises(SessionFormatError, match=r"s\.h5: is damaged: its texts overlap"):
+        read_session_head(path)
+
+
+def test_a_file_that_makes_the_library_loop_costs_the_child_alone(path, tmp_path):
+    good = hostile.a_session(tmp_path / "good.h5")
+    hostile.endless_heap(path, unseen=True)
+    check_heaps(path)
+    reader = ReaderProcess(lambda size: 0.2)
+    with pytest.raises(SessionFormatError, match="takes too long to be read"):
+        reader.read("head", path)
+    assert reader.read("head", good)[0].subject.pseudonym == "B5978"
+    reader.close()
+
+
+@pytest.mark.parametrize("what", hostile.REFUSED)
+def test_what_is_too_much_is_refused(what, path):
+    hostile.changed(path, hostile.REFUSED[what])
+    with pytest.raises(SessionFormatError):
+        read_session(path)
+
+
+@pytest.mark.parametrize("what", hostile.CLEANED)
+def test_what_cannot_be_written_is_not_read(what, path, tmp_path, capsys):
+    hostile.changed(path, hostile.CLEANED[what])
+    for kind in ("csv", "mat"):
+        assert main(["export", str(path), "--out", str(tmp_path / kind), "--format", kind]) == 0
+    capsys.readouterr()
+    assert main(["import", str(tmp_path / "csv" / "test-0001.csv"), "--out", str(tmp_path / "again.h5")]) == 0
+
+
+def test_damaged_samples_are_an_error_and_never_other_numbers(path):
+    with h5py.File(path) as file:
+        places = []
+        for name, dataset in file[hostile.SIGNALS].items():
+            assert dataset.fletcher32, name
+            chunk = dataset.id.get_chunk_info(0)
+            places += [chunk.byte_offset, chunk.byte_offset + chunk.size // 2, chunk.byte_offset + chunk.size - 5]
+    whole = path.read_bytes()
+    for place in places:
+        data = bytearray(whole)
+        data[place] ^= 4
+        path.write_bytes(data)
+        with pytest.raises(SessionFormatError, match="damaged"):
+            read_session(path)
+
+
+def test_sessions_without_checksums_are_read(path):
+    with h5py.File(path, "r+") as file:
+        values = file[hostile.SIGNALS]["force"][:]
+        del file[hostile.SIGNALS]["force"]
+        file[hostile.SIGNALS].create_dataset("force", data=values, compression="gzip")
+    np.testing.assert_array_equal(read_session(path).tests[0].signals["force"], values)
+    assert read_outline(path).tests[0].samples == 900
