@@ -17,6 +17,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 _FOLDERS_CANNOT = (errno.EINVAL, errno.ENOTSUP, errno.EBADF, errno.EACCES, errno.EPERM, errno.EISDIR)
 """What systems answer that do not let a folder be synced; anything else is the disk."""
@@ -119,6 +120,19 @@ def create_private(path: Path) -> int:
         OSError: it cannot be made.
     """
     return _create(path, _PRIVATE_FILE)
+
+
+def open_regular(path: Path) -> IO[bytes]:
+    """Open an ordinary file for reading; a pipe or a device, which may never end, is refused without waiting.
+
+    Raises:
+        OSError: it is not there, may not be read, or is no ordinary file.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
+    return os.fdopen(descriptor, "rb")
 
 
 def private_opener(path: str, flags: int) -> int:

@@ -57,6 +57,28 @@ def test_sessions_and_calibrations_tell_of_an_end_that_was_cut_off(path, tmp_pat
         assert "the log had line 5, and it ends with line 4: its end was cut off" in capsys.readouterr().err
 
 
+def test_an_emptied_log_and_one_that_was_removed_are_no_logs_that_nothing_was_written_to(path, tmp_path, capsys):
+    empty = tmp_path / "new.jsonl"
+    empty.touch()
+    assert main(["audit", "verify", "--log", str(empty)]) == 0
+    assert "nothing has been logged yet" in capsys.readouterr().out
+    lines = rows(path)
+    path.write_bytes(b"")
+    assert main(["audit", "verify", "--log", str(path)]) == 2
+    assert "had line 5, and it ends with line 0" in capsys.readouterr().err
+    path.unlink()
+    assert main(["audit", "verify", "--log", str(path)]) == 2
+    assert "its newest line was number 5, and it was removed or moved" in capsys.readouterr().err
+    AuditLog(path).record("clinician", "test.begun")
+    moved = tmp_path / "2025.jsonl"
+    moved.write_bytes(b"".join(lines))
+    assert main(["audit", "verify", "--log", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "line 2 says that lines up to 5 were in the log before" in said
+    assert len(said.splitlines()) == 1
+    assert main(["audit", "verify", "--log", str(path), "--after", str(moved)]) == 0
+
+
 def test_show_prints_the_newest_lines(path, capsys):
     path.write_bytes(path.read_bytes())
     AuditLog(path).record("clinician", "settings.changed", old="dark", new="\x1b[31mlight")

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import os
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
-from audit_logs import START, a_log, rows
+from audit_logs import START, a_log, forget, rows
 
 from tissueid.audit import (
     AuditError,
     AuditLog,
     Damage,
+    Trail,
     check_head,
     last_lines,
+    verification,
     verify,
 )
+from tissueid.audit.newest import newest_path
 from tissueid.errors import UnusableInputError
 
 
 def test_a_log_that_is_cut_off_is_told_by_a_head_from_elsewhere(path):
     head = verify(path).head
     lines = rows(path)
+    forget(path)  # by who may write both
     for kept in range(1, len(lines)):
         path.write_bytes(b"".join(lines[:kept]))
         assert verify(path).whole
@@ -36,9 +41,11 @@ def test_a_log_that_is_cut_off_is_told_by_a_head_from_elsewhere(path):
 def test_a_log_made_anew_is_told_by_a_head_from_elsewhere(path):
     head = verify(path).head
     path.unlink()
+    forget(path)
     log = a_log(path, 7)
     assert verify(path, {head: "session.h5"}).broken is None, "the same lines at the same time are the same log"
     path.unlink()
+    forget(path)
     for _ in range(9):
         log.record("clinician", "test.begun")
     broken = verify(path, {head: "session.h5"}).broken
@@ -58,6 +65,7 @@ def test_what_a_dying_computer_left_is_closed_off_and_nothing_after_it_is_lost(t
     second_last = len(rows(path)[0] + rows(path)[1])
     for length in range(len(whole) - 1, second_last, -1):
         path.write_bytes(whole[:length])
+        forget(path)
         told = verify(path)
         assert told.whole
         assert len(told.remarks) == 1
@@ -79,6 +87,7 @@ def test_a_computer_that_dies_again_and_again_while_it_closes_off(tmp_path):
     for cut in (-1, -40, -500, -600, -2, -300):
         AuditLog(path).record("clinician", "test.begun")
         os.truncate(path, path.stat().st_size + cut)
+        forget(path)
         assert verify(path).whole
     AuditLog(path).record("clinician", "test.ended")
     assert verify(path).whole
@@ -95,6 +104,7 @@ def test_a_first_line_that_was_never_finished(tmp_path):
     path = tmp_path / "a.jsonl"
     for left in (b"", b"{", b'{"number":1,"time":"20', b"\0\0"):
         path.write_bytes(left)
+        forget(path)
         AuditLog(path).record("clinician", "test.begun")
         assert verify(path).whole
         assert [line.what for line in last_lines(path, 9)][-2:] == ["audit.started", "test.begun"]
@@ -136,11 +146,75 @@ def test_nothing_is_added_to_another_file(tmp_path, foreign):
     assert verify(path).broken.damage is Damage.FOREIGN
 
 
-def test_a_log_that_was_moved_away_is_begun_anew(path):
-    path.rename(path.with_name("2025.jsonl"))
+def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
+    head = verify(path).head
+    moved = path.rename(path.with_name("2025.jsonl"))
     AuditLog(path).record("clinician", "test.begun")
-    assert [line.what for line in last_lines(path, 9)] == ["audit.started", "test.begun"]
-    assert verify(path.with_name("2025.jsonl")).whole
+    lines = last_lines(path, 9)
+    assert [line.what for line in lines] == ["audit.started", "audit.lines_missing", "test.begun"]
+    assert lines[1].old == head
+    broken = verify(path).broken
+    assert (broken.place, broken.damage) == (2, Damage.CUT)
+    assert verify(path, after=[moved]).whole
+    moved.write_bytes(b"".join(rows(moved)[:-1]))
+    assert verify(path, after=[moved]).broken.damage is Damage.CUT
+    moved.write_bytes(b"something else\n")
+    with pytest.raises(UnusableInputError, match=r"2025\.jsonl: it does not begin"):
+        verify(path, after=[moved])
+
+
+@pytest.mark.parametrize("kept", range(5))
+def test_a_log_that_is_cut_off_or_emptied_is_found_by_the_note_of_its_newest_line(path, kept):
+    path.write_bytes(b"".join(rows(path)[:kept]))
+    broken = verify(path).broken
+    assert broken.damage is Damage.CUT
+    assert f"had line 5, and it ends with line {kept}" in broken.words
+    AuditLog(path).record("clinician", "test.begun")  # which hides nothing
+    assert verify(path).broken.damage is Damage.CUT
+    assert "audit.lines_missing" in [line.what for line in last_lines(path, 9)]
+
+
+@pytest.mark.parametrize("note", [b"", b"x", b"\xff" * 200, b"5:abc\n", b"99999999999999:" + b"0" * 64])
+def test_a_note_that_is_none_is_passed_over_and_written_again(path, note):
+    newest_path(path).write_bytes(note)
+    assert verify(path).whole
+    AuditLog(path).record("clinician", "test.begun")
+    assert newest_path(path).read_text() == verify(path).head + "\n"
+
+
+@pytest.mark.parametrize("how", ["emptied", "removed", "replaced"])
+@pytest.mark.parametrize("noted", [True, False])
+def test_a_log_that_is_taken_away_while_it_is_in_use_is_said(path, how, noted):
+    trail = Trail(AuditLog(path), "clinician")
+    trail.record("session.begun")
+    path.unlink()
+    if how != "removed":
+        path.touch()
+    if how == "replaced":
+        forget(path)
+        a_log(path, 1)
+    if not noted:
+        forget(path)
+    trail.note("test.begun")
+    assert f"lines up to 6, which were written before: {path} was emptied, removed or replaced" in trail.settle()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_what_is_no_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.jsonl")
+    for path in (tmp_path / "a.jsonl", Path("/dev/zero")):
+        for read in (verify, lambda path: last_lines(path, 5)):
+            with pytest.raises(OSError, match="not an ordinary file"):
+                read(path)
+
+
+def test_a_log_that_is_too_large_is_refused_and_one_of_zeros_ends(path, monkeypatch):
+    with path.open("ab") as file:
+        file.truncate(path.stat().st_size + 40_000_000)
+    assert verify(path).broken.damage is Damage.CHANGED
+    monkeypatch.setattr(verification, "MAX_BYTES", 1_000_000)
+    with pytest.raises(UnusableInputError, match="at most 1 MB are read"):
+        verify(path)
 
 
 def test_a_clock_that_is_set_back_is_remarked(path):

@@ -21,6 +21,8 @@ HEAD_ATTRIBUTE = "audit_head"
 """Under this name files carry the head that the log had when they were written."""
 STARTED = "audit.started"
 CLOSED_OFF = "audit.closed_off"
+LINES_MISSING = "audit.lines_missing"
+"""Lines that were in the log are not there: ``old`` is the head of the newest of them."""
 CANCEL = b"\x18"
 """Ends what a dying computer left of a line, once somebody has seen it; no whole line holds this byte."""
 _HASH = re.compile(rb',"hash":"([0-9a-f]{64})"}')

@@ -23,6 +23,7 @@ from tissueid import __version__
 from tissueid.audit.line import (
     CANCEL,
     CLOSED_OFF,
+    LINES_MISSING,
     MAX_LINE,
     NOTHING_BEFORE,
     STARTED,
@@ -31,6 +32,7 @@ from tissueid.audit.line import (
     make_line,
     read_line,
 )
+from tissueid.audit.newest import read_newest, write_newest
 from tissueid.errors import TissueIDError
 from tissueid.whole_file import private_folder, private_opener, sync_folder, write_all
 
@@ -109,8 +111,10 @@ class AuditLog:
             private_folder(self.path.parent)
             with _held(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)
-                data, head = self._lines(end, role, what, moment, subject=subject, old=old, new=new)
+                missing = _missing_head(end, self.path)
+                data, head = self._lines(end, missing, role, what, moment, subject=subject, old=old, new=new)
                 _append(descriptor, data, end.size)
+                write_newest(self.path, head, os.fstat(descriptor))
                 if end.size == 0:
                     sync_folder(self.path.parent)
         except OSError as error:
@@ -120,7 +124,9 @@ class AuditLog:
             ) from error
         return head
 
-    def _lines(self, end: _End, role: str, what: str, moment: datetime, **values: Any) -> tuple[bytes, str]:
+    def _lines(
+        self, end: _End, missing: str, role: str, what: str, moment: datetime, **values: Any
+    ) -> tuple[bytes, str]:
         """What is to be added, before it what the log itself has to say, and the head after it."""
         data, last = b"" if end.closed else b"\n", end.line
 
@@ -144,9 +150,20 @@ class AuditLog:
             add(CLOSED_OFF, new={"bytes": len(left), "sha256": hashlib.sha256(left).hexdigest()})
         if last is None or (last.what == CLOSED_OFF and last.number == 1):
             add(STARTED, new={"format": FORMAT, "format_version": FORMAT_VERSION})
+        if missing:
+            add(LINES_MISSING, old=missing)
         add(what, **values)
         assert last is not None
         return data, last.head
+
+
+def _missing_head(end: _End, path: Path) -> str:
+    """The head of the newest line that was ever written, where the log does not have it any more; or nothing."""
+    newest = read_newest(path)
+    line = end.line
+    if newest is None or (line is not None and (line.number > newest[0] or line.hash == newest[1])):
+        return ""
+    return f"{newest[0]}:{newest[1]}"
 
 
 def _append(descriptor: int, data: bytes, size: int) -> None:

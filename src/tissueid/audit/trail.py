@@ -105,7 +105,12 @@ class Trail:
                     return
                 line, answer = self._waiting.popleft()
             try:
-                self.head = line()
+                before, self.head = self.head, line()
+                if before and _number(self.head) <= _number(before):
+                    self.problem = self.problem or (
+                        f"lines up to {_number(before)}, which were written before: {self.log.path} was emptied, "
+                        "removed or replaced while it was in use"
+                    )
             except Exception as error:  # noqa: BLE001 - told to who asked, or where the trail ends; the thread goes on
                 if answer is not None:
                     answer.set_exception(error)
@@ -116,3 +121,7 @@ class Trail:
             else:
                 if answer is not None:
                     answer.set_result(self.head)
+
+
+def _number(head: str) -> int:
+    return int(head.partition(":")[0])

@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-from tissueid.audit.line import CANCEL, CLOSED_OFF, MAX_LINE, NOTHING_BEFORE, STARTED, Line, is_torn, read_line
+from tissueid.audit.line import (
+    CANCEL,
+    CLOSED_OFF,
+    LINES_MISSING,
+    MAX_LINE,
+    NOTHING_BEFORE,
+    STARTED,
+    Line,
+    is_torn,
+    read_line,
+)
+from tissueid.audit.newest import newest_path, read_newest
 from tissueid.errors import UnusableInputError
+from tissueid.whole_file import open_regular
 
 _LOOK = 1000
 """Lines between two looks whether it is cancelled."""
+MAX_BYTES = 1_000_000_000
+"""Bytes of a log: two million lines, some decades of a busy instrument."""
+_MOST_TORN = 4 * MAX_LINE
+"""Bytes of lines that a dying computer left unfinished; a program that writes closes them off."""
 _HEAD = re.compile(r"(?:(\d{1,12}):)?([0-9a-f]{64})")
 
 
@@ -81,18 +98,25 @@ def read_lines(path: Path) -> Iterator[Line]:
 
 
 def verify(
-    path: Path, heads: dict[str, str] | None = None, *, cancelled: Callable[[], None] = lambda: None
+    path: Path,
+    heads: dict[str, str] | None = None,
+    *,
+    after: Sequence[Path] = (),
+    cancelled: Callable[[], None] = lambda: None,
 ) -> Verification:
     """Go through a log from its first line. ``heads`` are heads that it must hold, and the name of where each stands.
 
-    A log that was cut off at its end is whole in itself: only a head from elsewhere tells. ``cancelled`` is called
-    from time to time, and may raise to end it.
+    A log that was cut off at its end is whole in itself: only a head from elsewhere tells, such as the newest one that
+    is kept next to the log. ``after`` are earlier logs that hold what this one says is missing. ``cancelled`` is
+    called from time to time, and may raise to end it.
 
     Raises:
-        OSError: it cannot be read.
-        UnusableInputError: a head that is none.
+        OSError: a log cannot be read.
+        UnusableInputError: a head that is none, a log that is too large, or an earlier one that is not whole.
     """
     wanted = [(*check_head(head), where) for head, where in (heads or {}).items()]
+    if (newest := read_newest(path)) is not None:
+        wanted.insert(0, (*newest, f"the note of the newest line, {newest_path(path)},"))
     walk = _Walk(path, cancelled)
     broken = walk.broken()
     if broken is None:
@@ -100,10 +124,39 @@ def verify(
             if own not in walk.hashes:
                 broken = _missing(number, walk, where)
                 break
+    if broken is None and walk.missing:
+        broken = _not_in(walk, _hashes_of(after, cancelled))
     last = walk.last
     return Verification(
         0 if last is None else last.number, "" if last is None else last.head, broken, tuple(walk.remarks)
     )
+
+
+def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], None]) -> set[str]:
+    """The hashes of all lines of logs.
+
+    Raises:
+        UnusableInputError: one is not whole.
+    """
+    hashes: set[str] = set()
+    for path in logs:
+        walk = _Walk(path, cancelled)
+        if (broken := walk.broken()) is not None:
+            raise UnusableInputError(f"{path}: {broken.words}")
+        hashes |= walk.hashes
+    return hashes
+
+
+def _not_in(walk: _Walk, known: set[str]) -> Broken | None:
+    """The first line that says that others are missing which no earlier log holds either."""
+    for place, number, own in walk.missing:
+        if own not in known:
+            words = (
+                f"line {place} says that lines up to {number} were in the log before and are not there: it was "
+                "emptied, cut off or removed. Where it was moved away, name the file that it is now with --after"
+            )
+            return Broken(place, Damage.CUT, words)
+    return None
 
 
 def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
@@ -125,6 +178,8 @@ class _Walk:
         self.last: Line | None = None
         self.hashes: set[str] = set()
         self.remarks: list[str] = []
+        self.missing: list[tuple[int, int | None, str]] = []
+        """Of each line that says that others are missing: its place, and number and hash of the newest of those."""
         self._path = path
         self._place = 0
         self._torn = b""
@@ -153,6 +208,8 @@ class _Walk:
             piece = raw.removesuffix(b"\n").removesuffix(CANCEL)
             if is_torn(piece, number) and (not finished or raw.endswith(CANCEL + b"\n")):
                 self._torn += raw
+                if len(self._torn) > _MOST_TORN:
+                    return self._tell(raw, number, None)
                 return None
             return self._tell(raw, number, None)
         before = NOTHING_BEFORE if self.last is None else self.last.hash
@@ -171,6 +228,8 @@ class _Walk:
             self.remarks.append(f"the clock goes back at line {number}, from {self.last.time} to {line.time}")
         if not raw.endswith(b"\n"):
             self.remarks.append(f"line {number} lacks its end: the computer died while it was written")
+        if line.what == LINES_MISSING and isinstance(line.old, str) and (head := _HEAD.fullmatch(line.old)):
+            self.missing.append((self._place, int(head[1]) if head[1] else None, head[2]))
         self.last = line
         self.hashes.add(line.hash)
         return None
@@ -212,9 +271,20 @@ class _Walk:
 
 
 def _raw_lines(path: Path) -> Iterator[bytes]:
-    """Lines with their newlines; what is longer than a line can be comes in pieces."""
-    with path.open("rb") as file:
-        while raw := file.readline(MAX_LINE):
+    """Lines with their newlines; what is longer than a line can be comes in pieces.
+
+    What is added while they are read is left for the next time.
+
+    Raises:
+        OSError: it cannot be read, or is no ordinary file.
+        UnusableInputError: it is too large.
+    """
+    with open_regular(path) as file:
+        left = os.fstat(file.fileno()).st_size
+        if left > MAX_BYTES:
+            raise UnusableInputError(f"{path} has {left / 1e6:.0f} MB; at most {MAX_BYTES / 1e6:.0f} MB are read")
+        while raw := file.readline(min(MAX_LINE, left)):
+            left -= len(raw)
             yield raw
 
 

@@ -13,6 +13,7 @@ import typer
 
 from tissueid.audit import HEAD_ATTRIBUTE, Verification, default_path, last_lines, verify
 from tissueid.audit.line import fields_of
+from tissueid.audit.newest import read_newest
 from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
 
@@ -33,6 +34,9 @@ def verify_log(
     head: Annotated[
         list[str] | None, typer.Option("--head", metavar="NUMBER:HASH", help="a head that was written down elsewhere")
     ] = None,
+    after: Annotated[
+        list[Path] | None, typer.Option("--after", metavar="FILE", help="an earlier log that was moved away")
+    ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Go through the log line by line. Ends with status 2 and the first line that is not as it was written."""
@@ -46,7 +50,7 @@ def verify_log(
         else:
             without.append(f"{file} carries no head of the log")
     with _readable(path):
-        result = verify(path, heads)
+        result = verify(path, heads, after=after or ())
     people = people_read(json_file)
     for remark in (*result.remarks, *without):
         people.print(remark, markup=False, soft_wrap=True)
@@ -132,6 +136,11 @@ def _readable(path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as error:
+        if (newest := read_newest(path)) is not None:
+            raise UnusableInputError(
+                f"there is no audit log {path} any more: its newest line was number {newest[0]}, and it was removed or "
+                "moved"
+            ) from error
         raise UnusableInputError(
             f"there is no audit log {path}: nothing has been logged yet, or it was moved"
         ) from error

@@ -26,7 +26,8 @@ _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
 _MOST_ACTS = 60
 _BLIND = marked(
-    "Lines cut off at its end are seen only against a session or a calibration: 'tissueid audit verify FILE'."
+    "Lines cut off at its end together with the note next to it are seen only against a session or a calibration: "
+    "'tissueid audit verify FILE'."
 )
 
 
