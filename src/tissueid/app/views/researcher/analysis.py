@@ -30,6 +30,7 @@ from tissueid.app.views.researcher.history import History
 from tissueid.app.views.researcher.history_list import HistoryList
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.views.researcher.pictures import Pictures
+from tissueid.app.views.researcher.population_view import PopulationView
 from tissueid.app.views.researcher.progress import Progress
 from tissueid.app.views.researcher.recommendation_view import RecommendationView
 from tissueid.app.views.researcher.results_table import SERIES, ResultsTable
@@ -84,6 +85,7 @@ class AnalysisPanel(QWidget):
         self._saver = Saver(desk, self)
         self.clear = QPushButton(_("Clear"))
         self.clear.setToolTip(_("Take all results out of the table (Delete: the selected ones)"))
+        self.population = PopulationView()
         self.verdicts = RecommendationView()
         self.past = HistoryList()
         self.tabs = QTabWidget()
@@ -117,6 +119,7 @@ class AnalysisPanel(QWidget):
         """Take on the colours of a theme."""
         self.results.paint_with(theme)
         self.pictures.paint_with(theme)
+        self.population.paint_with(theme)
 
     def cancel(self) -> None:
         """End what goes on, as soon as the fit that runs is done."""
@@ -205,7 +208,7 @@ class AnalysisPanel(QWidget):
             self.past.add(batch.entry)
         self._keep(batch.outcomes)
         self.verdicts.add(batch.verdicts)
-        self.tabs.setCurrentIndex(1 if batch.verdicts else 0)
+        self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.results.parentWidget())
         if batch.problems:
             more = len(batch.problems) - _TOLD
             told = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
@@ -227,19 +230,24 @@ class AnalysisPanel(QWidget):
         """Add results; one of the same engine, options and tests takes the old one's place."""
         kept = {outcome.key: outcome for outcome in self.results.outcomes}
         fresh = {outcome.key: outcome for outcome in new}
-        self.results.show_outcomes(list((kept | fresh).values())[-_MOST_RESULTS:])
+        self._show_results(list((kept | fresh).values())[-_MOST_RESULTS:])
         if len(self.results.outcomes) > len(SERIES):
             self.results.select(list(fresh.values())[: len(SERIES)])
         self._draw()
 
+    def _show_results(self, outcomes: Sequence[Outcome]) -> None:
+        self.results.show_outcomes(outcomes)
+        self.population.show_outcomes(self.results.outcomes)
+
     def _draw(self) -> None:
-        self.results.colour(self.pictures.show_outcomes(self.results.chosen))
+        fitted = sum(outcome.report is not None for outcome in self.results.outcomes)
+        self.results.colour(self.pictures.show_outcomes(self.results.chosen, fitted))
         self._enable()
 
     def _remove(self, some: list[Outcome]) -> None:
         self._before_removal = tuple(self.results.outcomes)
         gone = {id(outcome) for outcome in some}
-        self.results.show_outcomes([outcome for outcome in self.results.outcomes if id(outcome) not in gone])
+        self._show_results([outcome for outcome in self.results.outcomes if id(outcome) not in gone])
         self._draw()
 
     def _undo_removal(self) -> None:
@@ -247,8 +255,14 @@ class AnalysisPanel(QWidget):
         before, self._before_removal = self._before_removal, ()
         if before:
             there = {outcome.key: outcome for outcome in (*before, *self.results.outcomes)}
-            self.results.show_outcomes(list(there.values())[-_MOST_RESULTS:])
+            self._show_results(list(there.values())[-_MOST_RESULTS:])
             self._draw()
+
+    def _show_in_table(self, outcomes: list[Outcome]) -> None:
+        """Select fits in the table, so that they are drawn."""
+        self.results.select(outcomes)
+        self.tabs.setCurrentWidget(self.results.parentWidget())
+        self._draw()
 
     def _clear(self) -> None:
         self._remove(list(self.results.outcomes))
@@ -266,7 +280,7 @@ class AnalysisPanel(QWidget):
         try:
             if task.kind == "compare":
                 self.verdicts.take_compared(task.engines)
-                self.tabs.setCurrentIndex(1)
+                self.tabs.setCurrentWidget(self.verdicts)
             else:
                 self.form.choose(task.engines[0], task.options)
         except TissueIDError as error:
@@ -319,6 +333,7 @@ class AnalysisPanel(QWidget):
         self.cancelling.clicked.connect(self.cancel)
         self.results.chosen_changed.connect(self._draw)
         self.results.removed.connect(self._remove)
+        self.population.wanted.connect(self._show_in_table)
         undo = QShortcut(QKeySequence(QKeySequence.StandardKey.Undo), self.results)
         undo.setContext(Qt.ShortcutContext.WidgetShortcut)
         undo.activated.connect(self._undo_removal)

@@ -43,6 +43,7 @@ def arrange(panel: AnalysisPanel) -> None:
     panel.tabs.setDocumentMode(True)
     panel.tabs.tabBar().setDrawBase(False)
     panel.tabs.addTab(results, _("Results"))
+    panel.tabs.addTab(panel.population, _("Population"))
     panel.tabs.addTab(panel.verdicts, _("Recommendation"))
     panel.tabs.addTab(panel.past, _("History"))
     right = QWidget()

@@ -102,7 +102,7 @@ class Pictures(QWidget):
         self._slots: dict[Panel, list[_Slot]] = {}
         self._theme: Theme | None = None
         self._drawn: list[Outcome] = []
-        self._left_out = 0
+        self._total = 0
         self.kernel = KernelImage()
         for name, panels in PICTURES.items():
             self.choice.addItem(_(name))
@@ -130,11 +130,14 @@ class Pictures(QWidget):
         self._make(0)
         self.show_outcomes(())
 
-    def show_outcomes(self, outcomes: Sequence[Outcome]) -> list[Outcome]:
-        """Draw what can be told apart: the first seven of the same signals that were not refused."""
+    def show_outcomes(self, outcomes: Sequence[Outcome], total: int = 0) -> list[Outcome]:
+        """Draw what can be told apart: the first seven of the same signals that were not refused.
+
+        ``total`` counts all fits of the table, which the legend says where only some are drawn.
+        """
         there = [outcome for outcome in outcomes if outcome.report is not None]
         self._drawn = [outcome for outcome in there if outcome.drawn.units == there[0].drawn.units][: len(SERIES)]
-        self._left_out = len(there) - len(self._drawn)
+        self._total = max(total, len(there))
         for panel in self._cards:
             self._fill(panel)
         self.kernel.offer([o for o in there if o.drawn.images])
@@ -265,8 +268,12 @@ class Pictures(QWidget):
             line.out_x is not None for o in self._drawn for line in o.drawn.lines.values()
         ):
             words.append(_("faint: on the way out"))
-        if self._left_out:
-            words.append(_("{count} more are not drawn: select which in the table").format(count=self._left_out))
+        if len(self._drawn) < self._total:
+            words.append(
+                _("{drawn} of {count} drawn: select which in the table").format(
+                    drawn=len(self._drawn), count=self._total
+                )
+            )
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
         self.legend.setVisible(bool(entries) and self.choice.currentText() != _(_KERNELS))

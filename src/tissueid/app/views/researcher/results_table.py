@@ -45,6 +45,8 @@ _ROW = 22
 _PADDING = 12
 _ENGINE_WIDTH, _WIDEST = 132, 220
 """Pixels; what is longer is cut off, and its tip has all of it."""
+_MEASURED = 60
+"""Rows that are looked at for the width of a column: all of thousands would hold up the window for seconds."""
 _ARROW = 16
 """Pixels that the mark of the sorted column takes."""
 _LEAST = 96
@@ -84,6 +86,7 @@ class ResultsTable(QTableView):
         header.setMinimumHeight(2 * header.fontMetrics().height() + _PADDING)
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setHighlightSections(False)
+        header.setResizeContentsPrecision(_MEASURED)
         self.sortByColumn(-1, Qt.SortOrder.AscendingOrder)
         self.selectionModel().selectionChanged.connect(self._selected)
         header.sortIndicatorChanged.connect(self._make_room)
@@ -109,12 +112,14 @@ class ResultsTable(QTableView):
         wanted = {id(outcome) for outcome in outcomes}
         flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
         model = self.selectionModel()
+        rows = [row for row in range(self._sorted.rowCount()) if id(self._model.outcomes[self._source(row)]) in wanted]
         model.blockSignals(True)
         model.clearSelection()
-        for row in range(self._sorted.rowCount()):
-            if id(self._model.outcomes[self._source(row)]) in wanted:
-                model.select(self._sorted.index(row, 0), flags)
+        for row in rows:
+            model.select(self._sorted.index(row, 0), flags)
         model.blockSignals(False)
+        if rows:
+            self.scrollTo(self._sorted.index(rows[0], 0))
         self.viewport().update()
 
     def colour(self, drawn: Sequence[Outcome]) -> None:

@@ -1,0 +1,296 @@
+"""A parameter of many fits as a distribution, or against subject, site, date, repeat or another parameter."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from scipy.stats import t as student
+
+from tissueid.app.language import _, marked
+from tissueid.app.views.researcher.drawn import Array
+from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.records import Estimate
+from tissueid.wording import MISSING, axis_label, clean, engine_label, named_unit, people_unit
+
+DISTRIBUTION, SUBJECT, SITE, DATE, REPEAT = "distribution", "subject", "site", "date", "repeat"
+ACROSS: Mapping[str, str] = {
+    DISTRIBUTION: marked("Histogram"),
+    SUBJECT: marked("Subject"),
+    SITE: marked("Site"),
+    DATE: marked("Date"),
+    REPEAT: marked("Number of the repeat"),
+}
+"""What a parameter is drawn against, other than another parameter."""
+GROUPS: Mapping[str, str] = {
+    "": marked("One colour"),
+    "engine": marked("Colour: engine"),
+    SUBJECT: marked("Colour: subject"),
+    SITE: marked("Colour: site"),
+}
+SCORES: Mapping[str, str] = {
+    "vaf_validation_percent": marked("VAF held out (%)"),
+    "vaf_percent": marked("VAF fitted (%)"),
+}
+_SPREAD = 0.32
+"""Half width over which the points of one category are spread, where neighbours are 1 apart."""
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_MOST_BINS = 60
+_LONGEST = 40
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Mean of a group at one place: ``x`` there, standard deviation and half the 95 % confidence interval of the mean.
+
+    The deviation and the interval are NaN for a single fit.
+    """
+
+    group: int
+    x: float
+    y: float
+    std: float
+    half_interval: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Fits as points. Arrays have shape (n,), in the units that people read.
+
+    ``group`` numbers ``groups``; the last of them takes all that are too many for a colour of their own. ``places``
+    names the whole numbers of ``x`` where that is a category. ``left_out`` counts the other fits by the reason.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    x: Array
+    y: Array
+    group: np.ndarray
+    groups: tuple[str, ...]
+    means: tuple[Mean, ...]
+    places: tuple[str, ...]
+    left_out: Mapping[str, int]
+    x_label: str
+    title: str
+    unit: str
+
+    @property
+    def edges(self) -> Array:
+        """Edges of the bins of a histogram, (bins + 1,)."""
+        if not self.y.size:
+            return np.array([0.0, 1.0])
+        edges = np.histogram_bin_edges(self.y, "auto")
+        return edges if edges.size <= _MOST_BINS + 1 else np.histogram_bin_edges(self.y, _MOST_BINS)
+
+
+def parameters_of(outcomes: Sequence[Outcome]) -> dict[str, str]:
+    """Return the parameters that fits have and their labels, those of most fits first, then the scores."""
+    reports = [outcome.report for outcome in outcomes if outcome.report is not None]
+    counts = Counter(name for report in reports for name in report.reportable_parameters)
+    named = {name: axis_label(name, people_unit(named_unit(name)[1])[0]) for name, _count in counts.most_common()}
+    return named | ({name: _(label) for name, label in SCORES.items()} if reports else {})
+
+
+def estimate_of(outcome: Outcome, name: str) -> Estimate | None:
+    """Return a parameter or score of a fit in SI; None where the fit has none that counts as a result."""
+    report = outcome.report
+    if report is None:
+        return None
+    if name in SCORES:
+        score = getattr(report, name)
+        return None if score is None else Estimate(score, None)
+    return report.reportable_parameters.get(name)
+
+
+def population(
+    outcomes: Sequence[Outcome], parameter: str, across: str, by: str = "", most_groups: int = 7
+) -> Population:
+    """Arrange fits as points: ``parameter`` against ``across``, grouped by one of ``GROUPS``."""
+    left_out: Counter[str] = Counter()
+    repeats = _repeats(outcomes) if across == REPEAT else {}
+    kept: list[Outcome] = []
+    ys: list[float] = []
+    xs: list[float] = []
+    names: list[str] = []
+    for outcome in outcomes:
+        y = _value(outcome, parameter)
+        x, name = _place(outcome, across, repeats)
+        why = _why_not(outcome, y, x)
+        if why:
+            left_out[why] += 1
+            continue
+        kept.append(outcome)
+        ys.append(y)
+        xs.append(x)
+        names.append(name)
+    groups, group = _groups([_member(outcome, by) for outcome in kept], most_groups)
+    y_values, x_values = np.array(ys), np.array(xs)
+    places: tuple[str, ...] = ()
+    if across in (SUBJECT, SITE):
+        places = tuple(sorted(set(names)))
+        rank = {name: place for place, name in enumerate(places)}
+        x_values = np.array([rank[name] for name in names], dtype=np.float64)
+    elif across == REPEAT:
+        places = tuple(str(number) for number in range(1, int(max(xs, default=0)) + 1))
+        x_values = x_values - 1.0
+    categorical = across in (SUBJECT, SITE, REPEAT)
+    means = _means(x_values, y_values, group, across)
+    if categorical:
+        x_values, means = _spread(x_values, group, means, len(groups))
+    title, si_unit = _titled(parameter)
+    return Population(
+        tuple(kept),
+        x_values,
+        y_values,
+        group,
+        groups,
+        means,
+        places,
+        dict(left_out),
+        _(ACROSS[across]) if across in ACROSS else _labelled(across),
+        title,
+        people_unit(si_unit)[0],
+    )
+
+
+def _titled(parameter: str) -> tuple[str, str]:
+    return (_(SCORES[parameter]), "") if parameter in SCORES else named_unit(parameter)
+
+
+def _labelled(parameter: str) -> str:
+    if parameter in SCORES:
+        return _(SCORES[parameter])
+    return axis_label(parameter, people_unit(named_unit(parameter)[1])[0])
+
+
+def _value(outcome: Outcome, parameter: str) -> float:
+    found = estimate_of(outcome, parameter)
+    return math.nan if found is None else found.value * people_unit(_titled(parameter)[1])[1]
+
+
+def _why_not(outcome: Outcome, y: float, x: float) -> str:
+    """Why a fit is not drawn, or an empty text."""
+    if outcome.report is None:
+        return _("refused")
+    if outcome.report.predicts_nothing and not math.isfinite(y):
+        return _("predict nothing")
+    if not math.isfinite(y):
+        return _("without this parameter")
+    return "" if math.isfinite(x) else _("without a value across")
+
+
+def _place(outcome: Outcome, across: str, repeats: Mapping[tuple[object, int], int]) -> tuple[float, str]:
+    first = outcome.tests[0]
+    if across == DISTRIBUTION:
+        return 0.0, ""
+    if across in (SUBJECT, SITE):
+        return 0.0, _member(outcome, across)
+    if across == DATE:
+        return (math.nan if first.when is None else first.when), ""
+    if across == REPEAT:
+        return float(repeats[first.path, first.number]), ""
+    return _value(outcome, across), ""
+
+
+def _member(outcome: Outcome, by: str) -> str:
+    first = outcome.tests[0]
+    names: dict[str, Callable[[], str]] = {
+        "": lambda: "",
+        "engine": lambda: engine_label(outcome.engine),
+        SUBJECT: lambda: clean(first.pseudonym),
+        SITE: lambda: clean(first.site),
+    }
+    return names[by]()[:_LONGEST] or (MISSING if by else "")
+
+
+def _groups(names: Sequence[str], most: int) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return the names of the groups and the group of each fit; the smallest beyond ``most`` share the last."""
+    counts = Counter(names)
+    every = sorted(counts)
+    if len(every) > most:
+        large = sorted(name for name, _count in counts.most_common(most - 1))
+        rank = {name: place for place, name in enumerate(large)}
+        groups = (*large, _("{count} others").format(count=len(every) - len(large)))
+        return groups, np.array([rank.get(name, most - 1) for name in names], dtype=np.intp)
+    rank = {name: place for place, name in enumerate(every)}
+    return tuple(every), np.array([rank[name] for name in names], dtype=np.intp)
+
+
+def _repeats(outcomes: Sequence[Outcome]) -> dict[tuple[object, int], int]:
+    """Number the tests of one subject, site and day from 1, in the order of time, file and number."""
+    sittings: dict[tuple[str, str, object], set[tuple[float, str, int, object]]] = defaultdict(set)
+    for outcome in outcomes:
+        test = outcome.tests[0]
+        when = test.when
+        at: object = test.path.parent if when is None else _local_day(when)
+        sittings[test.pseudonym, test.site, at].add((when or 0.0, str(test.path), test.number, test.path))
+    return {
+        (path, number): place
+        for sitting in sittings.values()
+        for place, (_when, _name, number, path) in enumerate(sorted(sitting, key=lambda one: one[:3]), 1)
+    }
+
+
+def _means(x: Array, y: Array, group: np.ndarray, across: str) -> tuple[Mean, ...]:
+    """Return the mean of every group: at each category or day, or otherwise of all its fits at once."""
+    if across == DATE:
+        where = np.array([_local_day(float(when)) for when in x], dtype=np.float64)
+    elif across in (SUBJECT, SITE, REPEAT):
+        where = x
+    else:
+        where = np.zeros(x.size)
+    if not y.size:
+        return ()
+    keys, number = np.unique(np.column_stack([group, where]), axis=0, return_inverse=True)
+    number = number.reshape(-1)
+    count = np.bincount(number)
+    middle, mean = np.bincount(number, x) / count, np.bincount(number, y) / count
+    squares = np.bincount(number, (y - mean[number]) ** 2)
+    more = np.maximum(count - 1, 1)
+    std = np.where(count > 1, np.sqrt(squares / more), np.nan)
+    half = student.ppf(0.975, more) * std / np.sqrt(count)
+    columns = keys[:, 0], middle, mean, std, half, count
+    return tuple(Mean(int(of), *map(float, rest[:-1]), int(rest[-1])) for of, *rest in zip(*columns, strict=True))
+
+
+def _spread(x: Array, group: np.ndarray, means: Sequence[Mean], count: int) -> tuple[Array, tuple[Mean, ...]]:
+    """Put the groups of a category side by side, and spread the points of each evenly, the same way every time."""
+    lane = 2.0 * _SPREAD / max(1, count)
+    middle = -_SPREAD + lane * (np.arange(max(1, count)) + 0.5)
+    within = (np.arange(x.size) * _GOLDEN % 1.0 - 0.5) * 0.8 * lane
+    moved = tuple(Mean(m.group, m.x + float(middle[m.group]), m.y, m.std, m.half_interval, m.count) for m in means)
+    return x + middle[group] + within if x.size else x, moved
+
+
+def _local_day(when: float) -> int:
+    try:
+        return datetime.fromtimestamp(when).toordinal()
+    except (ValueError, OverflowError, OSError):
+        return 0
+
+
+def day(when: float) -> str:
+    """Return the local date of a time in seconds since 1970."""
+    try:
+        return datetime.fromtimestamp(when).strftime("%Y-%m-%d")
+    except (ValueError, OverflowError, OSError):
+        return MISSING
+
+
+__all__ = [
+    "ACROSS",
+    "DATE",
+    "DISTRIBUTION",
+    "GROUPS",
+    "SCORES",
+    "Mean",
+    "Population",
+    "day",
+    "estimate_of",
+    "parameters_of",
+    "population",
+]
