@@ -27,6 +27,7 @@ from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.figure import FigurePlan
 from tissueid.app.views.researcher.figures_table import FiguresTable
 from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.app.views.researcher.saving import write_figure
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.researcher.track import Track
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
@@ -224,7 +225,7 @@ def test_signals_are_tabled_and_saved_in_the_units(qtbot, loaded, tmp_path):
     table.take_units()
     assert table.horizontalHeaderItem(1).text() == "Position (m)"
     assert table.item(0, 1).text() == "0.0140 ± 0.0014"
-    path = FigurePlan(loaded, channels, 0.0, 4.0, channels[0]).save(tmp_path / "figure.svg")
+    path = write_figure(tmp_path / "figure.svg", FigurePlan(loaded, channels, 0.0, 4.0, channels[0]).draw)
     text = path.read_text(encoding="utf-8")
     assert "Position (m)" in text
     assert "(m²/Hz)" in text

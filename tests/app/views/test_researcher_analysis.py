@@ -186,7 +186,7 @@ def test_table_and_figure_are_saved(qtbot, panel, strip, tmp_path, two):
         press(qtbot, panel.save_figure)
         answer(qtbot, panel, path)
         assert strip.said[-1] == (f"Saved in {path}.", False)
-    assert QImage(str(png)).width() == 2 * panel.pictures.canvas.width()
+    assert QImage(str(png)).width() == 7.2 * 300
     assert QSvgRenderer(QByteArray(svg.read_bytes())).isValid()
     press(qtbot, panel.save_table)
     answer(qtbot, panel, tmp_path / "nowhere" / "table.csv")

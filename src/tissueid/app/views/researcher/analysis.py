@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QFileDialog,
     QProgressBar,
     QPushButton,
+    QSplitter,
     QTabWidget,
     QWidget,
 )
@@ -74,6 +75,7 @@ class AnalysisPanel(QWidget):
         self.bar.setAccessibleName(_("Progress of the analysis"))
         self.step = _line()
         self.results = ResultsTable()
+        self.fits = QSplitter(Qt.Orientation.Vertical)
         self._before_removal: tuple[Outcome, ...] = ()
         self.pictures = Pictures()
         self.save_table = QPushButton(_("Table…"))
@@ -81,7 +83,7 @@ class AnalysisPanel(QWidget):
         self.save_table.setToolTip(_("Save the table of results as CSV"))
         self.save_figure = QPushButton(_("Figure…"))
         self.save_figure.setAccessibleName(_("Save the figure"))
-        self.save_figure.setToolTip(_("Save the figure as PNG or SVG"))
+        self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
         self._saver = Saver(desk, self)
         self.clear = QPushButton(_("Clear"))
         self.clear.setToolTip(_("Take all results out of the table (Delete: the selected ones)"))
@@ -113,7 +115,8 @@ class AnalysisPanel(QWidget):
     @property
     def waiting(self) -> tuple[QWidget, ...]:
         """What is grey while something goes on elsewhere."""
-        return self.run, self.compare, self.folder, self.save_table, self.save_figure
+        saving = self.save_table, self.save_figure, self.population.save_figure
+        return self.run, self.compare, self.folder, *saving
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
@@ -208,7 +211,7 @@ class AnalysisPanel(QWidget):
             self.past.add(batch.entry)
         self._keep(batch.outcomes)
         self.verdicts.add(batch.verdicts)
-        self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.results.parentWidget())
+        self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.fits)
         if batch.problems:
             more = len(batch.problems) - _TOLD
             told = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
@@ -261,7 +264,7 @@ class AnalysisPanel(QWidget):
     def _show_in_table(self, outcomes: list[Outcome]) -> None:
         """Select fits in the table, so that they are drawn."""
         self.results.select(outcomes)
-        self.tabs.setCurrentWidget(self.results.parentWidget())
+        self.tabs.setCurrentWidget(self.fits)
         self._draw()
 
     def _clear(self) -> None:
@@ -293,7 +296,12 @@ class AnalysisPanel(QWidget):
         self._saver.save_table(self.results.rows())
 
     def _save_figure(self) -> None:
-        self._saver.save_figure(self.pictures.canvas)
+        if (figure := self.pictures.figure) is not None:
+            self._saver.save_figure(figure)
+
+    def _save_population(self) -> None:
+        if (figure := self.population.figure) is not None:
+            self._saver.save_figure(figure)
 
     # -- how it stands ------------------------------------------------------------------------------------
 
@@ -322,6 +330,7 @@ class AnalysisPanel(QWidget):
         there = bool(self.results.outcomes)
         self.save_table.setEnabled(free and there)
         self.save_figure.setEnabled(free and there)
+        self.population.save_figure.setEnabled(free and there)
         self.clear.setEnabled(there and self._work is None)
         self.past.settle(busy=not free)
         tell_why(self.waiting, self.desk.jobs.why)
@@ -340,6 +349,7 @@ class AnalysisPanel(QWidget):
         self.clear.clicked.connect(self._clear)
         self.save_table.clicked.connect(self._save_table)
         self.save_figure.clicked.connect(self._save_figure)
+        self.population.save_figure.clicked.connect(self._save_population)
         self.past.again.connect(self.start)
         self.past.wanted.connect(self._take_task)
 

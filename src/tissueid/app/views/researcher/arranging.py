@@ -33,7 +33,7 @@ def arrange(panel: AnalysisPanel) -> None:
     for widget in (panel.save_figure, panel.save_table, panel.clear):
         panel.pictures.tools.addWidget(widget)
     panel.pictures.tools.addStretch(1)
-    results = QSplitter(Qt.Orientation.Vertical)
+    results = panel.fits
     results.setChildrenCollapsible(False)
     results.addWidget(panel.results)
     results.addWidget(panel.pictures)

@@ -1,28 +1,26 @@
-"""The signals that are looked at as a figure for paper: PNG or SVG, drawn apart from the window."""
+"""The signals that are looked at as a figure for paper: drawn by matplotlib on white."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.app.language import _, marked
+from tissueid.app.language import _
 from tissueid.app.theme import LIGHT
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.labels import labels_apart
 from tissueid.app.views.researcher.reading import Channel, Loaded
-from tissueid.errors import UnusableInputError
-from tissueid.reports.style import drawing, frequency_axis, log_axis, new_figure
-from tissueid.whole_file import whole_file
 
-FIGURES = {".png": marked("PNG picture (*.png)"), ".svg": marked("SVG drawing (*.svg)")}
+if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
+    from matplotlib.figure import Figure
+
 _WIDTH, _PANEL, _REST = 7.2, 1.7, 1.1
 """Inches."""
 _COLUMNS = 1200
-_DPI = 200
 
 
 @dataclass(frozen=True)
@@ -35,22 +33,16 @@ class FigurePlan:
     high_s: float
     spectrum: Channel | None
 
-    def save(self, path: Path) -> Path:
-        """Draw it into a file, by the ending of its name; returns that name.
+    @property
+    def title(self) -> str:
+        """A name for the file."""
+        common, labels = labels_apart([[test.chosen] for test in self.loaded])
+        return f"{_('Signals')} {common or ' '.join(labels[:1])}"
 
-        Raises:
-            UnusableInputError: neither PNG nor SVG.
-            OSError: the disk is full or not writable; nothing is left behind.
-        """
-        if path.suffix.lower() not in FIGURES:
-            raise UnusableInputError(
-                _("{name}: figures are saved as {kinds}").format(name=path.name, kinds=" or ".join(FIGURES))
-            )
-        self._draw(path)
-        return path
+    def draw(self) -> Figure:
+        """Draw a panel a signal, and the spectrum below."""
+        from tissueid.reports.style import frequency_axis, log_axis, new_figure
 
-    @drawing
-    def _draw(self, path: Path) -> None:
         count = len(self.channels) + (self.spectrum is not None)
         figure = new_figure(_WIDTH, _PANEL * count + _REST)
         every = figure.subplots(count, 1, squeeze=False)[:, 0]
@@ -83,8 +75,7 @@ class FigurePlan:
             log_axis(axes)
         handles, labels = every[0].get_legend_handles_labels()
         figure.legend(handles, labels, title=common, loc="outside lower center", ncols=1 + (len(labels) > 3))
-        with whole_file(path) as partial:
-            figure.savefig(partial, format=path.suffix.lower()[1:], dpi=_DPI)
+        return figure
 
 
-__all__ = ["FIGURES", "FigurePlan"]
+__all__ = ["FigurePlan"]

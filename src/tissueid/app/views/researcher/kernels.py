@@ -73,6 +73,11 @@ class KernelImage(QWidget):
         place = self.choice.currentIndex()
         return self._images[place] if 0 <= place < len(self._images) else None
 
+    @property
+    def turned(self) -> bool:
+        """Whether it is shown as a surface."""
+        return self.raised.isChecked()
+
     def offer(self, outcomes: Sequence[Outcome]) -> None:
         """Offer the images of results; the one that was shown stays if it is among them."""
         before = self.choice.currentText()

@@ -8,7 +8,6 @@ from tissueid.analysis import Analysis
 from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Line
 from tissueid.errors import UnusableInputError
-from tissueid.reports.diagnostics import held_out_prediction, thin
 from tissueid.wording import people_unit
 
 _COLUMNS = 3000
@@ -24,6 +23,8 @@ def model_output(analysis: Analysis) -> tuple[Line, Line, Line]:
     Raises:
         UnusableInputError: no held-out sample was both received and simulated.
     """
+    from tissueid.reports.diagnostics import held_out_prediction, thin  # which imports matplotlib
+
     found = held_out_prediction("", analysis)
     record, scale = analysis.held_out_record, people_unit(found.output_unit)[1]
     scheduled = analysis.model.simulate_scheduled(record)

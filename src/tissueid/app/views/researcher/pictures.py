@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import pyqtgraph as pg
@@ -12,81 +11,21 @@ from pyqtgraph.GraphicsScene.mouseEvents import MouseClickEvent
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
+from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.drawn import Line, Panel
 from tissueid.app.views.researcher.kernels import KernelImage
+from tissueid.app.views.researcher.looks import KERNELS, OUTPUT, PANELS, PICTURES
 from tissueid.app.views.researcher.outcome import Outcome, keys_of
+from tissueid.app.views.researcher.paper import KernelFigure, PictureFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
-_KERNELS = marked("Kernel image")
 _LONGEST = 64
 _PLAIN, _LABELLED = 76, 104
 """Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A panel: what it is called, its axis, which axes are logarithmic, and what its band means."""
-
-    title: str
-    x_label: str
-    logs: tuple[str, ...] = ()
-    band: str = ""
-
-
-_PANELS: dict[Panel, _Look] = {
-    "output": _Look(marked("Measured and simulated output, held out"), ""),
-    "residual": _Look(marked("Measured less simulated"), marked("Time from the start of the record (s)")),
-    "impulse": _Look(
-        marked("Impulse response about the mean input"),
-        marked("Lag (ms)"),
-        band=marked("Band: one standard deviation to either side, where the engine tells it"),
-    ),
-    "magnitude": _Look(
-        marked("Magnitude"), "", ("bottom", "left"), marked("Band: 95 % confidence, where it was measured")
-    ),
-    "phase": _Look(marked("Phase"), "", ("bottom",), marked("Band: 95 % confidence, where it was measured")),
-    "coherence": _Look(marked("Coherence of the record"), marked("Frequency (Hz)"), ("bottom",)),
-    "nonlinearity": _Look(
-        marked("Static nonlinearity"),
-        marked("Input of the curve (N, or what the input is measured in)"),
-        band=marked(
-            "Band: Wiener, the standard deviation of what was measured about the curve; Hammerstein, 95 % confidence"
-        ),
-    ),
-    "mass": _Look(marked("Mass"), "", band=marked("Band: one standard deviation to either side")),
-    "damping": _Look(marked("Damping"), "", band=marked("Band: one standard deviation to either side")),
-    "stiffness": _Look(
-        marked("Stiffness"), marked("Position (mm)"), band=marked("Band: one standard deviation to either side")
-    ),
-    "autocorrelation": _Look(
-        marked("Autocorrelation of the held-out residual"),
-        marked("Lag (ms)"),
-        band=marked(
-            "Band: what one lag exceeds one time in twenty, 1.96 over the root of the samples for a white residual"
-        ),
-    ),
-    "cross": _Look(
-        marked("Input against the held-out residual"),
-        marked("Lag (ms)"),
-        band=marked("Band: what one lag exceeds one time in twenty if the residual is unrelated to the input"),
-    ),
-}
-
-OUTPUT = marked("Model output")
-PICTURES: Mapping[str, tuple[Panel, ...]] = {
-    OUTPUT: ("output", "residual"),
-    marked("Impulse response"): ("impulse",),
-    marked("Bode diagram"): ("magnitude", "phase", "coherence"),
-    marked("Static nonlinearity"): ("nonlinearity",),
-    marked("Against depth"): ("mass", "damping", "stiffness"),
-    marked("Residual tests"): ("autocorrelation", "cross"),
-    _KERNELS: (),
-}
 
 
 class Pictures(QWidget):
@@ -160,6 +99,15 @@ class Pictures(QWidget):
             labels = [f"{label}: {_scores(o)}" for label, o in zip(labels, self._drawn, strict=True)]
         return common, labels
 
+    @property
+    def figure(self) -> PictureFigure | KernelFigure | None:
+        """What is shown, to be drawn on paper; None while there is nothing."""
+        name = list(PICTURES)[self._pages.currentIndex()]
+        image = self.kernel.image
+        if name == KERNELS:
+            return None if image is None else KernelFigure(self.kernel.choice.currentText(), image, self.kernel.turned)
+        return PictureFigure(name, tuple(self._drawn), *self.keys) if self._drawn else None
+
     # -- inside -------------------------------------------------------------------------------------------
 
     def _make(self, place: int) -> None:
@@ -172,7 +120,7 @@ class Pictures(QWidget):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(4)
         for panel in panels:
-            look = _PANELS[panel]
+            look = PANELS[panel]
             card = PlotCard(_(look.title), _(look.x_label), "", log_axes=look.logs)
             card.setToolTip(_(look.band) if look.band else "")
             card.plot.getAxis("left").setWidth(52)
@@ -206,7 +154,7 @@ class Pictures(QWidget):
             slot.show(lines[place] if place < len(lines) else None)
         self._lay_under(panel)
         unit = self._drawn[0].drawn.units.get(panel, "") if self._drawn else ""
-        card.retitle(_(_PANELS[panel].title), unit)
+        card.retitle(_(PANELS[panel].title), unit)
         if any(line is not None for line in lines):
             card.say_missing("")
             if panel in PICTURES["Against depth"]:
@@ -276,7 +224,7 @@ class Pictures(QWidget):
             )
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
-        self.legend.setVisible(bool(entries) and self.choice.currentText() != _(_KERNELS))
+        self.legend.setVisible(bool(entries) and self.choice.currentText() != _(KERNELS))
 
 
 def in_the_middle(text: str, longest: int) -> str:

@@ -253,8 +253,10 @@ def _means(x: Array, y: Array, group: np.ndarray, across: str) -> tuple[Mean, ..
     more = np.maximum(count - 1, 1)
     std = np.where(count > 1, np.sqrt(squares / more), np.nan)
     half = student.ppf(0.975, more) * std / np.sqrt(count)
-    columns = keys[:, 0], middle, mean, std, half, count
-    return tuple(Mean(int(of), *map(float, rest[:-1]), int(rest[-1])) for of, *rest in zip(*columns, strict=True))
+    return tuple(
+        Mean(int(keys[k, 0]), float(middle[k]), float(mean[k]), float(std[k]), float(half[k]), int(count[k]))
+        for k in range(count.size)
+    )
 
 
 def _spread(x: Array, group: np.ndarray, means: Sequence[Mean], count: int) -> tuple[Array, tuple[Mean, ...]]:

@@ -19,6 +19,7 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_si
 from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.paper import PopulationFigure
 from tissueid.app.views.researcher.population import (
     ACROSS,
     DATE,
@@ -144,6 +145,18 @@ class PopulationView(QWidget):
             bar.setData(pen=pg.mkPen(colour, width=2))
         self._show()
 
+    @property
+    def figure(self) -> PopulationFigure | None:
+        """What is shown, to be drawn on paper; None while there is nothing."""
+        found = self.shown
+        if found is None or not found.outcomes:
+            return None
+        parameter, across = str(self.parameter.currentData()), str(self.across.currentData())
+        names = [f"{name}: {mean}" if name else mean for name, mean in zip(found.groups, _overall(found), strict=True)]
+        title = f"{self.parameter.currentText()} {self.across.currentText()}"
+        spread = str(self.spread.currentData())
+        return PopulationFigure(title, found, across, _heading(parameter), spread, names, self.count.text())
+
     # -- choosing --------------------------------------------------------------------------------------------
 
     def _choose(self) -> None:
@@ -174,7 +187,6 @@ class PopulationView(QWidget):
     def _show(self) -> None:
         parameter, across = self.parameter.currentData(), str(self.across.currentData())
         self.named.setText("")
-        self.save_figure.setEnabled(parameter is not None)
         if parameter is None:
             self.shown = None
             self.card.say_missing(_("Nothing to show yet: choose tests and run an engine."))

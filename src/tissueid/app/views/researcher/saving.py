@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal, cast
 
-from PySide6.QtCore import QBuffer, QByteArray, QIODevice, QRect
-from PySide6.QtGui import QImage
-from PySide6.QtSvg import QSvgGenerator
-from PySide6.QtWidgets import QWidget
-
+from tissueid.app.language import _, marked
+from tissueid.errors import UnusableInputError
 from tissueid.whole_file import whole_file
 
-_SHARPNESS = 2
-"""Pixels of a saved picture for one on the screen."""
+if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
+    from matplotlib.figure import Figure
+
+FIGURES = {
+    ".pdf": marked("PDF drawing (*.pdf)"),
+    ".svg": marked("SVG drawing (*.svg)"),
+    ".png": marked("PNG picture, 300 dpi (*.png)"),
+}
+_DPI = 300.0
+_LONGEST = 80
+_AWKWARD = re.compile(r"[^\w.-]+")
 
 
 def write_table(path: Path, rows: Sequence[Sequence[str]]) -> Path:
@@ -28,37 +36,33 @@ def write_table(path: Path, rows: Sequence[Sequence[str]]) -> Path:
     return path
 
 
-def write_bytes(path: Path, data: bytes) -> Path:
-    """Write a picture; returns the path.
+def write_figure(path: Path, draw: Callable[[], Figure]) -> Path:
+    """Draw a figure on white into a file: PDF, SVG or PNG with 300 dpi, by the ending of its name.
 
     Raises:
+        UnusableInputError: another ending.
         OSError: the file cannot be written.
     """
+    from tissueid.reports.style import drawing, plain_image
+
+    ending = path.suffix.lower()
+    if ending not in FIGURES:
+        raise UnusableInputError(
+            _("{name}: figures are saved as {kinds}").format(name=path.name, kinds=", ".join(FIGURES))
+        )
+    figure = drawing(draw)()
     with whole_file(path) as partial:
-        partial.write_bytes(data)
+        plain_image(figure, partial, cast(Literal["pdf", "svg", "png"], ending[1:]), _DPI)
     return path
 
 
-def picture_of(widget: QWidget, path: Path) -> bytes:
-    """A widget as it stands, as SVG or PNG by the path's ending."""
-    data = QByteArray()
-    buffer = QBuffer(data)
-    buffer.open(QIODevice.OpenModeFlag.WriteOnly)
-    if path.suffix.lower() == ".svg":
-        generator = QSvgGenerator()
-        generator.setOutputDevice(buffer)
-        generator.setSize(widget.size())
-        generator.setViewBox(QRect(0, 0, widget.width(), widget.height()))
-        generator.setTitle("TissueID")
-        widget.render(generator)
-    else:
-        image = QImage(widget.size() * _SHARPNESS, QImage.Format.Format_RGB32)
-        image.setDevicePixelRatio(_SHARPNESS)
-        image.fill(widget.palette().window().color())
-        widget.render(image)
-        image.save(buffer, "PNG")  # type: ignore[call-overload]
-    buffer.close()
-    return bytes(data.data())
+def free_name(folder: Path, title: str, ending: str) -> str:
+    """Return a name for a file in ``folder`` that is not taken, made of a title."""
+    stem = _AWKWARD.sub("-", title).strip("-._")[:_LONGEST].rstrip("-._") or "tissueid"
+    name, number = f"{stem}{ending}", 2
+    while (folder / name).exists():
+        name, number = f"{stem}-{number}{ending}", number + 1
+    return name
 
 
-__all__ = ["picture_of", "write_bytes", "write_table"]
+__all__ = ["FIGURES", "free_name", "write_figure", "write_table"]

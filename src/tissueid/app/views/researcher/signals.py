@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QDoubleSpinBox,
-    QFileDialog,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -22,11 +20,12 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.channel_button import ChannelButton
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import ErrandStrip
-from tissueid.app.views.researcher.figure import FIGURES, FigurePlan
+from tissueid.app.views.researcher.figure import FigurePlan
 from tissueid.app.views.researcher.figures_table import FiguresTable
 from tissueid.app.views.researcher.kept import keep_texts, kept_texts
 from tissueid.app.views.researcher.plot_stack import SHORTEST_S, PlotStack
 from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded, Reading
+from tissueid.app.views.researcher.saver import Saver
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.view import Desk
 from tissueid.wording import fixed, grouped
@@ -57,7 +56,8 @@ class SignalsPanel(QWidget):
         self.whole = QPushButton(_("Whole test"))
         self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
         self.save = QPushButton(_("Save figure…"))
-        self.save.setToolTip(_("What is shown, as PNG or SVG"))
+        self.save.setToolTip(_("What is shown, as PDF, SVG or PNG with 300 dpi"))
+        self._saver = Saver(desk, self)
         self.about = QLabel()
         self.stack = PlotStack()
         self.table = FiguresTable()
@@ -201,30 +201,9 @@ class SignalsPanel(QWidget):
     # -- figure ---------------------------------------------------------------------------------------------
 
     def _choose_figure(self) -> None:
-        folder = self._chosen[0].path.parent if self._chosen else self._desk.around.folder
-        dialog = QFileDialog(
-            self.window(), _("Save figure"), str(folder), ";;".join(_(kind) for kind in FIGURES.values())
-        )
-        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
-        dialog.setDefaultSuffix("png")
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.filterSelected.connect(lambda chosen: dialog.setDefaultSuffix("svg" if "svg" in chosen else "png"))
-        dialog.fileSelected.connect(self._save_figure)
-        dialog.open()
-
-    def _save_figure(self, name: str) -> None:
-        if self._desk.busy or not self.loaded:
-            self._desk.say(_("The figure is not saved: something else goes on. Try again."), problem=True)
-            return
         low, high = self.stack.stretch
         plan = FigurePlan(tuple(self.loaded), self.channels.drawn, low, high, self.spectrum.channel)
-        self._desk.jobs.do(lambda: plan.save(Path(name)), self._saved, self._not_saved)
-
-    def _saved(self, path: Path) -> None:
-        self._desk.say(_("The figure is saved in {path}.").format(path=path))
-
-    def _not_saved(self, words: str) -> None:
-        self._desk.say(words, problem=True)
+        self._saver.save_figure(plan, self._chosen[0].path.parent if self._chosen else None)
 
     # -- building -------------------------------------------------------------------------------------------
 

@@ -1,0 +1,119 @@
+"""Figures for publications: vector or 300 dpi, on white, with the whole legend, and nothing replaced without asking."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from app.benches import WAIT_MS
+from app.views.research_panels import answer, press, run, wait
+from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QFileDialog, QMessageBox
+
+from tissueid.app.views.researcher.looks import KERNELS, OUTPUT, PICTURES
+from tissueid.app.views.researcher.saving import FIGURES, free_name, write_figure
+from tissueid.errors import UnusableInputError
+
+pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
+
+
+def svg_of(figure, tmp_path):
+    return write_figure(tmp_path / "figure.svg", figure.draw).read_text(encoding="utf-8")
+
+
+def test_every_picture_is_drawn_with_its_legend_and_units(qtbot, panel, two, tmp_path):
+    odd = [dataclasses.replace(two[0], pseudonym="_P$1$"), two[1]]
+    run(qtbot, panel, odd, "wiener")
+    run(qtbot, panel, odd[:1], "depth")
+    units = {OUTPUT: "(mm)", "Impulse response": "mm/(N·s)", "Bode diagram": "Frequency (Hz)"}
+    units |= {"Against depth": "Stiffness (N/m)", "Static nonlinearity": "Static nonlinearity (mm)"}
+    for name in PICTURES:
+        panel.pictures.choice.setCurrentText(name)
+        text = svg_of(panel.pictures.figure, tmp_path)
+        assert units.get(name, "") in text
+        assert "mathdefault" not in text
+        if name != KERNELS:
+            assert "Wiener" in text
+            assert "P-002" in text
+        assert "_P$1$" in text
+    panel.pictures.choice.setCurrentText(OUTPUT)
+    text = svg_of(panel.pictures.figure, tmp_path)
+    assert "VAF" in text
+    assert "scheduled by the measured output" in text
+
+
+def test_the_population_is_drawn(qtbot, panel, two, tmp_path):
+    run(qtbot, panel, two)
+    view = panel.population
+    panel.tabs.setCurrentWidget(view)
+    for key in ("distribution", "subject", "date", "repeat", "stiffness_n_per_m"):
+        view.across.setCurrentIndex(view.across.findData(key))
+        view._choose()
+        if key == "date":  # these tests have none
+            assert view.figure is None
+            continue
+        text = svg_of(view.figure, tmp_path)
+        assert "2 of 2 fits drawn" in text
+        assert "LMS: " in text
+        assert "Mass (g)" in text
+    view.across.setCurrentIndex(0)
+    view._choose()
+    press(qtbot, view.save_figure)
+    answer(qtbot, panel, tmp_path / "population.pdf")
+    assert (tmp_path / "population.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("ending", sorted(FIGURES))
+def test_a_figure_is_vector_or_has_three_hundred_dots_an_inch_on_white(qtbot, panel, two, tmp_path, ending):
+    run(qtbot, panel, two[:1])
+    path = write_figure(tmp_path / f"f{ending}", panel.pictures.figure.draw)
+    if ending == ".png":
+        image = QImage(str(path))
+        assert image.width() == 7.2 * 300
+        assert image.pixelColor(2, 2).name() == "#ffffff"
+    else:
+        assert b"<svg" in path.read_bytes() if ending == ".svg" else path.read_bytes().startswith(b"%PDF")
+    with pytest.raises(UnusableInputError):
+        write_figure(tmp_path / "f.docx", panel.pictures.figure.draw)
+
+
+def test_a_name_is_suggested_that_is_free(qtbot, panel, two, tmp_path):
+    assert free_name(tmp_path, "Model output P-001, #1: 50 %", ".pdf") == "Model-output-P-001-1-50.pdf"
+    (tmp_path / "a-b.pdf").touch()
+    assert free_name(tmp_path, "a b", ".pdf") == "a-b-2.pdf"
+    assert free_name(tmp_path, "../..", ".svg") == "tissueid.svg"
+    run(qtbot, panel, two[:1])
+    press(qtbot, panel.save_figure)
+    (dialog,) = panel.findChildren(QFileDialog)
+    name = Path(dialog.selectedFiles()[0]).name
+    assert name.startswith("Model-output-LMS-P-001")
+    assert name.endswith(".pdf")
+    dialog.filterSelected.emit("SVG drawing (*.svg)")
+    assert Path(dialog.selectedFiles()[0]).suffix == ".svg"
+    dialog.reject()
+
+
+@pytest.mark.parametrize("replace", [False, True])
+def test_what_is_there_is_replaced_only_when_that_is_said(qtbot, panel, two, tmp_path, replace):
+    run(qtbot, panel, two[:1])
+    path = tmp_path / "kept.svg"
+    path.write_text("mine")
+    press(qtbot, panel.save_figure)
+    answer(qtbot, panel, path)
+    (question,) = panel.findChildren(QMessageBox)
+    assert path.read_text() == "mine"
+    button = next(b for b in question.buttons() if (b.text() == "Replace") == replace)
+    press(qtbot, button)
+    wait(qtbot, panel)
+    assert ("<svg" in path.read_text(encoding="utf-8")) == replace
+    qtbot.waitUntil(lambda: not panel.findChildren(QMessageBox), timeout=WAIT_MS)
+
+
+def test_a_table_is_not_replaced_either(qtbot, panel, two, tmp_path):
+    run(qtbot, panel, two[:1])
+    path = tmp_path / "table.csv"
+    path.write_text("mine")
+    press(qtbot, panel.save_table)
+    answer(qtbot, panel, path)
+    (question,) = panel.findChildren(QMessageBox)
+    question.reject()
+    assert path.read_text() == "mine"
