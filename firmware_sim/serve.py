@@ -27,6 +27,8 @@ HOST_PATIENCE_S = 0.4
 """How long a fast clock waits for set-points; the watchdog is not far behind."""
 
 _READ = 65536
+_READS = 16
+"""How often at most a host is read at a time: it may have hung up behind what it sent last."""
 _BACKLOG_BYTES = 16 * 1024
 _BURST_SAMPLES = 200
 """A fast clock that its machine cannot keep up with looks at the port this often."""
@@ -111,25 +113,31 @@ class TcpPort:
             return b"", len(outgoing)
         writing = [self._host] if self._host is not None and outgoing else []
         ready, writable, _ = select.select(waiting, writing, [], timeout_s)
+        data, sent = b"", len(outgoing)  # where no host is it goes nowhere
+        if self._host is not None:
+            data, sent = self._talk(self._host, outgoing if writable else b"")
         if self._listener in ready:
             newcomer, _ = self._listener.accept()
             if self._host is not None:
                 newcomer.close()  # a cable has one other end, and it is taken
-                return b"", 0
-            newcomer.setblocking(False)
-            newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._host = newcomer
-            return b"", len(outgoing)  # what was meant for the host before is not for this one
-        if self._host is None:
-            return b"", len(outgoing)
+            else:
+                newcomer.setblocking(False)
+                newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._host = newcomer
+                sent = len(outgoing)  # what was meant for the host before is not for this one
+        return data, sent
+
+    def _talk(self, host: socket.socket, outgoing: bytes) -> tuple[bytes, int]:
+        """What has come from a host, and how much was sent to it. One that has hung up may be followed by another."""
         data, sent = b"", 0
         try:
-            if self._host in writable:
-                sent = self._host.send(outgoing)
-            if self._host in ready:
-                data = self._host.recv(_READ)
-                if not data:
+            if outgoing:
+                sent = host.send(outgoing)
+            for _ in range(_READS):
+                if not (piece := host.recv(_READ)):
                     self._hang_up()
+                    break
+                data += piece
         except BlockingIOError:
             return data, sent
         except OSError:

@@ -1,6 +1,7 @@
 """The simulated firmware as a process: a real pseudo-terminal or socket, a real clock, real mishaps."""
 
 import json
+import socket
 import subprocess
 import sys
 
@@ -13,7 +14,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.faults import PlannedFault
 from firmware_sim.firmware import Firmware
 from firmware_sim.scenario import Scenario
-from firmware_sim.serve import Server
+from firmware_sim.serve import Server, TcpPort
 from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError, ProtocolVersionError
 from tissueid.instrument import CLINICAL, SerialInstrument, SerialLink
@@ -297,3 +298,22 @@ def test_the_status_is_that_of_the_process(tmp_path):
     answer = run_simulator("--scenario", str(tmp_path / "nothing.toml"))
     assert answer.returncode == 2
     assert answer.stderr.count("\n") == 1
+
+
+def test_a_host_that_follows_another_at_once_is_let_in():
+    port = TcpPort(0)
+    address = ("127.0.0.1", int(port.url.rpartition(":")[2]))
+    for number in range(20):
+        host = socket.create_connection(address)
+        assert port.exchange(b"", 1.0) == (b"last words %d" % (number - 1) if number else b"", 0)
+        host.sendall(b"last words %d" % number)
+        host.close()
+    # Each is connected before the port has looked at the end of the one before.
+    with socket.create_connection(address) as last:
+        assert port.exchange(b"for the one before", 1.0) == (b"last words 19", len(b"for the one before"))
+        assert port.exchange(b"for this one", 1.0) == (b"", len(b"for this one"))
+        assert last.recv(100) == b"for this one"
+        with socket.create_connection(address) as second:
+            port.exchange(b"", 1.0)
+            assert second.recv(1) == b"", "one at a time"
+    port.unplug()
