@@ -30,7 +30,7 @@ LIFT_S = 0.5
 
 
 def static_force_n(volts: NDArray[np.float64], coil: PlantParameters) -> NDArray[np.float64]:
-    """The coil's force at standstill, N, without its sign; motion only lowers it."""
+    """The coil's force at standstill, N, without its sign; motion against the push raises it."""
     return np.abs(volts) * (coil.amplifier_gain * coil.force_constant_n_per_a / coil.resistance_ohm)
 
 

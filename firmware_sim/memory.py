@@ -31,7 +31,9 @@ class StimulusMemory:
     def begin(self, payload: bytes) -> Answer:
         """Make room for a stimulus; what was there before is gone."""
         request, _ = wire.unpack(wire.STIMULUS_BEGIN, payload)
-        if not 0 < request["samples"] <= self.capacity:
+        if not request["samples"]:
+            return Result.BAD_ARGUMENT, 0
+        if request["samples"] > self.capacity:
             return Result.TOO_LARGE, self.capacity
         self.codes = np.zeros(request["samples"], "<i2")
         self.id, self._crc = request["stimulus_id"], request["crc32"]

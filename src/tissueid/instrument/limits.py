@@ -80,7 +80,8 @@ def check_stimulus(
 def check_command(command_v: NDArray[np.float64], device: DeviceDescription, limits: Limits) -> None:
     """Refuse commands, shape (n,) in V, that the amplifier cannot give or that push too hard.
 
-    Force is judged at standstill, gain V * force constant / resistance: motion only lowers it.
+    Force is judged at standstill, gain V * force constant / resistance. Motion with the push lowers it and motion
+    against it raises it, which only the measured current shows.
 
     Raises:
         LimitError: says which limit, and by how much.
