@@ -179,11 +179,20 @@ def _announce(url: str, scenario: Scenario) -> Path:
     note = {
         "url": url,
         "pid": os.getpid(),
+        "started": _started(),
         "preset": scenario.preset,
         "serial_number": scenario.serial_number,
     }
     notice.write_text(json.dumps(note), encoding="utf-8")
     return notice
+
+
+def _started() -> int | None:
+    """When this process began, in ticks since the computer did; its number may be another's after it; None: unknown."""
+    try:
+        return int(Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def test_urls_open_what_they_name():
 def test_discovery_asks_each_port_and_says_why_one_does_not_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(discovery, "user_cache_path", lambda *_, **__: tmp_path)
     monkeypatch.setattr(discovery.list_ports, "comports", list)
-    monkeypatch.setattr(discovery, "_alive", lambda pid: pid != 999)
+    monkeypatch.setattr(discovery, "_alive", lambda pid, _started: pid != 999)
     folder = tmp_path / "simulated"
     folder.mkdir()
 
@@ -117,8 +118,74 @@ def test_discovery_asks_each_port_and_says_why_one_does_not_answer(tmp_path, mon
     assert answers["simulated://forearm"] is True
     assert next(item for item in found if item.url == "silent://").detail == "nobody home"
     assert find_instruments(probe=False, opener=opener)[0].answers is None
+    names = {item.url: item.name for item in found}
+    assert names["good://"] == "desktop indenter (in-process simulation), TWIN-0"
+    assert names["silent://"] == "simulated firmware, S"
+    assert names["simulated://forearm"] == "simulation, forearm"
+    assert all(item.name for item in find_instruments(probe=False, opener=opener))
+    assert sorted(path.name for path in folder.iterdir()) == ["1.json", "2.json", "4.json", "5.json"]
 
 
-def test_the_own_process_is_not_an_instrument():
-    assert not discovery._alive(os.getpid())
+def started(pid):
+    """When a process began, by its own account of proc(5)."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[19])
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_note_counts_only_while_the_process_that_left_it_lives(tmp_path, monkeypatch):
+    monkeypatch.setattr(discovery, "user_cache_path", lambda *_, **__: tmp_path)
+    monkeypatch.setattr(discovery.list_ports, "comports", list)
+    folder = tmp_path / "simulated"
+    folder.mkdir()
+
+    def note(name, **fields):
+        text = json.dumps({"url": f"{name}://", "preset": "buna", "serial_number": name} | fields)
+        (folder / f"{name}.json").write_text(text)
+
+    parent = os.getppid()
+    note("lives", pid=parent, started=started(parent))
+    note("number-of-another", pid=parent, started=started(parent) - 100)
+    note("without-a-start", pid=parent)
+    note("dead", pid=2**22 + 1, started=5)
+    note("own", pid=os.getpid(), started=started(os.getpid()))
+    found = [item.url for item in find_instruments(probe=False) if not item.url.startswith("simulated")]
+    assert found == ["lives://"]
+    assert sorted(path.stem for path in folder.iterdir()) == ["lives", "own"]
+
+
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("simulated:///any/path", "neither a tissue nor a twin"),
+        ("simulated:///etc/passwd", "neither a tissue nor a twin"),
+        ("simulated://forearm/more", "neither a tissue nor a twin"),
+        ("simulated://forearm#more", "neither a tissue nor a twin"),
+        ("simulated://nobody", "no simulated tissue"),
+        ("simulated://forearm?speed=3", "there is only seed"),
+        ("simulated://[", "is no address"),
+        ("simulated://forearm?seed=\u00b2", "must be a whole number"),
+        ("simulated://forearm?seed=", "must be a whole number"),
+        ("simulated://forearm?seed=-1", "must be a whole number"),
+        ("simulated://forearm?seed=" + "1" * 5000, "must be a whole number"),
+        ("simulated:///nothing/here.toml", "nothing/here.toml"),
+        ("simulated:///no%00thing.toml", "toml"),
+        ("simulated://\x1b[31mforearm", "is no address"),
+    ],
+)
+def test_an_address_of_no_simulation_is_refused_in_one_short_line(url, words):
+    with pytest.raises(UnusableInputError, match=words) as caught:
+        open_instrument(url)
+    assert len(str(caught.value)) < 300
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("scheme", ["spy", "SPY", "loop", "alt", "hwgrep", "file", "http"])
+def test_kinds_of_address_that_are_not_known_are_refused(tmp_path, scheme):
+    file = tmp_path / "written"
+    with pytest.raises(InstrumentError, match="no kind of address that is known"):
+        open_instrument(f"{scheme}:///dev/null?file={file}")
+    assert not file.exists()
+
+
+def test_a_found_place_has_no_more_to_say_of_itself_than_is_known():
     assert instruments.Found("a", "b", None).detail == ""

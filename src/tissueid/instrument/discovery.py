@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable
@@ -18,8 +19,15 @@ from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
 from tissueid.instrument.tissues import TISSUES
+from tissueid.wording import clean
 
 IN_PROCESS = "simulated://"
+DEFAULT_TISSUE = "forearm"
+_SEED_DIGITS = 18
+_STARTED = 19
+"""Place of a process' start among the fields that follow its name (proc(5))."""
+_SHOWN = 80
+"""Characters of an address that a message repeats."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +39,8 @@ class Found:
     answers: bool | None
     """True: it shook hands. False: something is there that did not. None: not asked."""
     detail: str = ""
+    name: str = ""
+    """What to call it where people choose: model and serial number of what answered, else what seems to be there."""
 
 
 def open_instrument(url: str) -> Instrument:
@@ -42,63 +52,99 @@ def open_instrument(url: str) -> Instrument:
         InstrumentError, ProtocolVersionError, UnusableInputError: nothing there that can be used.
     """
     if url.startswith(IN_PROCESS):
-        # The twin is compiled code, which takes longer to import than all the rest of the instruments.
-        from tissueid.instrument.simulated import SimulatedInstrument
-        from tissueid.instrument.twin_file import SUFFIX, read_twin
-
-        parts = urlsplit(url)
-        query = parse_qs(parts.query)
-        if unknown := set(query) - {"seed"}:
-            raise UnusableInputError(f"{url} asks for {', '.join(sorted(unknown))}; there is only seed")
-        seed = query.get("seed", ["0"])[0]
-        if not seed.isdigit():
-            raise UnusableInputError(f"the seed in {url} must be a whole number")
-        file = unquote(f"{parts.netloc}{parts.path}")
-        if file.endswith(SUFFIX):
-            return SimulatedInstrument(read_twin(Path(file)), seed=int(seed))
-        return SimulatedInstrument(parts.netloc or "forearm", seed=int(seed))
+        return _simulation(url)
     if not url.strip():
         raise UnusableInputError("say which instrument; 'tissueid devices' lists them")
     return SerialInstrument(SerialLink(url))
 
 
+def _simulation(url: str) -> Instrument:
+    """The simulation in this process that a URL names.
+
+    Raises:
+        UnusableInputError: it names none, or asks for something else than a seed.
+    """
+    # The twin is compiled code, which takes longer to import than all the rest of the instruments.
+    from tissueid.instrument.simulated import SimulatedInstrument
+    from tissueid.instrument.twin_file import SUFFIX, read_twin
+
+    shown = clean(url)[:_SHOWN]
+    try:
+        parts = urlsplit(url)
+        query = parse_qs(parts.query, keep_blank_values=True)
+    except ValueError as error:
+        raise UnusableInputError(f"{shown} is no address: write simulated://TISSUE?seed=N") from error
+    if unknown := set(query) - {"seed"}:
+        raise UnusableInputError(f"{shown} asks for {clean(', '.join(sorted(unknown)))[:_SHOWN]}; there is only seed")
+    seed = query.get("seed", ["0"])[-1]
+    if not (seed.isascii() and seed.isdigit() and len(seed) <= _SEED_DIGITS):
+        raise UnusableInputError(f"the seed in {shown} must be a whole number of {_SEED_DIGITS} digits at most")
+    file = unquote(f"{parts.netloc}{parts.path}")
+    if file.endswith(SUFFIX):
+        return SimulatedInstrument(read_twin(Path(file)), seed=int(seed))
+    if parts.path.strip("/") or parts.fragment:
+        raise UnusableInputError(
+            f"{shown} is neither a tissue nor a twin: write simulated://TISSUE ({', '.join(TISSUES)}), or "
+            f"simulated:///PATH/NAME{SUFFIX}"
+        )
+    return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=int(seed))
+
+
 def find_instruments(*, probe: bool = True, opener: Callable[[str], Instrument] = open_instrument) -> list[Found]:
     """Everything that looks like an instrument; with ``probe`` each port is asked to shake hands."""
-    candidates = [(note["url"], f"simulated firmware, {note['preset']}") for note in _simulated_notes()]
-    candidates += [(port.device, port.description or "serial port") for port in list_ports.comports()]
+    candidates = [
+        (note["url"], f"simulated firmware, {note['preset']}", f"simulated firmware, {note['serial_number']}")
+        for note in _simulated_notes()
+    ]
+    for port in list_ports.comports():
+        what = port.description or "serial port"
+        candidates.append((port.device, what, what if what != "n/a" else "serial port"))
     found = []
-    for url, what in candidates:
+    for url, what, name in candidates:
         if not probe:
-            found.append(Found(url, what, None))
+            found.append(Found(url, what, None, name=name))
             continue
         try:
             instrument = opener(url)
         except TissueIDError as error:
-            found.append(Found(url, what, False, str(error)))
+            found.append(Found(url, what, False, str(error), name))
             continue
         device = instrument.device
         instrument.close()
-        detail = f"{device.model}, {device.serial_number}, firmware {device.firmware_version}"
-        found.append(Found(url, what, True, detail))
-    found += [Found(f"{IN_PROCESS}{name}", "simulation in this process", True) for name in TISSUES]
+        name = f"{device.model}, {device.serial_number}"
+        found.append(Found(url, what, True, f"{name}, firmware {device.firmware_version}", name))
+    what = "simulation in this process"
+    found += [Found(f"{IN_PROCESS}{name}", what, True, name=f"simulation, {name}") for name in TISSUES]
     return found
 
 
 def _simulated_notes() -> list[dict[str, Any]]:
-    """What running simulators left of themselves; notes of dead ones are passed over."""
+    """What running simulators left of themselves; the notes of those that are dead are removed."""
     folder = user_cache_path("tissueid", appauthor=False) / "simulated"
     notes = []
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
         try:
             note = json.loads(path.read_text(encoding="utf-8"))
-            if _alive(int(note["pid"])) and isinstance(note["url"], str) and isinstance(note["preset"], str):
-                notes.append(note)
-        except (OSError, ValueError, KeyError, TypeError):
+            pid = int(note["pid"])
+            if not all(isinstance(note[name], str) for name in ("url", "preset", "serial_number")):
+                continue
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue  # half-written or foreign: not a simulator
+        if not _alive(pid, note.get("started")):
+            with contextlib.suppress(OSError):
+                path.unlink()
+        elif pid != os.getpid():
+            notes.append(note)
     return notes
 
 
-def _alive(pid: int) -> bool:
-    if not Path("/proc").is_dir():
+def _alive(pid: int, started: object) -> bool:
+    """Whether the process of that number is the one that began at that moment, in ticks since the computer did."""
+    if not Path("/proc/self/stat").exists():
         return True  # cannot tell: the handshake will
-    return Path(f"/proc/{pid}").is_dir() and pid != os.getpid()
+    try:
+        # The second field is the program's name in brackets, which may hold anything.
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        return started == int(fields[_STARTED])
+    except (OSError, ValueError, IndexError):
+        return False

@@ -26,6 +26,9 @@ except ImportError:  # Windows
 else:
     _PORT_ERRORS = (OSError, ValueError, termios.error)
 
+SCHEMES = ("socket", "rfc2217")
+"""Kinds of address besides the name of a port: TCP, and a serial port on the network."""
+
 _SLICE_S = 0.01
 """How long one wait for the first byte lasts: a port's own timeout cannot be changed for every read."""
 
@@ -52,9 +55,16 @@ class Link(Protocol):
 
 
 class _Port:
-    """A port as pyserial knows it."""
+    """A port as pyserial knows it.
+
+    Raises:
+        ValueError: an address of a kind that is none of ``SCHEMES``: pyserial has some that write files, or guess.
+    """
 
     def __init__(self, url: str) -> None:
+        scheme, separator, _ = url.partition("://")
+        if separator and scheme.lower() not in SCHEMES:
+            raise ValueError(f"it is no kind of address that is known ({', '.join(f'{name}://' for name in SCHEMES)})")
         # Exclusive: a second program, or a search for instruments, must not read a running test's samples away.
         self._port = serial.serial_for_url(
             url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True
@@ -105,7 +115,7 @@ class _Socket:
 
 
 class SerialLink:
-    """A real port, a pseudo-terminal, any of pyserial's URLs, or TCP as ``socket://host:port``.
+    """A real port, a pseudo-terminal, ``rfc2217://host:port``, or TCP as ``socket://host:port``.
 
     Raises:
         InstrumentError: the port cannot be opened.
