@@ -252,6 +252,9 @@ def in_state(qtbot, opened):
             if part == "result" and window.findings is None:
                 window.open_session(window.around.folder / "2026-01-15_10-30-00.h5")
                 idle(window)
+            for panel, button in (("help", window.panels.help_button), ("log", window.panels.log_button)):
+                if panel in part:
+                    button.click()
             shown_part = {"result": ui.result, "calibration": ui.calibration}.get(part, ui.running)
             ui.pages.setCurrentWidget(shown_part)
         elif name == "research":
@@ -278,6 +281,8 @@ STATES = [
     "idle on measure:settings",
     "idle on measure:result",
     "idle on measure:calibration",
+    "idle on measure:help",
+    "idle on measure:help and log",
     "idle on research:signals",
     "idle on research:0",
     "idle on research:1",
@@ -352,3 +357,17 @@ def test_a_notice_of_two_lines_covers_nothing(in_state, text):
         for widget, place in places(window).items()
         if place & covered and not (window.ui.notice.isAncestorOf(widget))
     ] == []
+
+
+def test_a_result_is_shown_from_its_top(qtbot, in_state):
+    window = in_state("en", "idle on measure:result")
+    window.resize(*SMALLEST)
+    settle()
+    bars = window.ui.result.verticalScrollBar(), window.ui._main.verticalScrollBar()
+    assert all(bar.maximum() > 0 for bar in bars)
+    for bar in bars:
+        bar.setValue(bar.maximum())
+    window.open_session(window.findings.path)
+    qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
+    settle()
+    assert [bar.value() for bar in bars] == [0, 0]

@@ -13,7 +13,7 @@ from tissueid.app.theme import Theme
 
 FOLDER = Path(__file__).with_name("help")
 MISSING = marked("There is no help for this page.")
-_WIDTH = 320
+_LEAST_WIDTH = 220
 
 
 class _Reader(QTextBrowser):
@@ -33,7 +33,7 @@ class HelpPanel(QDockWidget):
         self.reader = _Reader()
         self.reader.setOpenLinks(False)
         self.reader.setAccessibleName(_("Help for this page"))
-        self.reader.setMinimumWidth(_WIDTH - 40)
+        self.reader.setMinimumWidth(_LEAST_WIDTH)
         self.reader.document().setDocumentMargin(10)
         inside = QWidget()
         column = QVBoxLayout(inside)

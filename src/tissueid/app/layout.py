@@ -47,6 +47,7 @@ _NARROW_SIDE_WIDTH = 284
 _NARROW = 1000
 """Width of the window below which the side is narrow."""
 _TITLE_BAR = 40
+_LEAST_ROOM = 480
 _LEAST_TABS = 200
 _LEAST_FORM = 20
 _TWO_COLUMNS = 560
@@ -117,6 +118,7 @@ class Layout:
         self.views: dict[str, QWidget] = {}
         self._holders: dict[str, QWidget] = {}
         self.show_role(role)
+        window.setMenuWidget(self._header())  # over the whole width, whatever is docked below it
         window.setCentralWidget(self._arrange())
         window.setMinimumSize(*SMALLEST)
         room = window.screen().availableSize() - QSize(0, _TITLE_BAR)
@@ -211,10 +213,10 @@ class Layout:
     def _arrange(self) -> QWidget:
         page = _Room()
         page.resized.connect(self._fold)
+        page.setMinimumSize(_LEAST_ROOM, 1)  # beside the docks
         rows = QVBoxLayout(page)
         rows.setContentsMargins(0, 0, 0, 0)
         rows.setSpacing(0)
-        rows.addWidget(self._header())
         columns = QHBoxLayout()
         columns.setSpacing(0)
         columns.addWidget(self.rail)
@@ -243,8 +245,15 @@ class Layout:
         main.addWidget(self._verdict)
         main.addWidget(self.pages, 1)
         self.pages.setMinimumHeight(_LEAST_TABS)
-        columns.addWidget(PageScroll(content), 1)
+        self._main = PageScroll(content)
+        columns.addWidget(self._main, 1)
         return page
+
+    def show_part(self, part: QWidget) -> None:
+        """Show a tab of the guided test from its top: the signals, the result or the calibration."""
+        self.pages.setTabVisible(self.pages.indexOf(part), True)
+        self.pages.setCurrentWidget(part)
+        self._main.verticalScrollBar().setValue(0)
 
     def _make_running(self) -> QWidget:
         """Signals and live estimates, below each other where there is no room for two columns."""

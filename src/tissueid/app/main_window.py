@@ -125,7 +125,7 @@ class MainWindow(QMainWindow):
         )
         self.ui.signals.expect(plan)
         self.ui.analysis.expect(plan)
-        self.ui.pages.setCurrentWidget(self.ui.running)
+        self.ui.show_part(self.ui.running)
         work = functools.partial(
             measure,
             plan,
@@ -272,8 +272,7 @@ class MainWindow(QMainWindow):
         self.ui.result.show_findings(findings)
         self.ui.form.tell_apart(self._plan is None or self._plan.path != findings.path)
         self.clinician.found(findings, self._plan)
-        self.ui.pages.setTabVisible(1, True)
-        self.ui.pages.setCurrentWidget(self.ui.result)
+        self.ui.show_part(self.ui.result)
         self.ui.pages.tabBar().setFocus()
         self.rest()
 

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 HELP_KEY = "F1"
 LOG_KEY = "F9"
-_HELP_WIDTH = 320
+_HELP_WIDTH, _NARROW_HELP_WIDTH = 320, 240
+_NARROW = 1100
+"""Width of the window below which the help is narrow."""
 _LOG_HEIGHT = 150
-_BELOW_HEADER = 60
 
 
 class Panels(QObject):
@@ -53,7 +54,7 @@ class Panels(QObject):
     def _add(self, panel: QDockWidget, button: QToolButton, keys: str) -> QToolButton:
         panel.hide()
         features = QDockWidget.DockWidgetFeature
-        panel.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable | features.DockWidgetFloatable)
+        panel.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable)
         toggle: Callable[..., None] = partial(self._toggle, panel, button)
         button.clicked.connect(toggle)
         panel.visibilityChanged.connect(partial(self._follow, panel, button))
@@ -79,22 +80,14 @@ class Panels(QObject):
             self._before.setFocus()
 
     def _place(self, panel: QDockWidget) -> None:
-        """Show a panel: the help above the page where there is no room for both, below the buttons of the header."""
+        """Show a panel beside the page, which becomes smaller: nothing is covered."""
+        panel.show()
         window = self._window
         if panel is self.help:
-            room = window.width() - _HELP_WIDTH >= window.minimumWidth()
-            panel.setFloating(not room)
-            panel.show()
-            if not room:
-                corner = window.mapToGlobal(window.rect().topRight())
-                panel.resize(_HELP_WIDTH, max(240, window.height() - _BELOW_HEADER - 12))
-                panel.move(corner.x() - _HELP_WIDTH - 12, corner.y() + _BELOW_HEADER)
+            width = _NARROW_HELP_WIDTH if window.width() < _NARROW else _HELP_WIDTH
+            window.resizeDocks([panel], [width], Qt.Orientation.Horizontal)
         else:
-            panel.show()
-        if not panel.isFloating():
-            across = Qt.Orientation.Horizontal if panel is self.help else Qt.Orientation.Vertical
-            window.resizeDocks([panel], [_HELP_WIDTH if panel is self.help else _LOG_HEIGHT], across)
-        panel.raise_()
+            window.resizeDocks([panel], [_LOG_HEIGHT], Qt.Orientation.Vertical)
 
     def _follow(self, panel: QDockWidget, button: QToolButton, _visible: bool) -> None:
         button.setChecked(not panel.isHidden())

@@ -20,7 +20,7 @@ _FOLD = "window/settings-unfolded"
 _INSTRUMENT = "test/instrument"
 _LIMITS = "test/limits"
 _LONGEST = 200
-_VERSION = 1
+_VERSION = 2
 
 
 def remembered_role(settings: QSettings) -> Role:

@@ -6,6 +6,9 @@ from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QBoxLayout, QFrame, QScrollArea, QWidget
 
+_LEAST = 80
+"""Width and height below which scrolling is no longer practical, pixels."""
+
 
 class PageScroll(QScrollArea):
     """A page in the room that is available, scrolled where the page needs more.
@@ -25,7 +28,7 @@ class PageScroll(QScrollArea):
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Return the least size at which scrolling is still practical."""
-        return QSize(120, 80).boundedTo(self._needed(120))
+        return QSize(_LEAST, _LEAST).boundedTo(self._needed(_LEAST))
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Return that of the page."""

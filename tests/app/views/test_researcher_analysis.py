@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_panels import answer, choose, press, run, wait
-from PySide6.QtCore import QByteArray, Qt
+from PySide6.QtCore import QByteArray, QCoreApplication, QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtWidgets import (
@@ -151,6 +151,16 @@ def test_a_history_that_cannot_be_written_costs_no_result(qtbot, panel, strip, h
     run(qtbot, panel, two[:1])
     assert len(panel.results.outcomes) == 1
     assert "history could not be written" in strip.said[-1][0]
+
+
+def test_new_results_are_brought_to_the_top_of_the_table(qtbot, panel, two):
+    run(qtbot, panel, two[:1])
+    panel.results.setFixedHeight(120)
+    many = [dataclasses.replace(panel.results.outcomes[0]) for _ in range(40)]
+    panel.results.show_outcomes(many)
+    QCoreApplication.processEvents()
+    panel.results.bring_up(many[20:])
+    assert panel.results.indexAt(QPoint(5, 5)).row() == 20
 
 
 def test_the_state_of_last_time_is_taken_up_or_passed_over(open_panel):

@@ -361,6 +361,20 @@ def test_the_role_in_use_is_kept_when_the_program_dies(qtbot, open_start, open_w
     assert open_window(first_page="").ui.role.role == "technician"  # the first was never closed
 
 
+def test_choices_are_found_again_in_another_language(open_window):
+    def choices(window):
+        window.pages.show("research")
+        research = window.ui.views["research"].analysis.pictures.choice
+        window.pages.show("instrument")
+        return research, window.ui.views["instrument"].audit.role
+
+    first = open_window(language="de", role="technician")
+    for choice in choices(first):
+        choice.setCurrentIndex(2)
+    first.close()
+    assert [choice.currentIndex() for choice in choices(open_window(language="en", role="technician"))] == [2, 2]
+
+
 def test_settings_that_somebody_else_wrote_do_no_harm(open_window, tmp_path):
     settings = QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
     for key in ("window/geometry", "window/panels", "window/page", "window/role", "test/limits", "test/instrument"):

@@ -236,6 +236,7 @@ class AnalysisPanel(QWidget):
         self._show_results(list((kept | fresh).values())[-_MOST_RESULTS:])
         if len(self.results.outcomes) > len(SERIES):
             self.results.select(list(fresh.values())[: len(SERIES)])
+        self.results.bring_up(list(fresh.values()))
         self._draw()
 
     def _show_results(self, outcomes: Sequence[Outcome]) -> None:

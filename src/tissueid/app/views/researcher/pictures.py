@@ -44,7 +44,7 @@ class Pictures(QWidget):
         self._total = 0
         self.kernel = KernelImage()
         for name, panels in PICTURES.items():
-            self.choice.addItem(_(name))
+            self.choice.addItem(_(name), name)
             self._pages.addWidget(QWidget() if panels else self.kernel)
         self.legend = QLabel()
         self.legend.setTextFormat(Qt.TextFormat.RichText)

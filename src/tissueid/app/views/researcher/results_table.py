@@ -122,6 +122,14 @@ class ResultsTable(QTableView):
             self.scrollTo(self._sorted.index(rows[0], 0))
         self.viewport().update()
 
+    def bring_up(self, outcomes: Sequence[Outcome]) -> None:
+        """Scroll so that the first of these results is at the top, as far as there are rows to scroll."""
+        wanted = {id(outcome) for outcome in outcomes}
+        for row in range(self._sorted.rowCount()):
+            if id(self._model.outcomes[self._source(row)]) in wanted:
+                self.scrollTo(self._sorted.index(row, 0), self.ScrollHint.PositionAtTop)
+                return
+
     def colour(self, drawn: Sequence[Outcome]) -> None:
         """Mark the results that are drawn with their colours, in the order of ``SERIES``."""
         self._model.colour({id(outcome): place for place, outcome in enumerate(drawn)})

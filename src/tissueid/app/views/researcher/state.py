@@ -22,7 +22,7 @@ def remembered(form: EngineForm, verdicts: RecommendationView, picture: QComboBo
         "signals": form.signals,
         "together": form.together.isChecked(),
         "compared": verdicts.compared,
-        "picture": picture.currentText(),
+        "picture": picture.currentData(),
         "tab": tabs.currentIndex(),
     }
     return json.dumps(state)
@@ -37,7 +37,7 @@ def recall(saved: object, form: EngineForm, verdicts: RecommendationView, pictur
         into, out = map(str, state.get("signals", form.signals))
         form.take_signals(into, out, state.get("together") is True)
         verdicts.take_compared([str(name) for name in state.get("compared", ())])
-        picture.setCurrentIndex(max(0, picture.findText(str(state.get("picture", "")))))
+        picture.setCurrentIndex(max(0, picture.findData(str(state.get("picture", "")))))
         tabs.setCurrentIndex(int(state.get("tab", 0)))
     except (TissueIDError, ValueError, TypeError, AttributeError, RecursionError):
         form.restore({})

@@ -81,8 +81,10 @@ class AuditTab(Tab):
         self._csv: Path | None = None
         self.role = QComboBox()
         self.role.setAccessibleName(_("Role whose lines are shown"))
-        self.role.addItems([_(_ALL_ROLES), *ROLES])
-        self.role.setCurrentIndex(max(0, self.role.findText(str(desk.settings.value(_ROLE, _ALL_ROLES)))))
+        self.role.addItem(_(_ALL_ROLES), "")
+        for role in ROLES:
+            self.role.addItem(role, role)
+        self.role.setCurrentIndex(max(0, self.role.findData(str(desk.settings.value(_ROLE, "")))))
         self.act = QComboBox()
         self.act.setAccessibleName(_("Which acts are shown"))
         self.act.addItem(_(_ALL_ACTS))
@@ -218,7 +220,7 @@ class AuditTab(Tab):
         self.export.setEnabled(not busy and bool(self.model.rows))
 
     def _show(self) -> None:
-        role = "" if self.role.currentIndex() <= 0 else self.role.currentText()
+        role = self.role.currentData()
         act = "" if self.act.currentIndex() <= 0 else self._read.acts[self.act.currentIndex() - 1]
         words = self.search.text().casefold().split()
         lines, texts = self._read.page.lines, self._read.texts
@@ -267,5 +269,5 @@ class AuditTab(Tab):
 
     def save_state(self) -> None:
         """Filter and search."""
-        self.desk.settings.setValue(_ROLE, self.role.currentText())
+        self.desk.settings.setValue(_ROLE, self.role.currentData())
         self.desk.settings.setValue(_SEARCH, self.search.text())
