@@ -40,7 +40,14 @@ class ProtocolVersionError(InstrumentError):
 
 
 class LinkLostError(InstrumentError):
-    """The connection broke or went silent. Firmware releases the coil by its own watchdog."""
+    """The connection broke or went silent. Firmware releases the coil by its own watchdog.
+
+    ``watchdog_s`` is within how many seconds, where the instrument said so before it was lost.
+    """
+
+    def __init__(self, words: str, watchdog_s: float | None = None) -> None:
+        super().__init__(words)
+        self.watchdog_s = watchdog_s
 
 
 class FirmwareFaultError(InstrumentError):

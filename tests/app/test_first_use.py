@@ -176,7 +176,7 @@ def test_after_a_window_that_hung_nothing_is_waited_for(qtbot, open_window, cloc
     assert "press Start again" in ui.notice.text.text()
     assert ui.guidance.lamp.contact is Contact.UNWATCHED
     assert not ui.analysis.isVisible()
-    assert ui.safety.keys.text() == "The coil is free"
+    assert ui.safety.keys.text() == "No test is running"
 
 
 def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
@@ -188,7 +188,7 @@ def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
     assert shown.contact.text() == "on the skin"
     shown.show_safety(safety, free=True)
     shown.tell_keys(reach=True)
-    assert shown.keys.text() == "The coil is free"
+    assert shown.keys.text() == "No test is running"
     assert "9.3" not in shown.force.text()
     assert shown.contact.text() != "on the skin"
     shown.expect()

@@ -159,7 +159,7 @@ def test_start_and_measure_are_german_and_the_choice_is_kept(open_window):
     assert ui.stop.text() == "STOPP – Spule freigeben"
     assert ui.guidance.instruction.text().startswith("Setzen Sie die Sonde auf die Haut")
     assert ui.form.summary.text() == "Rauschen, Gauß: 0.5–10.5 N, 4 s, Startwert 1"
-    assert ui.safety.keys.text() == "Die Spule ist frei"
+    assert ui.safety.keys.text() == "Kein Test läuft"
     assert [button.text() for button in ui.rail.buttons.values()] == [
         "Start",
         "Messen",

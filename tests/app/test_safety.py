@@ -155,7 +155,7 @@ def test_read_outs_are_quiet_until_something_comes_near_its_limit(readouts, chan
     assert tuple(label.property("level") or "" for label in labels) == levels
     readouts.rest()
     assert [label.text() for label in labels] == ["—"] * 3
-    assert readouts.keys.text() == "The coil is free"
+    assert readouts.keys.text() == "No test is running"
 
 
 def test_numbers_change_four_times_a_second_and_contact_at_once(readouts):

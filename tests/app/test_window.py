@@ -193,6 +193,10 @@ def test_an_instrument_that_disappears_gives_words_and_leaves_the_window_alive(q
     wait_for_result(qtbot, window)
     assert not chooser.about.text().startswith("Ready")
     assert "connection to loopback broke" in window.ui.notice.text.text()
+    released = "own watchdog releases the coil within 0.5 s"
+    assert window.ui.notice.text.text().count(released) == 1
+    assert released in window.ui.safety.keys.text()  # nothing is known of the coil but that
+    assert "free" not in window.ui.safety.keys.text()
     path, session = only_session(tmp_path)
     assert f"saved in {path}" in window.ui.notice.text.text()
     assert session.test().status == "aborted"

@@ -176,12 +176,16 @@ ERRORS = (
     marked("no instrument answers on {name}; check the cable and the power, and that no other program uses it"),
     marked("{name} does not answer {kind}; check the cable and the power"),
     marked(
-        "{name} went silent for {seconds} s; the firmware releases the coil by itself. Check the cable and the "
-        "power, and connect again"
+        "the connection to {name} broke: {why}. Check the cable, and connect again. The instrument's own watchdog "
+        "releases the coil within {watchdog} s"
     ),
     marked(
-        "{name} sent no usable samples for {seconds} s; the firmware releases the coil by itself. Check the cable and "
-        "the power, and connect again"
+        "{name} went silent for {seconds} s. Check the cable and the power, and connect again. The instrument's own "
+        "watchdog releases the coil within {watchdog} s"
+    ),
+    marked(
+        "{name} sent no usable samples for {seconds} s. Check the cable and the power, and connect again. The "
+        "instrument's own watchdog releases the coil within {watchdog} s"
     ),
     marked("the instrument contradicts itself about which samples it played: connect again, or update its firmware"),
     marked("the test has not ended after {seconds} s, and ought to have: connect again, and measure again"),

@@ -212,6 +212,8 @@ class MainWindow(QMainWindow):
             self.ui.notice.say(said, problem=failed, page=MEASURE)
         if outcome.instrument_failed:
             self._doubt_instrument()
+        if outcome.link_lost is not None:
+            self.ui.safety.tell_lost(outcome.link_lost.watchdog_s)
         if session is not None:
             self.pages.heard_of(outcome.path)
         if session is not None and session.tests and not self._closing:

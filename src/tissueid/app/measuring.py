@@ -30,7 +30,7 @@ from tissueid.app.safety import SafetyWatch
 from tissueid.app.words import in_words, sentence
 from tissueid.audit import Trail
 from tissueid.calibration.in_force import calibrated
-from tissueid.errors import CancelledError, FirmwareFaultError
+from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import PROFILES, Instrument, SimulatedInstrument
 from tissueid.instrument.answers import describe_faults
 from tissueid.sessions import Session, Subject, Test
@@ -44,6 +44,7 @@ class Outcome:
     ``stopped`` is true where a person stopped it, ``by_button`` where that was with the button of the instrument.
     ``unanswered`` is true where the window stood still for too long.
     ``instrument_failed`` is true where what went wrong was the instrument or its cable, not this computer's disk.
+    ``link_lost`` is the error where the line to the instrument was lost: nothing then confirms that the coil is free.
     ``trouble``, which is in ``problem`` too, is why the recording could not be saved; ``unlogged`` why the audit log
     lacks something.
     """
@@ -57,6 +58,7 @@ class Outcome:
     instrument_failed: bool = False
     trouble: str = ""
     unlogged: str = ""
+    link_lost: LinkLostError | None = None
 
 
 def measure(
@@ -143,6 +145,7 @@ def measure(
         unanswered=cancelled and stop.reason == NO_ANSWER,
         instrument_failed=not isinstance(problem, NoneType | CancelledError | JournalError) and not by_button,
         trouble=trouble,
+        link_lost=problem if isinstance(problem, LinkLostError) else None,
         unlogged=sentence(_("not in the audit log: {problem}").format(problem=lacking)) if lacking else "",
     )
 

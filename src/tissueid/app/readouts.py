@@ -37,6 +37,7 @@ class SafetyReadouts(QFrame):
             grid.addWidget(value, row, 1)
         grid.addWidget(self.keys, len(rows), 0, 1, 2)
         grid.setColumnStretch(1, 1)
+        self.keys.setWordWrap(True)
         for value in (self.force, self.coil, self.contact, self.keys):
             value.setProperty("role", "readout")
             value.setTextFormat(Qt.TextFormat.PlainText)
@@ -48,7 +49,14 @@ class SafetyReadouts(QFrame):
         self._frame, self._free = 0, True
         for label in (self.force, self.coil, self.contact):
             _say(label, MISSING)
-        _say(self.keys, _("The coil is free"))
+        _say(self.keys, _("No test is running"))
+
+    def tell_lost(self, watchdog_s: float | None) -> None:
+        """The line to the instrument was lost: its own watchdog releases the coil, within so many seconds if known."""
+        text = _("Line lost: the instrument's own watchdog releases the coil")
+        if watchdog_s is not None:
+            text = _("Line lost: the instrument's own watchdog releases the coil within {seconds:g} s")
+        _say(self.keys, text.format(seconds=watchdog_s), "check")
 
     def expect(self, *, calibrating: bool = False) -> None:
         """A test begins, or a calibration: that has no skin to find, and shows where the probe stands."""

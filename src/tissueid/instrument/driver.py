@@ -74,8 +74,10 @@ class SerialInstrument:
         self._incoming = Incoming(link.name, clock, self._stream, self._watch, self._sender, self._talk.take)
         self._stimulus_id = 0
         self._closed = False
+        self._watchdog_s: float | None = None
         try:
             self._hello = self._shake_hands()
+            self._watchdog_s = self._hello.watchdog_s
             self.device = self.nominal = self._hello.device
             self._watch.begin(self._hello)
             self._talk.request(MessageType.CLEAR_FAULTS)
@@ -221,6 +223,8 @@ class SerialInstrument:
             watch.fail(refused)
         if watch.error is not None and not self._stream:
             watch.untold()  # it is told now
+            if isinstance(watch.error, LinkLostError):
+                raise self._known_of_coil(watch.error)
             raise watch.error
         samples = corrected(self._stream.drain(), self._corrections)
         if self.observer is not None and samples.size:
@@ -395,7 +399,10 @@ class SerialInstrument:
         A heartbeat follows samples that were judged here and nothing else, whatever it was that read: where none come
         that can be, the watchdog frees the coil.
         """
-        judged = self._incoming.take(self._link.read(timeout_s))
+        try:
+            judged = self._incoming.take(self._link.read(timeout_s))
+        except LinkLostError as error:
+            raise self._known_of_coil(error) from error
         if self._watch.run is not None and self._clock() > self._overdue_at:
             self._watch.stop_due = True
             self._watch.fail(
@@ -410,7 +417,18 @@ class SerialInstrument:
             self.release()
         if self._watch.run is not None and self._stream.next_index is not None:
             self._sender.repeat(self._stream.next_index - self._watch.run.first_index)
-        self._incoming.check_heard()
+        try:
+            self._incoming.check_heard()
+        except LinkLostError as error:
+            raise self._known_of_coil(error) from error
+
+    def _known_of_coil(self, error: LinkLostError) -> LinkLostError:
+        """Return the error with what is known of a coil that may be on: nothing can be asked any more."""
+        if self._watchdog_s is None or error.watchdog_s is not None:
+            return error
+        return LinkLostError(
+            f"{error}. The instrument's own watchdog releases the coil within {self._watchdog_s:g} s", self._watchdog_s
+        )
 
     def _last_tries(self) -> int:
         """How often to say what ends a conversation: who has just not answered will hardly do so now."""

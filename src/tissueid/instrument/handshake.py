@@ -19,7 +19,8 @@ from tissueid.instrument.limits import Limits
 class Introduction:
     """What a device said of itself: its figures, the scales of the channels in the order of SIGNALS, its boot id.
 
-    ``max_force_n`` and ``max_temperature_c`` are as far as it ever goes, whatever limits it is asked for.
+    ``max_force_n`` and ``max_temperature_c`` are as far as it ever goes, whatever limits it is asked for. Without a
+    heartbeat its watchdog releases the coil within ``watchdog_s``.
     """
 
     device: DeviceDescription
@@ -28,6 +29,7 @@ class Introduction:
     boot_id: int
     max_force_n: float
     max_temperature_c: float
+    watchdog_s: float
 
     def narrowed(self, limits: Limits) -> Limits:
         """These limits, or the device's own where it goes less far."""
@@ -127,4 +129,5 @@ def read_hello(payload: bytes, name: str) -> Introduction:
     figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
     figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
     device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
-    return Introduction(device, gains, offsets, fields["boot_id"], fields["max_force_n"], fields["max_temperature_c"])
+    own = {key: fields[key] for key in ("boot_id", "max_force_n", "max_temperature_c", "watchdog_s")}
+    return Introduction(device, gains, offsets, **own)

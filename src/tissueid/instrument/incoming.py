@@ -102,10 +102,7 @@ class Incoming:
         """What to say of a device from which no usable samples come any more."""
         seconds = round(self._clock() - self._last_heard, 1)
         said = f"sent no usable samples for {seconds:g} s" if self._unusable else f"went silent for {seconds:g} s"
-        return LinkLostError(
-            f"{self._name} {said}; the firmware releases the coil by itself. "
-            "Check the cable and the power, and connect again"
-        )
+        return LinkLostError(f"{self._name} {said}. Check the cable and the power, and connect again")
 
     def _dispatch(self, frame: Frame) -> None:
         if self._streaming and frame.version != wire.PROTOCOL_VERSION:
