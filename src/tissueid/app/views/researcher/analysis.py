@@ -24,11 +24,12 @@ from tissueid.app.elided import ElidedLabel
 from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.arranging import arrange
-from tissueid.app.views.researcher.batch import Batch, run, run_folder
+from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.engine_form import EngineForm
 from tissueid.app.views.researcher.history import History
 from tissueid.app.views.researcher.history_list import HistoryList
+from tissueid.app.views.researcher.kept_results import MOST_RESULTS, NAME, Kept, read_results, write_results
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.views.researcher.population_view import PopulationView
@@ -46,7 +47,6 @@ from tissueid.options import reason
 
 _STEPS = 1000
 _LOOK_MS = 100
-_MOST_RESULTS = 5000
 _TOLD = 3
 
 
@@ -77,6 +77,8 @@ class AnalysisPanel(QWidget):
         self.results = ResultsTable()
         self.fits = QSplitter(Qt.Orientation.Vertical)
         self._before_removal: tuple[Outcome, ...] = ()
+        self._kept_in = self._history.path.with_name(NAME)
+        self._read_kept = self._to_keep = False
         self.pictures = Pictures()
         self.save_table = QPushButton(_("Table…"))
         self.save_table.setAccessibleName(_("Save the table"))
@@ -85,6 +87,11 @@ class AnalysisPanel(QWidget):
         self.save_figure.setAccessibleName(_("Save the figure"))
         self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
         self._saver = Saver(desk, self)
+        self.refit = QPushButton(_("Refit"))
+        self.refit.setToolTip(_("Fit the drawn results again whose curves were not kept"))
+        self.undo = QPushButton(_("Undo"))
+        self.undo.setAccessibleName(_("Bring back the results that were taken out"))
+        self.undo.setToolTip(_("Bring back the results that were taken out (Ctrl+Z in the table)"))
         self.clear = QPushButton(_("Clear"))
         self.clear.setToolTip(_("Take all results out of the table (Delete: the selected ones)"))
         self.population = PopulationView()
@@ -131,8 +138,34 @@ class AnalysisPanel(QWidget):
             self.step.setText(_("Cancelling: what is being fitted is finished first."))
             self.cancelling.setEnabled(False)
 
+    def go_on(self) -> bool:
+        """Read the results of the last start, once, if there are any; the page asks when nothing else goes on."""
+        if self._read_kept:
+            return False
+        self._read_kept = True
+        if not self._kept_in.exists():
+            return False
+        self.desk.jobs.do(functools.partial(read_results, self._kept_in), self._restore, self._failed)
+        return True
+
+    def _restore(self, kept: Kept) -> None:
+        """Show the results of the last start before those that have come since."""
+        there = {outcome.key: outcome for outcome in (*kept.outcomes, *self.results.outcomes)}
+        self._show_results(list(there.values())[-MOST_RESULTS:])
+        self._draw()
+        if kept.bad:
+            self.desk.say(
+                _("{count} results of the last start could not be read and are passed over.").format(count=kept.bad),
+                problem=True,
+            )
+
     def save_state(self) -> None:
-        """Write engine, options and what is shown, for the next start."""
+        """Write engine, options, results and what is shown, for the next start."""
+        if self._to_keep and self._read_kept:
+            try:
+                write_results(self._kept_in, self.results.outcomes)
+            except OSError as error:
+                self.desk.say(in_words(error), problem=True)
         self.desk.settings.setValue(STATE, remembered(self.form, self.verdicts, self.pictures.choice, self.tabs))
 
     # -- running ------------------------------------------------------------------------------------------
@@ -141,19 +174,25 @@ class AnalysisPanel(QWidget):
         """Begin a task, on the tests of a folder if one is named."""
         if self.desk.busy or self._testing:
             return
-        progress = Progress()
         moment = datetime.now(UTC).isoformat(timespec="milliseconds")
-        work: Callable[[], Batch]
-        if folder is None:
-            work = functools.partial(run, task, progress, self._history, moment)
-        else:
-            work = functools.partial(run_folder, folder, task, progress, self._history, moment)
-        self._work, self._doing = progress, _("Comparing") if task.kind == "compare" else _("Fitting")
+
+        def work(progress: Progress) -> Batch:
+            if folder is None:
+                return run(task, progress, self._history, moment)
+            return run_folder(folder, task, progress, self._history, moment)
+
+        self._begin(work, _("Comparing") if task.kind == "compare" else _("Fitting"), self._done)
+
+    def _begin(self, work: Callable[[Progress], Batch], doing: str, done: Callable[[Batch], None]) -> None:
+        if self.desk.busy or self._testing:
+            return
+        progress = Progress()
+        self._work, self._doing = progress, doing
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
         why = _("An analysis is running on Research: cancel it there, or wait.")
-        self.desk.jobs.do(work, self._done, self._failed, why=why)
+        self.desk.jobs.do(functools.partial(work, progress), done, self._failed, why=why)
 
     def _task(self, **changes: Any) -> Task | None:
         """What the form asks for, or None where it cannot be, which is then said."""
@@ -211,7 +250,8 @@ class AnalysisPanel(QWidget):
             self.past.add(batch.entry)
         self._keep(batch.outcomes)
         self.verdicts.add(batch.verdicts)
-        self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.fits)
+        if batch.verdicts or self.tabs.currentWidget() is not self.population:
+            self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.fits)
         if batch.problems:
             more = len(batch.problems) - _TOLD
             told = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
@@ -231,9 +271,10 @@ class AnalysisPanel(QWidget):
 
     def _keep(self, new: Sequence[Outcome]) -> None:
         """Add results; one of the same engine, options and tests takes the old one's place."""
+        self._to_keep = True
         kept = {outcome.key: outcome for outcome in self.results.outcomes}
         fresh = {outcome.key: outcome for outcome in new}
-        self._show_results(list((kept | fresh).values())[-_MOST_RESULTS:])
+        self._show_results(list((kept | fresh).values())[-MOST_RESULTS:])
         if len(self.results.outcomes) > len(SERIES):
             self.results.select(list(fresh.values())[: len(SERIES)])
         self.results.bring_up(list(fresh.values()))
@@ -249,6 +290,7 @@ class AnalysisPanel(QWidget):
         self._enable()
 
     def _remove(self, some: list[Outcome]) -> None:
+        self._to_keep = True
         self._before_removal = tuple(self.results.outcomes)
         gone = {id(outcome) for outcome in some}
         self._show_results([outcome for outcome in self.results.outcomes if id(outcome) not in gone])
@@ -257,10 +299,27 @@ class AnalysisPanel(QWidget):
     def _undo_removal(self) -> None:
         """What was taken out last stands in the table again, before what has come since."""
         before, self._before_removal = self._before_removal, ()
+        self._to_keep = True
         if before:
             there = {outcome.key: outcome for outcome in (*before, *self.results.outcomes)}
-            self._show_results(list(there.values())[-_MOST_RESULTS:])
+            self._show_results(list(there.values())[-MOST_RESULTS:])
             self._draw()
+
+    @property
+    def _without_curves(self) -> list[Outcome]:
+        return [outcome for outcome in self.pictures.outcomes if outcome.without_curves]
+
+    def _refit(self) -> None:
+        """Fit what is to be drawn and has no curves."""
+        wanted = self._without_curves
+        if wanted:
+            self._begin(functools.partial(refit, wanted), _("Fitting"), self._refitted)
+
+    def _refitted(self, batch: Batch) -> None:
+        chosen = {outcome.key for outcome in self.results.chosen[: len(SERIES)]}
+        self._done(batch)
+        self.results.select([outcome for outcome in self.results.outcomes if outcome.key in chosen])
+        self._draw()
 
     def _show_in_table(self, outcomes: list[Outcome]) -> None:
         """Select fits in the table, so that they are drawn."""
@@ -333,6 +392,10 @@ class AnalysisPanel(QWidget):
         self.save_figure.setEnabled(free and there)
         self.population.save_figure.setEnabled(free and there)
         self.clear.setEnabled(there and self._work is None)
+        self.undo.setVisible(bool(self._before_removal))
+        self.undo.setEnabled(self._work is None)
+        self.refit.setVisible(bool(self._without_curves))
+        self.refit.setEnabled(free)
         self.past.settle(busy=not free)
         tell_why(self.waiting, self.desk.jobs.why)
 
@@ -348,6 +411,8 @@ class AnalysisPanel(QWidget):
         undo.setContext(Qt.ShortcutContext.WidgetShortcut)
         undo.activated.connect(self._undo_removal)
         self.clear.clicked.connect(self._clear)
+        self.undo.clicked.connect(self._undo_removal)
+        self.refit.clicked.connect(self._refit)
         self.save_table.clicked.connect(self._save_table)
         self.save_figure.clicked.connect(self._save_figure)
         self.population.save_figure.clicked.connect(self._save_population)

@@ -29,7 +29,8 @@ def arrange(panel: AnalysisPanel) -> None:
     below.setSpacing(6)
     below.addWidget(panel.step, 2)
     below.addWidget(panel.bar, 1)
-    below.addWidget(panel.cancelling)
+    for button in (panel.cancelling, panel.refit, panel.undo):
+        below.addWidget(button)
     for widget in (panel.save_figure, panel.save_table, panel.clear):
         panel.pictures.tools.addWidget(widget)
     panel.pictures.tools.addStretch(1)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, compare, known_ceiling, specifications, split
 from tissueid.app.views.researcher.chosen import Chosen, time_of
 from tissueid.app.views.researcher.history import Entry, History
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.outcome import Outcome, stamp_of
 from tissueid.app.views.researcher.progress import Progress
 from tissueid.app.views.researcher.task import MOST_TESTS, Task, TestRef
 from tissueid.app.views.researcher.verdict import Verdict, verdict_of
@@ -53,6 +53,7 @@ def run(task: Task, progress: Progress, history: History, moment: str) -> Batch:
         for place, group in enumerate(groups):
             tell = _part(progress, place, len(groups), clean(group[0].label))
             tell("", 0.0)
+            stamp = stamp_of(group[0].path)
             try:
                 found, verdict = (_run_one if task.kind == "run" else _compare_one)(task, group, read, tell)
             except CancelledError:
@@ -61,6 +62,7 @@ def run(task: Task, progress: Progress, history: History, moment: str) -> Batch:
                 problems.append(f"{clean(group[0].label)}: {in_words(error)}")
                 done += [_refused(task, name, group, in_words(error)) for name in task.engines[:1]]
                 continue
+            found = [replace(outcome, stamp=stamp) for outcome in found]
             done += found if len(done) < _MOST_DRAWN else [outcome.bare() for outcome in found]
             verdicts += verdict
     except CancelledError:
@@ -71,6 +73,31 @@ def run(task: Task, progress: Progress, history: History, moment: str) -> Batch:
     except OSError as error:
         problems.append(f"The history could not be written: {in_words(error)}")
     return Batch(task, tuple(done), tuple(verdicts), tuple(problems), cancelled, entry)
+
+
+def refit(outcomes: Sequence[Outcome], progress: Progress) -> Batch:
+    """Fit results again whose curves were not kept; one that fails is left out and said in ``problems``."""
+    done, problems, cancelled = list[Outcome](), list[str](), False
+    read = functools.lru_cache(maxsize=2)(read_session)
+    tasks = [_task_of(outcome) for outcome in outcomes]
+    for place, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
+        tell = _part(progress, place, len(outcomes), outcome.test_label)
+        try:
+            tell("", 0.0)
+            stamp = stamp_of(outcome.tests[0].path)
+            ((found,), _none) = _run_one(task, outcome.tests, read, tell)
+            done.append(replace(found, options=outcome.options, stamp=stamp, recommended=outcome.recommended))
+        except CancelledError:
+            cancelled = True
+            break
+        except Exception as error:  # noqa: BLE001 - one test that fails must not cost the others
+            problems.append(f"{outcome.test_label}: {in_words(error)}")
+    return Batch(tasks[0], tuple(done), (), tuple(problems), cancelled, None)
+
+
+def _task_of(outcome: Outcome) -> Task:
+    into, out = outcome.signals
+    return Task(engines=(outcome.engine,), options=outcome.options, input_name=into, output_name=out)
 
 
 def run_folder(folder: Path, task: Task, progress: Progress, history: History, moment: str) -> Batch:
@@ -151,7 +178,8 @@ def _outcomes(found: EngineComparison, group: tuple[Chosen, ...], signals: tuple
         if entry.scored is None:
             yield Outcome(entry.engine, {}, group, signals, refused=sentence(entry.refused or "refused"))
         else:
-            yield Outcome.of(entry.scored.analysis, {}, group, signals)
+            best = entry.engine == found.recommendation.engine
+            yield replace(Outcome.of(entry.scored.analysis, {}, group, signals), recommended=best)
 
 
 def _refused(task: Task, engine: str, group: tuple[Chosen, ...], words: str) -> Outcome:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from tissueid.analysis import Analysis
@@ -16,13 +17,25 @@ from tissueid.identification import FitReport
 from tissueid.wording import engine_label
 
 _NOTHING = Drawn({}, {}, (), {})
+Stamp = tuple[int, int]
+"""When a file was last changed, ns, and its size."""
+
+
+def stamp_of(path: Path) -> Stamp | None:
+    """Return the stamp of a file, None where it is not there."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return None
+    return status.st_mtime_ns, status.st_size
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """An engine on a test, or on several that were fitted together; ``refused`` says why where nothing came of it.
 
-    ``signals`` names input and output.
+    ``signals`` names input and output. ``stamp`` is that of the file when it was fitted; ``changed`` says that the file
+    is another one now. ``recommended`` marks the engine that a comparison recommends.
     """
 
     engine: str
@@ -34,6 +47,9 @@ class Outcome:
     drawn: Drawn = field(default=_NOTHING)
     findings: tuple[str, ...] = ()
     refused: str = ""
+    stamp: Stamp | None = None
+    recommended: bool = False
+    changed: bool = False
 
     @classmethod
     def of(
@@ -42,13 +58,19 @@ class Outcome:
         """Keep of an analysis what is shown."""
         pictures, findings = drawn(analysis)
         report = analysis.model.report
-        return cls(report.engine, options, tuple(tests), signals, report, analysis.validated_on, pictures, findings)
+        validated_on = analysis.validated_on
+        return cls(report.engine, options, tuple(tests), signals, report, validated_on, pictures, findings)
 
     def bare(self) -> Outcome:
         """The same without its curves, where there are too many to keep."""
         without = _("The curves of so many tests are not kept: run this one by itself.")
         pictures = Drawn({}, self.drawn.units, (), dict.fromkeys((*self.drawn.lines, *self.drawn.missing), without))
         return replace(self, drawn=pictures)
+
+    @property
+    def without_curves(self) -> bool:
+        """Whether it was fitted and has nothing to draw: it was kept without its curves."""
+        return self.report is not None and not self.drawn.lines and not self.drawn.images
 
     @property
     def key(self) -> tuple[Any, ...]:

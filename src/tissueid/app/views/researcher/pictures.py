@@ -92,6 +92,11 @@ class Pictures(QWidget):
         self._show_legend()
 
     @property
+    def outcomes(self) -> tuple[Outcome, ...]:
+        """The results that are drawn, in the order of their colours."""
+        return tuple(self._drawn)
+
+    @property
     def keys(self) -> tuple[str, list[str]]:
         """What the drawn results have in common, and the name of each in the legend of the picture that is shown."""
         common, labels = keys_of(self._drawn)

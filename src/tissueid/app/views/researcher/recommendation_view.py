@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QAction
+from PySide6.QtGui import QAction, QFont
 from PySide6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -138,9 +138,13 @@ class RecommendationView(QWidget):
         parts += ["", _("To know more"), *verdict.experiments] if verdict.experiments else []
         self.words.setPlainText("\n".join(parts))
         self.standings.setRowCount(len(verdict.rows))
+        bold = QFont(self.standings.font())
+        bold.setBold(True)
         for row, texts in enumerate(verdict.rows):
             for column, text in enumerate(texts):
                 item = QTableWidgetItem(text)
+                if texts[1] == _("recommended"):
+                    item.setFont(bold)
                 item.setToolTip(text.replace("<", "‹").replace(">", "›") if column == len(texts) - 1 else "")
                 if column in (2, 3, 4, 5):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)

@@ -14,7 +14,7 @@ from PySide6.QtCore import (
     Qt,
     Signal,
 )
-from PySide6.QtGui import QColor, QKeyEvent, QKeySequence
+from PySide6.QtGui import QColor, QFont, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 from tissueid.app.language import _, marked
@@ -202,6 +202,8 @@ class _Results(QAbstractTableModel):
         self.parameters: list[str] = []
         self._colours: dict[int, int] = {}
         self._theme: Theme | None = None
+        self._bold = QFont(parent.font())
+        self._bold.setBold(True)
 
     def take(self, outcomes: Sequence[Outcome]) -> None:
         self.beginResetModel()
@@ -270,6 +272,10 @@ class _Results(QAbstractTableModel):
                 return QColor(self._theme.muted)
             if outcome.report is not None and outcome.report.predicts_nothing:
                 return QColor(self._theme.poor)
+            if outcome.changed:
+                return QColor(self._theme.check)
+        if role == Qt.ItemDataRole.FontRole and outcome.recommended:
+            return self._bold
         return None
 
     def _is_text(self, column: int) -> bool:
@@ -313,6 +319,10 @@ def in_two_lines(head: str) -> str:
 def _told(outcome: Outcome) -> str:
     """Options, findings and warnings, as plain lines: what is in angle brackets is text, and not markup."""
     lines = [outcome.label, *([outcome.refused] if outcome.refused else [])]
+    if outcome.recommended:
+        lines.append(_("Recommended by the comparison of engines"))
+    if outcome.changed:
+        lines.append(_("The file has changed or gone since this was fitted: run it again"))
     if outcome.options:
         lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
     if outcome.report is not None:

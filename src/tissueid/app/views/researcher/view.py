@@ -112,7 +112,7 @@ class ResearchView(View):
         if self._to_open is not None:
             path, self._to_open = self._to_open, None
             self.desk.open_session(path)
-        elif not self.signals.go_on():
+        elif not self.analysis.go_on() and not self.signals.go_on():
             self.browser.go_on()
 
     def _open(self, path: Path) -> None:
