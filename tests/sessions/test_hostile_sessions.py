@@ -95,3 +95,26 @@ def test_sessions_without_checksums_are_read(path):
         file[hostile.SIGNALS].create_dataset("force", data=values, compression="gzip")
     np.testing.assert_array_equal(read_session(path).tests[0].signals["force"], values)
     assert read_outline(path).tests[0].samples == 900
+
+
+@pytest.mark.parametrize("command", [("quality",), ("export", "--format", "csv", "--out", "out")])
+def test_texts_of_a_session_do_not_steer_the_terminal(path, tmp_path, monkeypatch, capsys, command):
+    with h5py.File(path, "r+") as file:
+        file["tests/0001"].attrs.update(site="\x1b[31mred\x9b2J", kind="\x1b]0;title\x07kind")
+    monkeypatch.chdir(tmp_path)
+    assert main([command[0], str(path), *command[1:]]) == 0
+    out = "".join(capsys.readouterr())
+    assert "kind" in out
+    assert all(mark.isprintable() or mark in "\n\xa0\u202f" for mark in out)
+
+
+def test_names_of_signals_are_no_formulas_of_a_spreadsheet(path, tmp_path, capsys):
+    names = ("=cmd|'calc'!A0", "@SUM(1+1)", "+1", "-x", "plain")
+    with h5py.File(path, "r+") as file:
+        for name in names:
+            file[hostile.SIGNALS][name] = np.arange(900.0)
+    assert main(["export", str(path), "--out", str(tmp_path / "out"), "--format", "csv"]) == 0
+    header = (tmp_path / "out" / "test-0001.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert not any(cell.startswith(("=", "+", "-", "@")) for cell in header.replace('"', "").split(","))
+    assert main(["import", str(tmp_path / "out" / "test-0001.csv"), "--out", str(tmp_path / "again.h5")]) == 0
+    assert set(names) <= set(read_session(tmp_path / "again.h5").tests[0].signals)

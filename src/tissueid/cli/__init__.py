@@ -97,6 +97,10 @@ def _endings_as_interrupts(*, to_the_end: bool) -> Iterator[None]:
 
 def _complain(message: str, status: int) -> int:
     line = " ".join(message.split())
+    if not line.isprintable():  # names from files and devices must not steer a terminal
+        from tissueid.wording import clean
+
+        line = clean(line)
     print(f"tissueid: {line}", file=sys.stderr)
     return status
 

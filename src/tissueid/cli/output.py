@@ -18,14 +18,33 @@ from rich.table import Table
 
 from tissueid.errors import UnusableInputError
 from tissueid.whole_file import whole_file
+from tissueid.wording import clean
 
-console = Console(stderr=True, highlight=False)
+_SPACES = frozenset("\n\u00a0\u202f")
+"""Characters that are not printable by name, but that tables and numbers are set with."""
+
+
+class PlainConsole(Console):
+    """A console that prints texts without control characters: names from files must not steer a terminal."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As ``Console.print``; line ends stay."""
+        super().print(*(_lines_clean(item) if isinstance(item, str) else item for item in objects), **options)
+
+
+def _lines_clean(text: str) -> str:
+    if text.isprintable():
+        return text
+    return "".join(mark if mark in _SPACES else clean(mark) for mark in text)
+
+
+console = PlainConsole(stderr=True, highlight=False)
 _BETWEEN_LINES_S = 3.0
 
 
 def people_read(json_file: Path | None) -> Console:
     """Where tables go: standard output, unless that is kept for JSON."""
-    return console if str(json_file) == "-" else Console(highlight=False)
+    return console if str(json_file) == "-" else PlainConsole(highlight=False)
 
 
 def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
@@ -143,17 +162,22 @@ def _lines() -> Callable[[str, float], None]:
 
 
 class PlainTable(Table):
-    """A table whose texts are shown as they are: names from files and people may look like markup."""
+    """A table whose texts are shown as they are, but for control characters: names may look like markup."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row, nothing in it taken for markup."""
-        super().add_row(*(escape(cell) if isinstance(cell, str) else cell for cell in cells), **options)
+        """Add a row, nothing in it taken for markup or for commands to the terminal."""
+        super().add_row(*(escape(_lines_clean(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
 def table(title: str, *columns: str) -> PlainTable:
     """An empty table in the house style: first column left, the others right."""
     result = PlainTable(
-        title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False, padding=(0, 2, 0, 0)
+        title=escape(_lines_clean(title)),
+        title_justify="left",
+        title_style="bold",
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
     )
     for number, column in enumerate(columns):
         result.add_column(column, justify="left" if number == 0 else "right")

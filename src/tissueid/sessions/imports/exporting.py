@@ -24,6 +24,9 @@ _BLOCK = 65_536
 _LONGEST_VARIABLE = 63
 """Characters that MATLAB allows in the name of a variable."""
 
+_FORMULA = ("=", "+", "-", "@")
+"""What formulas of spreadsheets begin with."""
+
 _Columns = dict[str, NDArray[np.float64]]
 
 
@@ -89,8 +92,9 @@ def _columns(test: Test, named: Callable[[str, str], str]) -> tuple[_Columns, di
 
 
 def _header(signal: str, unit: str) -> str:
-    """A column's header: "force (N)"."""
+    """A column's header: "force (N)". An apostrophe before it keeps a spreadsheet from taking it for a formula."""
     plain = "".join(mark if mark.isprintable() else "_" for mark in signal).strip() or "_"
+    plain = f"'{plain}" if plain.startswith(_FORMULA) else plain
     return plain if unit == "1" else f"{plain} ({unit})"
 
 
