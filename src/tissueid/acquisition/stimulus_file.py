@@ -17,6 +17,7 @@ import numpy as np
 from tissueid import __version__
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import FeedbackKind, Stimulus, build_specified, specified
+from tissueid.untrusted import json_value
 from tissueid.whole_file import whole_file
 
 FORMAT = "tissueid-stimulus"
@@ -104,6 +105,8 @@ def _read(path: Path) -> dict[str, Any]:
     Raises:
         UnusableInputError: it cannot be read, is too long, or is something else.
     """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise UnusableInputError(f"{path} is not a plain file")
     try:
         with path.open("rb") as file:
             data = file.read(_MOST_BYTES + 1)
@@ -114,8 +117,8 @@ def _read(path: Path) -> dict[str, Any]:
     if len(data) > _MOST_BYTES:
         raise UnusableInputError(f"{path} is larger than {_MOST_BYTES >> 20} MB: that is no saved stimulus")
     try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        content = json_value(data)
+    except ValueError as error:
         raise UnusableInputError(f"{path} is damaged, or not a saved stimulus") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise UnusableInputError(f"{path} is not a saved stimulus")

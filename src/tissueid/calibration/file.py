@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from tissueid.errors import UnusableInputError
 from tissueid.options import reason
+from tissueid.untrusted import toml_table
 from tissueid.whole_file import whole_file
 
 FORMAT: Literal["tissueid-calibration"] = "tissueid-calibration"
@@ -131,12 +131,11 @@ def _parsed(path: Path, data: bytes) -> dict[str, object]:
     if len(data) > MOST_BYTES:
         raise UnusableInputError(f"{path} is too large for a calibration: at most {MOST_BYTES // 1024} KiB")
     try:
-        return tomllib.loads(data.decode("utf-8"))
+        return toml_table(data)
     except UnicodeDecodeError as error:
         raise UnusableInputError(f"{path} is not a calibration: it is not text") from error
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error).splitlines()[0][:200]
-        raise UnusableInputError(f"{path} is not a calibration: {reason}") from error
+    except ValueError as error:
+        raise UnusableInputError(f"{path} is not a calibration: {str(error).splitlines()[0][:200]}") from error
 
 
 def check_writable(path: Path) -> None:

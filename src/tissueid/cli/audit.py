@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from tissueid.audit.line import fields_of
 from tissueid.audit.newest import read_newest
 from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
+from tissueid.untrusted import toml_table
 
 audit = typer.Typer(help="The audit log: who did what when, and whether it is whole.", no_args_is_help=True)
 
@@ -120,8 +120,8 @@ def _head_of(path: Path) -> str:
     with path.open("rb") as file:
         raw = file.read(_MOST_TOML)
     try:
-        conditions = tomllib.loads(raw.decode()).get("conditions", {})
-    except (ValueError, RecursionError) as error:
+        conditions = toml_table(raw).get("conditions", {})
+    except ValueError as error:
         raise UnusableInputError(f"{path} is not a calibration of this software") from error
     return str(conditions.get(HEAD_ATTRIBUTE, "")) if isinstance(conditions, dict) else ""
 

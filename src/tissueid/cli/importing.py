@@ -60,6 +60,9 @@ class ImportPlan:
         ):
             if word not in known:
                 raise UnusableInputError(f"there is no {word!r}; there are {', '.join(known)}")
+        for text in (*self.sites, *self.instrument, self.subject or ""):
+            if not text.isprintable():
+                raise UnusableInputError(f"{clean(text)!r} has characters that cannot be printed")
         for seconds in self.preloads_s:
             if not 0.0 <= seconds < math.inf:
                 raise UnusableInputError(f"--preload is 0 s or more, not {seconds:g}")

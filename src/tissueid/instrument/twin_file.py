@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,6 +19,7 @@ from tissueid.twin.figures import Instrument, Tissue
 from tissueid.twin.named import NamedTwin
 from tissueid.twin.player import SUBSTEPS
 from tissueid.twin.simulation import Acting, values_by_name
+from tissueid.untrusted import toml_table
 from tissueid.whole_file import whole_file
 
 FORMAT: Literal["tissueid-twin"] = "tissueid-twin"
@@ -214,8 +214,8 @@ def read_twin(path: Path) -> TwinFile:
     if len(data) > MOST_BYTES:
         raise UnusableInputError(f"{path} is too large for a twin: at most {MOST_BYTES // 1024} KiB")
     try:
-        content = tomllib.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
+        content = toml_table(data)
+    except ValueError as error:
         raise UnusableInputError(f"{path} is not a twin: it is no TOML") from error
     if content.get("format") != FORMAT:
         raise UnusableInputError(f"{path} is not a twin: its format is not {FORMAT!r}")

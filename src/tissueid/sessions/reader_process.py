@@ -162,11 +162,25 @@ def _test(path: Path, number: int) -> Iterator[Any]:
     yield file.read_test(path, number)
 
 
+def _mat_vectors(path: Path) -> Iterator[Any]:
+    from tissueid.sessions.imports.mat import hdf5_vectors
+
+    return hdf5_vectors(path)
+
+
+def _mat_values(path: Path, where: str, index: tuple[int | slice, ...]) -> Iterator[Any]:
+    from tissueid.sessions.imports.mat import hdf5_values
+
+    return hdf5_values(path, where, index)
+
+
 _TASKS: dict[str, Callable[..., Iterator[Any]]] = {
     "session": _session,
     "head": _head,
     "outline": _outline,
     "test": _test,
+    "MAT vectors": _mat_vectors,
+    "MAT values": _mat_values,
 }
 
 

@@ -14,6 +14,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.options import reason
 from tissueid.sessions.model import STATUSES, Session, Subject, Test
+from tissueid.untrusted import RATES_HZ, json_value
 
 FORMAT = "tissueid-export"
 _MOST_BYTES = 50_000_000
@@ -63,7 +64,7 @@ class TestPart(_Part):
     number: int = Field(ge=0, le=9999)
     samples: int = Field(gt=0)
     kind: _Text
-    sample_rate_hz: _Number = Field(gt=0)
+    sample_rate_hz: _Number = Field(ge=RATES_HZ[0], le=RATES_HZ[1])
     configuration: _Text = "indentation"
     site: _Text = ""
     preload_s: _Number = Field(ge=0, default=0.0)
@@ -107,7 +108,7 @@ class Attributes(_Part):
                 told = {} if told is None else told
                 good = isinstance(told, dict) and all(isinstance(v, str | int | float | None) for v in told.values())
             elif field.type == "str":
-                good = isinstance(told, str)
+                good = isinstance(told, str) and "\0" not in told
             else:
                 told = math.nan if told is None else told
                 good = isinstance(told, int | float) and not isinstance(told, bool) and not abs(told) > _MOST
@@ -179,8 +180,8 @@ def attributes_beside(path: Path) -> Attributes | None:
     if beside.stat().st_size > _MOST_BYTES:
         raise UnusableInputError(f"the attributes beside it, {beside.name}, have more than {_MOST_BYTES} bytes")
     try:
-        value = json.loads(beside.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
+        value = json_value(beside.read_bytes())
+    except ValueError:
         return None  # somebody else's
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         return None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.sessions.imports.table import MAX_ROWS
+from tissueid.untrusted import RATES_HZ
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,8 @@ def clock_of(times: Array, step_s: float | None = None, rate_hz: float | None = 
     places = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     since = times - times[0]
     rate = float(places[-1]) / float(since[-1])
+    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise UnusableInputError(f"the times keep {rate:.4g} Hz; {RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz can be read")
     off = _furthest(since, places, rate)
     if off > _JITTER:
         raise _irregular(steps)

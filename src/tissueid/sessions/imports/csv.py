@@ -13,12 +13,21 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
-from tissueid.sessions.imports.text import cells_of, encoding_of, is_missing, is_number, lines_of, numbers, shown
+from tissueid.sessions.imports.text import (
+    blocks_of,
+    cells_of,
+    encoding_of,
+    head_of,
+    is_missing,
+    is_number,
+    lines_of,
+    numbers,
+    shown,
+)
 from tissueid.sessions.imports.units import known_unit
 
 _LOOKED_AT = 400
 """Lines that are looked at to find out how a file is written."""
-_BLOCK = 65_536
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 _COMMENTS = ("#", "%", "//")
 _NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "spaces"}
@@ -42,7 +51,7 @@ def open_csv(path: Path) -> ForeignFile:
         UnusableInputError: it is not text, or has no rows of two or more cells with numbers.
     """
     encoding = encoding_of(path)
-    layout = _layout(list(islice(lines_of(path, encoding), _LOOKED_AT)))
+    layout = _layout(head_of(lines_of(path, encoding), _LOOKED_AT))
 
     def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
         return _load(path, encoding, layout, places, rows)
@@ -147,7 +156,7 @@ def _load(
         raise UnusableInputError(f"has {len(chosen)} rows; at most {MAX_ROWS} make a test: choose with @FIRST:LAST")
     lines = islice(_data_lines(path, encoding, layout.start), chosen.start, chosen.stop)
     blocks: list[list[NDArray[np.float64]]] = []
-    while block := list(islice(lines, _BLOCK)):
+    for block in blocks_of(lines, lambda line: len(line[1])):
         cells: list[list[str]] = [[] for _ in places]
         for number, line in block:
             row = cells_of(line, layout.delimiter)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
-from tissueid.sessions.imports.text import encoding_of, lines_of, numbers, shown
+from tissueid.sessions.imports.text import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.sessions.imports.units import known_unit
 
 FIRST_LINE = "LabVIEW Measurement"
@@ -23,7 +23,8 @@ _END = "***End_of_Header***"
 _SPECIAL = "***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 _LONGEST_HEADER = 1000
-_BLOCK = 65_536
+_CELL = 10
+"""Characters that a cell counts for: it takes more memory than its text."""
 
 
 @dataclass
@@ -203,7 +204,7 @@ def _load(
     blocks: list[list[NDArray[np.float64]]] = []
     lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
     row = chosen.start
-    while block := list(islice(lines, _BLOCK)):
+    for block in blocks_of(lines, lambda line: _CELL * len(line[3])):
         blocks.append([_column(block, row, place) for place in places])
         row += len(block)
     return [np.concatenate(parts) for parts in zip(*blocks, strict=True)], chosen

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.sessions.heap_check import check_heaps
 from tissueid.sessions.imports.mat_classic import variables
 from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
+from tissueid.sessions.members import check_dataset
+from tissueid.sessions.reader_process import read_in_child
+from tissueid.untrusted import most_unpacked
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 MARK = b"MATLAB "
@@ -42,6 +47,8 @@ def open_mat(path: Path) -> ForeignFile:
 def _open_classic(path: Path) -> ForeignFile:
     vectors: dict[str, NDArray[np.generic]] = {}
     for name, values in variables(path):
+        if len(vectors) > MAX_COLUMNS:
+            raise UnusableInputError(f"holds more than {MAX_COLUMNS} vectors")
         if _fits(values.shape):
             for column, part in _columns(name, values.shape):
                 vectors[column] = values[part]
@@ -54,28 +61,54 @@ def _open_classic(path: Path) -> ForeignFile:
 
 
 def _open_hdf5(path: Path) -> ForeignFile:
-    with _opened(path) as file:
-        if file.attrs.get("format") in ("tissueid-session", b"tissueid-session"):
-            raise UnusableInputError("is a session already: nothing needs to be imported")
-        items = iter(range(MAX_COLUMNS))
-        found = {name: (where, shape, part) for name, where, shape, part in _hdf5_vectors(file, "", 0, items)}
+    found: dict[str, _Place] = {}
+    for item in _in_child("MAT vectors", path):
+        found |= item
     if not found:
         raise UnusableInputError(_NOTHING)
 
     def read(name: str, rows: slice) -> NDArray[np.generic]:
         where, _, part = found[name]
-        along = [rows if isinstance(side, slice) else side for side in part]
-        with _opened(path) as file:
-            values: NDArray[np.generic] = file[where][
-                tuple(reversed(along))
-            ]  # HDF5 has the sides of MATLAB turned round
+        # HDF5 has the sides of MATLAB turned round
+        index = tuple(reversed([rows if isinstance(side, slice) else side for side in part]))
+        values: NDArray[np.generic] = _in_child("MAT values", path, where, index)[0]
         return values
 
     return _file({name: max(shape) for name, (_, shape, _) in found.items()}, read)
 
 
+def _in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
+    try:
+        return read_in_child(task, path, *arguments)
+    except UnusableInputError as error:
+        raise UnusableInputError(str(error).removeprefix(f"{path} ")) from error
+
+
+def hdf5_vectors(path: Path) -> Iterator[dict[str, _Place]]:
+    """Yield the vectors of a MAT 7.3 file, by the names that they are offered by; for the reading process.
+
+    Raises:
+        UnusableInputError: it is damaged, or a session.
+    """
+    with _opened(path) as file:
+        if file.attrs.get("format") in ("tissueid-session", b"tissueid-session"):
+            raise UnusableInputError("is a session already: nothing needs to be imported")
+        most, items = most_unpacked(path.stat().st_size), iter(range(MAX_COLUMNS))
+        yield {name: (where, shape, part) for name, where, shape, part in _hdf5_vectors(file, "", 0, items, most)}
+
+
+def hdf5_values(path: Path, where: str, index: tuple[int | slice, ...]) -> Iterator[NDArray[np.generic]]:
+    """Yield a part of one variable of a MAT 7.3 file; for the reading process.
+
+    Raises:
+        UnusableInputError: it is damaged.
+    """
+    with _opened(path) as file:
+        yield file[where][index]
+
+
 def _hdf5_vectors(
-    group: h5py.Group, before: str, depth: int, items: Iterator[int]
+    group: h5py.Group, before: str, depth: int, items: Iterator[int], most: int
 ) -> Iterator[tuple[str, str, tuple[int, ...], _Part]]:
     """Name, place in the file, shape as MATLAB has it, and part, of every vector of real numbers.
 
@@ -89,8 +122,11 @@ def _hdf5_vectors(
         item = group[name]
         if isinstance(item, h5py.Group):
             if depth < _DEEPEST:
-                yield from _hdf5_vectors(item, f"{before}{name}.", depth + 1, items)
+                yield from _hdf5_vectors(item, f"{before}{name}.", depth + 1, items, most)
         elif isinstance(item, h5py.Dataset) and _is_plain(item):
+            if item.size * item.dtype.itemsize > most:
+                raise UnusableInputError(f"{name} is larger than can be read from a file of its size")
+            check_dataset(name, item)
             shape = tuple(reversed(item.shape))
             for column, part in _columns(f"{before}{name}", shape):
                 yield column, item.name, shape, part
@@ -112,6 +148,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
         UnusableInputError: it is damaged.
     """
     try:
+        check_heaps(path)
         with h5py.File(path, "r") as file:
             yield file
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
@@ -124,10 +161,14 @@ def _opened(path: Path) -> Iterator[h5py.File]:
 _Part = tuple[int | slice, ...]
 """An index into a variable that takes one vector out of it."""
 
+_Place = tuple[str, tuple[int, ...], _Part]
+"""Where a vector is: the variable's path in the file, its shape as MATLAB has it, and the part."""
+
 
 def _fits(shape: Sequence[int]) -> bool:
     """Whether a variable is a vector, or a matrix of a few of them."""
-    return len(shape) in (1, 2) and 1 <= max(shape) <= MAX_ROWS and 0 < min(shape) <= MAX_COLUMNS
+    few = len(shape) == 1 or (len(shape) == 2 and 0 < min(shape) <= MAX_COLUMNS)
+    return few and 1 <= max(shape) <= MAX_ROWS
 
 
 def _columns(name: str, shape: Sequence[int]) -> Iterator[tuple[str, _Part]]:

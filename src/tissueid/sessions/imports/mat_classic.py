@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.untrusted import most_unpacked
 
 LARGEST = 2_000_000_000
 """Bytes of all variables of a file together, once they are out of their compression."""
 _MOST_FIELDS = 10_000
+_MOST_SIDES = 32
 _DEEPEST = 3
 
 _MATRIX, _COMPRESSED = 14, 15
@@ -56,7 +58,7 @@ def variables(path: Path) -> Iterator[Variable]:
     mark = bytes(data[126:128])
     if mark not in (b"IM", b"MI"):
         raise _DamagedError
-    reader = _Level5("<" if mark == b"IM" else ">")
+    reader = _Level5("<" if mark == b"IM" else ">", min(LARGEST, most_unpacked(len(data))))
     yield from reader.top(data[128:])
 
 
@@ -65,7 +67,7 @@ class _Level5:
     """Level 5: elements of a type, a length and data, one after the other and within each other."""
 
     order: str
-    budget: int = LARGEST
+    budget: int
 
     def top(self, data: memoryview) -> Iterator[Variable]:
         at = 0
@@ -110,7 +112,7 @@ class _Level5:
     def _spend(self, size: int) -> None:
         self.budget -= size
         if self.budget < 0:
-            raise UnusableInputError(f"holds variables of more than {LARGEST} bytes; choose what is needed in MATLAB")
+            raise UnusableInputError("holds more than can be read from a file of its size; save less of it in MATLAB")
 
     def _matrix(self, data: memoryview, before: str, depth: int) -> Iterator[Variable]:
         if not len(data):
@@ -123,7 +125,7 @@ class _Level5:
         if kind != _STRUCT and kind not in _NUMERIC:
             return
         stored, sides, at = self._element(data, at)
-        shape = self._numbers(stored, sides).tolist()
+        shape = self._whole_numbers(stored, sides)
         _, name, at = self._element(data, at)
         path = before + bytes(name).split(b"\0")[0].decode("latin-1")
         if kind == _STRUCT:
@@ -138,15 +140,21 @@ class _Level5:
 
     def _fields(self, data: memoryview, at: int, path: str, depth: int) -> Iterator[Variable]:
         stored, length, at = self._element(data, at)
-        lengths = self._numbers(stored, length)
+        lengths = self._whole_numbers(stored, length)
         _, names, at = self._element(data, at)
-        if lengths.size != 1 or not 0 < (each := int(lengths[0])) <= 1000 or len(names) > each * _MOST_FIELDS:
+        if len(lengths) != 1 or not 0 < (each := lengths[0]) <= 1000 or len(names) > each * _MOST_FIELDS:
             raise _DamagedError
         for first in range(0, len(names) - each + 1, each):
             name = bytes(names[first : first + each]).split(b"\0")[0].decode("latin-1")
             kind, part, at = self._element(data, at)
             if kind == _MATRIX:
                 yield from self._matrix(part, f"{path}.{name}", depth + 1)
+
+    def _whole_numbers(self, stored: int, data: memoryview) -> list[int]:
+        values = self._numbers(stored, data)
+        if values.dtype.kind not in "iu":
+            raise _DamagedError
+        return [int(value) for value in values[:_MOST_SIDES]]
 
     def _numbers(self, stored: int, data: memoryview) -> NDArray[np.generic]:
         if stored not in _STORED:

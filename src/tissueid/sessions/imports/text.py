@@ -5,17 +5,24 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.untrusted import MAX_LINE
 
 _HEAD = 1 << 16
-_LONGEST_LINE = 4_000_000
 _LONGEST_SHOWN = 40
+_HEAD_CHARACTERS = 500_000
+"""Characters that are looked at to find out how a file is written: each way is tried on all of them."""
+_BLOCK = 65_536
+"""Rows that are turned into numbers at a time."""
+_BLOCK_CHARACTERS = 4_000_000
+_Row = TypeVar("_Row")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _NUMBER = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?"),
@@ -54,10 +61,35 @@ def lines_of(path: Path, encoding: str) -> Iterator[str]:
         UnusableInputError: a line that is no line.
     """
     with path.open(encoding=encoding, errors="replace") as file:
-        while line := file.readline(_LONGEST_LINE + 1):
-            if len(line) > _LONGEST_LINE:
-                raise UnusableInputError(f"has a line of more than {_LONGEST_LINE} characters")
+        while line := file.readline(MAX_LINE + 1):
+            if len(line) > MAX_LINE:
+                raise UnusableInputError(f"has a line of more than {MAX_LINE} characters")
             yield line.rstrip("\r\n")
+
+
+def head_of(lines: Iterable[str], most: int) -> list[str]:
+    """Return the first lines, ``most`` of them, or fewer where they are long."""
+    head, characters = [], 0
+    for line in lines:
+        head.append(line)
+        characters += len(line)
+        if len(head) >= most or characters > _HEAD_CHARACTERS:
+            break
+    return head
+
+
+def blocks_of(rows: Iterable[_Row], length: Callable[[_Row], int]) -> Iterator[list[_Row]]:
+    """Yield rows in blocks that take little memory; ``length`` is that of a row, in characters."""
+    block: list[_Row] = []
+    characters = 0
+    for row in rows:
+        block.append(row)
+        characters += length(row)
+        if len(block) >= _BLOCK or characters > _BLOCK_CHARACTERS:
+            yield block
+            block, characters = [], 0
+    if block:
+        yield block
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
