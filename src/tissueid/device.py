@@ -7,6 +7,12 @@ from dataclasses import dataclass, field
 
 GRAVITY_M_S2 = 9.80665
 
+SIMULATED_SERIAL = "TWIN-"
+"""Beginning of the serial number of an instrument that the twin plays."""
+
+SIMULATED_LINE = "Simulated instrument: not a measurement of a person."
+"""Remark on every page of a session that a simulation recorded."""
+
 
 @dataclass(frozen=True)
 class DeviceDescription:
@@ -28,6 +34,11 @@ class DeviceDescription:
     firmware_version: str = ""
     protocol_version: str = ""
     calibration: dict[str, float | str] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is a simulation, by its own name: in this process, of a twin, or of the firmware."""
+        return "simulat" in self.model.lower() or self.serial_number.startswith(SIMULATED_SERIAL)
 
     def voltage_for_force(self, force_n: float) -> float:
         """Volts that hold a steady coil force: V = F R / (force constant), no motion, no back-EMF."""

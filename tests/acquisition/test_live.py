@@ -217,7 +217,7 @@ def test_out_of_bounds():
 def test_beside_a_guided_test_that_it_ends(tmp_path):
     noise = Noise(force_min_n=1.0, force_max_n=8.0, seconds=4.0, seed=3).build()
     test = GuidedTest(guided(noise, PRELOAD_S), "left forearm")
-    instrument = SimulatedInstrument("forearm", seed=4)
+    instrument = SimulatedInstrument("baseline", seed=4)
     live = LiveIdentification(
         instrument.device, preload_s=PRELOAD_S, stop=StopRule.from_words(["stiffness=0.008"]), apart=False
     )

@@ -40,7 +40,7 @@ def distance(test, low, high):
 
 @pytest.mark.parametrize(
     ("make", "low", "high"),
-    [(SimulatedInstrument, 1.7e-3, 4.5e-3), (lambda: connect("wiener-demo"), 1e-3, 6e-3)],
+    [(lambda: SimulatedInstrument("baseline"), 1.7e-3, 4.5e-3), (lambda: connect("wiener-demo"), 1e-3, 6e-3)],
     ids=["twin", "wiener-demo"],
 )
 def test_the_depth_grows_even_without_supervision(make, low, high, tmp_path):
@@ -69,13 +69,13 @@ def test_the_depth_grows_even_without_supervision(make, low, high, tmp_path):
 
 
 def test_it_ends_as_soon_as_the_depth_is_even_enough(tmp_path):
-    steps, session = run(SimulatedInstrument(), a_test(steps=10, target=0.1, seconds=1.0), tmp_path / "s.h5")
+    steps, session = run(SimulatedInstrument("baseline"), a_test(steps=10, target=0.1, seconds=1.0), tmp_path / "s.h5")
     assert len(steps) == len(session.tests) == 2
     assert steps[-1].distance <= 0.1
 
 
 def test_what_is_out_of_reach_is_said_and_left_out(tmp_path):
-    steps, session = run(SimulatedInstrument(), a_test(2e-3, 15e-3, steps=2, seconds=1.0), tmp_path / "s.h5")
+    steps, session = run(SimulatedInstrument("baseline"), a_test(2e-3, 15e-3, steps=2, seconds=1.0), tmp_path / "s.h5")
     assert steps[1].depth_max_m < 8e-3
     assert session.tests[1].notes["depth_asked_max_m"] == 15e-3
     assert session.tests[1].notes["depth_max_m"] == steps[1].depth_max_m

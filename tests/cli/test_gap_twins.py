@@ -19,7 +19,7 @@ TWIN = {
     "tissue": vars(Tissue()),
     "effects": [{"name": "reluctance_force", "parameters": {}}],
 }
-FOUR = [word for name in ("latency", "cogging", "reflex", "end_stop") for word in ("--effect", name)]
+FIVE = [word for name in ("latency", "cogging", "reflex", "end_stop", "mains_hum") for word in ("--effect", name)]
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_saved_twin_is_an_instrument(twin, tmp_path):
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.txt"], "written to a .toml"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "luck"], "no such file"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *(2 * ["--effect", "latency"])], "is named twice"),
-        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *FOUR], "at most 3 effects, not 4"),
+        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *FIVE], "at most 4 effects, not 5"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "latency", "--fit", "one"], "--fit takes"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--json", "FOLDER/a.toml"], "named for two things"),
         (["gap", "diagnose", "SESSION", "--out", "FOLDER/a", "--json", "FOLDER/a"], "named for two things"),

@@ -18,7 +18,7 @@ from tissueid.cli.played import answer_of
 from tissueid.sessions import read_session
 from tissueid.stimuli import get_stimulus
 
-A_TEST = ["test", "--device", "simulated://forearm?seed=2", "--site", "x", "--out", "FOLDER/a.h5"]
+A_TEST = ["test", "--device", "simulated://baseline?seed=2", "--site", "x", "--out", "FOLDER/a.h5"]
 KEYS = {
     "test",
     "status",
@@ -32,7 +32,7 @@ KEYS = {
 }
 
 
-def run(capsys, tmp_path, *arguments, device="simulated://forearm?seed=2"):
+def run(capsys, tmp_path, *arguments, device="simulated://baseline?seed=2"):
     """Run the command; returns its JSON, the session, and what people read."""
     out = tmp_path / "s.h5"
     command = ["test", "--device", device, "--site", "left forearm", "--out", str(out), "--json", "-"]

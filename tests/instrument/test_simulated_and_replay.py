@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from tissueid import instrument as instruments
+from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
+from tissueid.acquisition.placing import place
+from tissueid.analysis import analyse_all
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import (
@@ -19,6 +22,8 @@ from tissueid.instrument import (
     find_instruments,
     open_instrument,
 )
+from tissueid.reports.verdict import judge
+from tissueid.sessions.quality import quality_of
 
 
 def test_the_same_seed_plays_the_same():
@@ -31,6 +36,70 @@ def test_the_same_seed_plays_the_same():
 
     assert np.array_equal(once(1), once(1))
     assert not np.array_equal(once(1), once(2))
+
+
+def a_run(url):
+    """Position of a tenth of a second under a steady voltage, shape (200,)."""
+    instrument = open_instrument(url)
+    instrument.load(np.full(200, 20.0))
+    instrument.arm(CLINICAL)
+    instrument.start()
+    return np.concatenate([instrument.poll(0.0) for _ in range(10)])["position"]
+
+
+@pytest.mark.parametrize("tissue", ["forearm", "anterior-forearm", "baseline"])
+def test_without_a_seed_every_opening_differs(tissue):
+    first, second = a_run(f"simulated://{tissue}"), a_run(f"simulated://{tissue}")
+    assert not np.array_equal(first, second)
+    assert np.array_equal(a_run(f"simulated://{tissue}?seed=4"), a_run(f"simulated://{tissue}?seed=4"))
+    assert open_instrument(f"simulated://{tissue}").device.serial_number == "TWIN-0"
+
+
+def sitting(path, tests):
+    """Guided tests with one command on the default tissue, by one seed."""
+    instrument = open_instrument("simulated://forearm?seed=6")
+    recorder = SessionRecorder(path, instrument.device)
+    surface_m = place(instrument).surface_m
+    test = GuidedTest(NoiseChoice().stimulus(2000.0), "left forearm")
+    for _ in range(tests):
+        run_guided_test(instrument, test, recorder, surface_m=surface_m)
+    return recorder.finish()
+
+
+def test_repeats_on_the_default_tissue_are_good_skin_that_varies_as_skin_does(tmp_path):
+    """Mass, damping, stiffness of Chen 2010, 3.1.3, VAF of Table 3.1, coefficients of variation of Table 7.1."""
+    session = sitting(tmp_path / "s.h5", 6)
+    assert session.instrument.simulated
+    found = [analyse_all(session, ("lms", "wiener"), test=test) for test in session.tests]
+    assert [quality_of(test).verdict for test in session.tests] == ["good"] * 6
+    assert {judge(test, analyses).level for test, analyses in zip(session.tests, found, strict=True)} == {"good"}
+    linear = [analyses["lms"].model.report for analyses in found]
+    for name, thesis in (("mass_kg", 0.0912), ("damping_n_s_per_m", 22.77), ("stiffness_n_per_m", 4670.0)):
+        assert np.mean([report.parameters[name].value for report in linear]) == pytest.approx(thesis, rel=0.1)
+    assert 83.0 < np.mean([report.vaf_validation_percent for report in linear]) < 92.0
+    wiener = [analyses["wiener"].model.report for analyses in found]
+    gain = np.mean(
+        [w.vaf_validation_percent - lms.vaf_validation_percent for w, lms in zip(wiener, linear, strict=True)]
+    )
+    assert 1.0 < gain < 10.0
+    table = {
+        "damping_ratio": 0.044,
+        "natural_frequency_rad_per_s": 0.013,
+        "scaled_mass_s2": 0.025,
+        "scaled_damping_s": 0.044,
+        "c1_m": 0.031,
+        "c2_per_n": 0.093,
+    }
+    for name, thesis in table.items():
+        values = np.array([report.parameters[name].value for report in wiener])
+        # Six repeats: a standard deviation of them is itself off by 30 %.
+        assert thesis / 2.2 < values.std(ddof=1) / values.mean() < 2.2 * thesis, name
+
+
+def test_an_instrument_says_that_it_is_simulated():
+    assert open_instrument("simulated://spring").device.simulated
+    assert DeviceDescription(model="desktop indenter (simulated)", serial_number="SIM-0001").simulated
+    assert not DeviceDescription(serial_number="D-17").simulated
 
 
 def test_a_steady_force_meets_the_twin_s_own_stiffness():

@@ -107,6 +107,21 @@ def test_cutting_a_command_in_two_changes_nothing(acting):
     assert one.where == other.where
 
 
-def test_four_effects_and_a_housing_are_too_many():
+def test_four_effects_and_a_housing_are_played_and_five_are_too_many():
+    friction = Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
+    assert np.isfinite(player(acting=[friction] * 4).play(np.full(20, 20.0))).all()
     with pytest.raises(ValueError, match="at most"):
-        player(acting=[Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))] * 4)
+        player(acting=[friction] * 5)
+
+
+def test_figures_change_under_way_but_not_the_effects():
+    """From then on as one that always had them, once the difference has died away; the surface stays."""
+    friction = Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
+    stronger = Acting(DRY_FRICTION, 2.0 * friction.values)
+    one, other = player(acting=[friction]), player(acting=[stronger])
+    one.vary(Tissue(surface_m=0.5, stiffness_n_per_m=900.0), [stronger])
+    other.vary(Tissue(stiffness_n_per_m=900.0), [stronger])
+    volts = np.full(200, 20.0)
+    np.testing.assert_array_equal(one.play(volts), other.play(volts))
+    with pytest.raises(ValueError, match="which effects"):
+        one.vary(Tissue(), [])

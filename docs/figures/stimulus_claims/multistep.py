@@ -22,7 +22,7 @@ EVEN = 0.05
 """The target that ends a multistep test unless another is given."""
 
 SYSTEMS: dict[str, tuple[Callable[[int], Instrument], float, float]] = {
-    "twin of the forearm, in process": (lambda seed: SimulatedInstrument("forearm", seed=seed), 1.6e-3, 4.5e-3),
+    "twin of the forearm, in process": (lambda seed: SimulatedInstrument("baseline", seed=seed), 1.6e-3, 4.5e-3),
     "linear-demo": (lambda seed: connect("linear-demo", seed=seed), 0.3e-3, 2.0e-3),
     "wiener-demo": (lambda seed: connect("wiener-demo", seed=seed), 1.0e-3, 6.0e-3),
     "left-posterior-forearm": (lambda seed: connect("left-posterior-forearm", seed=seed), 2.3e-3, 3.8e-3),
@@ -69,7 +69,7 @@ def _distance(test: Test, low: float, high: float) -> float:
 
 def _out_of_reach() -> Claim:
     """A range of which the forces reach a part is cut to that part, and the session says so."""
-    tests = _run(SimulatedInstrument("forearm", seed=1), 1, 1.0e-3, 8.0e-3, STEPS)
+    tests = _run(SimulatedInstrument("baseline", seed=1), 1, 1.0e-3, 8.0e-3, STEPS)
     notes = tests[-1].notes
     low, high = float(notes["depth_min_m"]), float(notes["depth_max_m"])
     found = _distance(tests[-1], low, high)

@@ -16,6 +16,8 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.words import sentence
+from tissueid.device import SIMULATED_LINE
+from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.wording import MISSING, named_unit
 
 if TYPE_CHECKING:
@@ -88,6 +90,8 @@ class LiveAnalysis(QWidget):
         self.vaf.setToolTip(
             _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
         )
+        self.simulated = QLabel(_(SIMULATED_LINE))
+        self.simulated.setProperty("role", "heading")
         self.said = QLabel()
         self.said.setProperty("role", "muted")
         self.said.setWordWrap(True)
@@ -99,6 +103,7 @@ class LiveAnalysis(QWidget):
         """Make room for a test that is about to begin."""
         self._shown = None
         self._planned_s = plan.seconds
+        self.simulated.setVisible(plan.url.startswith(IN_PROCESS))
         for figure in (*self.numbers.values(), self.vaf):
             figure.fill(MISSING, "")
         for card in self.cards:
@@ -175,6 +180,7 @@ class LiveAnalysis(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
         layout.addWidget(numbers)
+        layout.addWidget(self.simulated)
         layout.addWidget(self.said)
         layout.addLayout(columns, 1)
 

@@ -27,6 +27,7 @@ from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.app.words import for_window
+from tissueid.device import SIMULATED_LINE
 from tissueid.sessions import Test
 from tissueid.wording import local_time, zone_offset
 
@@ -88,6 +89,7 @@ class ResultPage(QScrollArea):
         reasons = [reason for reason in findings.verdict.reasons if reason not in told]
         self.reasons.setText("\n".join(for_window(line) for line in [*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
+        self.simulated.setVisible(findings.session.instrument.simulated)
         self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
         for place, tile in enumerate(self._tiles):
             tile.setVisible(place < len(findings.numbers))
@@ -122,6 +124,8 @@ class ResultPage(QScrollArea):
         self.whose.setProperty("role", "headline")
         self.facts = QLabel()
         self.facts.setProperty("role", "muted")
+        self.simulated = QLabel(_(SIMULATED_LINE))
+        self.simulated.setProperty("role", "heading")
         self.reasons = QLabel()
         self.reasons.setToolTip(_(_METHODS))
         self.test = QComboBox()
@@ -150,6 +154,7 @@ class ResultPage(QScrollArea):
         layout.setContentsMargins(12, 8, 12, 8)
         layout.setSpacing(3)
         layout.addLayout(top)
+        layout.addWidget(self.simulated)
         layout.addWidget(self.reasons)
         layout.addWidget(self.facts)
         return self._verdict

@@ -19,6 +19,7 @@ SAID_BY_CORE = (
     marked("Do the test again"),
     marked("Do not rely on this measurement"),
     marked("simulation in this process"),
+    marked("Simulated instrument: not a measurement of a person."),
 )
 """Verdicts and names that the core says in always the same words; whoever shows them looks them up."""
 

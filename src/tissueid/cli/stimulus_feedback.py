@@ -26,7 +26,7 @@ from tissueid.sessions import Test
 from tissueid.stimuli import FeedbackKind
 from tissueid.wording import fixed, grouped
 
-_TISSUE = f"{IN_PROCESS}forearm"
+_TISSUE = f"{IN_PROCESS}baseline?seed=0"
 
 
 def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: Targets, people: Console) -> None:

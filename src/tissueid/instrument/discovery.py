@@ -46,6 +46,7 @@ class Found:
 def open_instrument(url: str) -> Instrument:
     """Open what a URL names: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
 
+    A simulated tissue is the same in every test with a seed, and differs from test to test without.
     ``simulated:///PATH/twin.toml?seed=N`` plays a twin that a diagnosis left (``gap accept``).
 
     Raises:
@@ -76,18 +77,19 @@ def _simulation(url: str) -> Instrument:
         raise UnusableInputError(f"{shown} is no address: write simulated://TISSUE?seed=N") from error
     if unknown := set(query) - {"seed"}:
         raise UnusableInputError(f"{shown} asks for {clean(', '.join(sorted(unknown)))[:_SHOWN]}; there is only seed")
-    seed = query.get("seed", ["0"])[-1]
-    if not (seed.isascii() and seed.isdigit() and len(seed) <= _SEED_DIGITS):
+    given = query.get("seed", [None])[-1]
+    if given is not None and not (given.isascii() and given.isdigit() and len(given) <= _SEED_DIGITS):
         raise UnusableInputError(f"the seed in {shown} must be a whole number of {_SEED_DIGITS} digits at most")
+    seed = None if given is None else int(given)
     file = unquote(f"{parts.netloc}{parts.path}")
     if file.endswith(SUFFIX):
-        return SimulatedInstrument(read_twin(Path(file)), seed=int(seed))
+        return SimulatedInstrument(read_twin(Path(file)), seed=seed)
     if parts.path.strip("/") or parts.fragment:
         raise UnusableInputError(
             f"{shown} is neither a tissue nor a twin: write simulated://TISSUE ({', '.join(TISSUES)}), or "
             f"simulated:///PATH/NAME{SUFFIX}"
         )
-    return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=int(seed))
+    return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=seed)
 
 
 def find_instruments(*, probe: bool = True, opener: Callable[[str], Instrument] = open_instrument) -> list[Found]:

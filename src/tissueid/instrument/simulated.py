@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.device import DeviceDescription
+from tissueid.device import SIMULATED_SERIAL, DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError, UnusableInputError
 from tissueid.instrument.answers import describe_faults
 from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
@@ -15,11 +15,12 @@ from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
 from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
 from tissueid.instrument.playback import Playback
-from tissueid.instrument.tissues import TISSUES
+from tissueid.instrument.tissues import TISSUES, Effects, SimulatedTissue
 from tissueid.instrument.twin_file import TwinFile, device_of
+from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument
 from tissueid.twin.player import Player
-from tissueid.twin.simulation import Start
+from tissueid.twin.simulation import Acting, Start, values_by_name
 from tissueid.wire import Fault
 
 BLOCK = 20
@@ -33,34 +34,40 @@ _OUT_OF_REACH_M = 1.0
 _SETTLING = 4000
 """Samples in which the probe comes to rest."""
 
+MODEL = "desktop indenter (in-process simulation)"
+
 
 class SimulatedInstrument:
     """The twin as an instrument: every poll delivers the next 20 samples at once.
 
-    ``tissue`` is what the baseline twin meets, or a twin out of a file, with the effects that it has.
+    ``tissue`` is what the twin of the nominal instrument meets, or a twin out of a file, with the effects that it has.
+    Sensor noise, and what differs from one test to the next, follow from ``seed``; with None they are new every time.
 
     Raises:
         UnusableInputError: no such tissue.
     """
 
-    def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int = 0) -> None:
+    def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int | None = 0) -> None:
         if isinstance(tissue, str) and tissue not in TISSUES:
             raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(TISSUES)}")
+        self._random = np.random.default_rng(seed)
+        self._varying: SimulatedTissue | None = None
+        serial_number = f"{SIMULATED_SERIAL}{seed or 0}"
         if isinstance(tissue, str):
-            self.device = replace(
-                DeviceDescription(),
-                model="desktop indenter (in-process simulation)",
-                serial_number=f"TWIN-{seed}",
-            )
+            self.device = replace(DeviceDescription(), model=MODEL, serial_number=serial_number)
+            self._varying = TISSUES[tissue]
+            surface_m = self._varying.placed(self._random)
+            figures, effects = self._varying.drawn(self._random)
             player = Player(
                 Instrument(),
-                TISSUES[tissue],
-                Start(0.0, TISSUES[tissue].surface_m),
+                replace(figures, surface_m=surface_m),
+                Start(0.0, surface_m),
+                _acting(effects),
                 sample_rate_hz=self.device.sample_rate_hz,
             )
         else:
             named = tissue.twin
-            self.device = replace(device_of(tissue), serial_number=f"TWIN-{seed}")
+            self.device = replace(device_of(tissue), serial_number=serial_number)
             player = Player(
                 # How it was held in the session is nothing of the instrument's: here it stands upright.
                 replace(named.instrument, weight_n=self.device.weight_n()),
@@ -75,7 +82,6 @@ class SimulatedInstrument:
         self._corrections: Corrections = {}
         self.gaps: list[Gap] = []
         self.observer: Observer | None = None
-        self._random = np.random.default_rng(seed)
         self._command = np.zeros(0)
         self._following = 0
         self._hold_v = 0.0
@@ -172,6 +178,9 @@ class SimulatedInstrument:
             raise InstrumentError("load and arm before starting")
         self._run = Run(self._index, self._playback.planned)
         self._energised = True
+        if self._varying is not None:
+            figures, effects = self._varying.drawn(self._random)
+            self._player.vary(figures, _acting(effects))
         return self._run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
@@ -247,3 +256,8 @@ class SimulatedInstrument:
     def close(self) -> None:
         """Release."""
         self.release()
+
+
+def _acting(effects: Effects) -> tuple[Acting, ...]:
+    """Effects by name as the chain takes them."""
+    return tuple(Acting(effect(name), values_by_name(effect(name), values)) for name, values in effects.items())

@@ -25,8 +25,7 @@ from tissueid.whole_file import whole_file
 FORMAT: Literal["tissueid-twin"] = "tissueid-twin"
 SUFFIX = ".toml"
 MOST_BYTES = 256 * 1024
-MOST_NAMED = MOST_EFFECTS - 1
-"""One place is the housing's when it is played."""
+MOST_NAMED = MOST_EFFECTS
 
 _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 _Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]

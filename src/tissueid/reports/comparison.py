@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
 from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
+from tissueid.device import SIMULATED_LINE
 from tissueid.identification.base import Model
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.comparison_figures import (
@@ -63,6 +64,7 @@ class ComparisonReport:
         return template("compare.html.j2").render(
             title=title or f"Engines compared on test {test.number}",
             research_line=RESEARCH_LINE,
+            simulated_line=SIMULATED_LINE,
             session=self.session,
             date=readable_date(self.session.created),
             tests=", ".join(map(str, found.split.tests)),

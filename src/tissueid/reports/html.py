@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from tissueid.analysis import Analysis
+from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
@@ -52,6 +53,7 @@ def report_html(
     return template("report.html.j2").render(
         title=title or (main.site[:1].upper() + main.site[1:]) or "Tissue measurement",
         research_line=RESEARCH_LINE,
+        simulated_line=SIMULATED_LINE,
         session=session,
         date=readable_date(session.created),
         main=pages[0],

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
 from tissueid.calibration.in_force import in_words
+from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
@@ -185,6 +186,8 @@ def _heading(paper: _Paper, session: Session, test: Test) -> None:
     for name, value in facts:
         paper.line(name, colour=MUTED)
         paper.text(_LEFT + 0.95, _short(value, 86))
+    if device.simulated:
+        paper.line(SIMULATED_LINE, bold=True)
     paper.rule()
 
 

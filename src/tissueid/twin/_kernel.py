@@ -36,7 +36,7 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def _call(place, effects, places, bus, p, s, step):  # type: ignore[no-untyped-def]
-    for k in range(b.MOST_EFFECTS):
+    for k in range(b.SLOTS):
         if places[k, place]:
             effects[k](place, bus, p[k], s[k], step)
 
@@ -52,7 +52,7 @@ def integrate(  # type: ignore[no-untyped-def]
     ``given``.
     """
     step = period / substeps
-    bus = states[b.MOST_EFFECTS]
+    bus = states[b.SLOTS]
     at_bus = address(bus, 0)
     wide, deep = parameters.shape[1], states.shape[1]
     at_parameters = (
@@ -60,10 +60,17 @@ def integrate(  # type: ignore[no-untyped-def]
         address(parameters, wide),
         address(parameters, 2 * wide),
         address(parameters, 3 * wide),
+        address(parameters, 4 * wide),
     )
-    at_states = (address(states, 0), address(states, deep), address(states, 2 * deep), address(states, 3 * deep))
+    at_states = (
+        address(states, 0),
+        address(states, deep),
+        address(states, 2 * deep),
+        address(states, 3 * deep),
+        address(states, 4 * deep),
+    )
     used = np.zeros(b.PLACES, np.bool_)
-    for k in range(b.MOST_EFFECTS):
+    for k in range(b.SLOTS):
         used |= places[k]
     current, position, velocity, acceleration = state
     # Samples that were played before, where a command comes in pieces.

@@ -75,7 +75,9 @@ POSITION_SHIFT = 27
 SIZE = 28
 
 MOST_EFFECTS = 4
-"""So many effects can act at once."""
+"""Effects of a recording that can act at once."""
+SLOTS = MOST_EFFECTS + 1
+"""Places for effects in the compiled loop: one more is for the housing of an instrument that is played."""
 MOST_PARAMETERS = 40
 MOST_STATES = 512
 """Numbers of its own that an effect can keep; the last few thousandths of a second of a signal, for one."""

@@ -29,7 +29,7 @@ class Player:
         instrument: figures of amplifier, coil and moving part.
         tissue: what the probe meets.
         start: where it starts.
-        acting: effects that act, at most three; the housing is the fourth.
+        acting: effects that act, at most four; the housing is the fifth.
         sample_rate_hz: samples a second.
         on_tissue: whether effects of the stage ``tissue`` take part.
         substeps: integration steps in a sample.
@@ -69,10 +69,23 @@ class Player:
         """From now on the tissue begins there, m."""
         self._tissue = replace(self._tissue, surface_m=surface_m)
 
+    def vary(self, tissue: Tissue, acting: Sequence[Acting]) -> None:
+        """Go on with other figures of the tissue, whose surface stays where it is, and of the same effects.
+
+        Raises:
+            ValueError: other effects than those that act.
+        """
+        if [item.effect for item in acting] != [item.effect for item in self._acting[:-1]]:
+            raise ValueError("only the parameters of effects change under way, not which effects act")
+        self._tissue = replace(tissue, surface_m=self._tissue.surface_m)
+        self._acting = (*acting, self._acting[-1])
+        for k, item in enumerate(acting):
+            self._prepared.parameters[k, : item.values.size] = item.values
+
     def play(self, command_v: FloatArray) -> FloatArray:
         """Voltage (V), current (A) and position (m) at the end of each sample of a command, shape (3, n)."""
         command = np.ascontiguousarray(command_v, np.float64)
-        self._prepared.states[bus.MOST_EFFECTS, bus.SAMPLE] = self._samples
+        self._prepared.states[bus.SLOTS, bus.SAMPLE] = self._samples
         out = run(self._prepared, command, self._instrument, self._tissue, self._rate, self._substeps, self._state)
         self._samples += command.size
         raw = np.concatenate([self._past, out[:3]], axis=1)

@@ -96,13 +96,13 @@ def simulate(
         instrument: figures of amplifier, coil and moving part.
         tissue: what the probe meets; ``figures.spring`` and ``figures.nothing`` make others of it.
         start: where it starts.
-        acting: effects that act, at most four.
+        acting: effects that act, at most five.
         given: measured signals in place of simulated ones.
         on_tissue: whether effects of the stage ``tissue`` take part; False on the calibration spring and in free air.
         substeps: integration steps in a sample.
 
     Raises:
-        ValueError: more than four effects, or arrays that do not fit each other.
+        ValueError: more than five effects, or arrays that do not fit each other.
     """
     met = simulated_motion(
         command_v,
@@ -161,19 +161,19 @@ def prepared(acting: Sequence[Acting], on_tissue: bool) -> Prepared:
     """Effects ready to run, at the start of a test.
 
     Raises:
-        ValueError: more than four effects.
+        ValueError: more than five effects.
     """
-    if len(acting) > bus.MOST_EFFECTS:
-        raise ValueError(f"at most {bus.MOST_EFFECTS} effects act at once, not {len(acting)}")
+    if len(acting) > bus.SLOTS:
+        raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
     hooks = tuple(compiled(item.effect.hook) if _takes_part(item, on_tissue) else compiled(_idle) for item in acting)
-    places = np.zeros((bus.MOST_EFFECTS, bus.PLACES), np.bool_)
-    parameters = np.zeros((bus.MOST_EFFECTS, bus.MOST_PARAMETERS))
+    places = np.zeros((bus.SLOTS, bus.PLACES), np.bool_)
+    parameters = np.zeros((bus.SLOTS, bus.MOST_PARAMETERS))
     for k, item in enumerate(acting):
         if _takes_part(item, on_tissue):
             places[k, list(item.effect.places)] = True
             parameters[k, : item.values.size] = item.values
-    states = np.zeros((bus.MOST_EFFECTS + 1, bus.MOST_STATES))
-    return Prepared(hooks + (compiled(_idle),) * (bus.MOST_EFFECTS - len(hooks)), places, parameters, states)
+    states = np.zeros((bus.SLOTS + 1, bus.MOST_STATES))
+    return Prepared(hooks + (compiled(_idle),) * (bus.SLOTS - len(hooks)), places, parameters, states)
 
 
 def run(
