@@ -36,7 +36,10 @@ def panel(qtbot, tmp_path):
     panel = LiveAnalysis()
     qtbot.addWidget(panel)
     panel.resize(520, 480)
+    panel.expect(Plan(url="/dev/ttyUSB0", site="left forearm", path=tmp_path / "s.h5"))
+    assert panel.simulated.isHidden()
     panel.expect(Plan(url="simulated://forearm", site="left forearm", path=tmp_path / "s.h5"))
+    assert not panel.simulated.isHidden()
     return panel
 
 

@@ -100,6 +100,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     press(qtbot, bar.accept)
     rest(qtbot, window)
     assert ui.result.summary.heading.text() == "Accepted result: mean of 2 repeats"
+    assert ui.result.simulated.isVisible()
     assert ui.result.pdf.hasFocus()
     qtbot.keyClick(ui.result.pdf, Qt.Key.Key_Space)
     rest(qtbot, window)

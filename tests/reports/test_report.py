@@ -17,10 +17,12 @@ from reports.page_check import checked
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.analysis import Analysis, analyse, analyse_all
+from tissueid.device import SIMULATED_LINE, DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.records import Estimate
 from tissueid.reports import Comparison, ComparisonRow, html, report_html, write_report
 from tissueid.reports.diagnostics import held_out_prediction
+from tissueid.reports.pdf import _Paper, write_pdf
 from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
@@ -382,3 +384,17 @@ def test_parameters_of_an_engine_that_predicts_nothing_are_left_out(session: Ses
     column = 2 + list(one).index("lms")
     assert {row[column] for row in table.rows} == {MISSING}
     assert judge(session.test(1), found).level == "poor"
+
+
+def test_html_and_pdf_of_a_simulation_say_so(session: Session, analyses: Analyses, tmp_path: Path) -> None:
+    real = replace(session, instrument=DeviceDescription(serial_number="D-17"))
+    played = replace(session, instrument=DeviceDescription(serial_number="TWIN-0"))
+    drawn: dict[str, list[str]] = {}
+    for name, one in (("real", real), ("played", played)):
+        lines = drawn.setdefault(name, [])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_Paper, "line", lambda _self, words, lines=lines, **_: lines.append(words))
+            write_pdf(tmp_path / f"{name}.pdf", one, one.test(1), analyses[1])
+    assert [SIMULATED_LINE in drawn[name] for name in ("real", "played")] == [False, True]
+    pages = [report_html(one, {1: analyses[1]}) for one in (real, played)]
+    assert [SIMULATED_LINE in checked(page).text for page in pages] == [False, True]
