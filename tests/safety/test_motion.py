@@ -253,5 +253,12 @@ def test_a_stage_that_takes_its_time_is_waited_for():
     instrument = rig()
     link = instrument._link
     held = itertools.count()
-    link.to_device = lambda data: b"" if next(held) < 30 else data
+
+    def on_its_way(data):
+        """The device goes on, and answers STAGE alone after half a minute but one repeat."""
+        (frame,) = wire.FrameDecoder().feed(data)
+        return b"" if frame.type == MessageType.STAGE and next(held) < 98 else data
+
+    link.to_device, began = on_its_way, link.now
     assert instrument.move_stage(0.012)
+    assert 29.0 < link.now - began < 30.0
