@@ -14,11 +14,15 @@ from firmware_sim.player import RELEASE_RAMP_S
 from firmware_sim.thermal import WindingModel
 from tissueid.wire import Fault
 
+FORCE_CEILING = 1.01
+"""A command is lowered where the force is foreseen above this share of its limit; the trip is at 1.05."""
+
 
 class Guard:
     """Holds the limits that were armed, the winding's temperature by calculation, and what the sensors can say.
 
-    The temperature goes on from block to block as long as the device has power; ``begin`` begins the rest anew.
+    The temperature goes on from block to block as long as the device has power, and so do the newest positions;
+    ``begin`` begins the rest anew.
     """
 
     def __init__(self, channels: dict[str, Channel], coil: PlantParameters, sample_rate_hz: float) -> None:
@@ -28,6 +32,8 @@ class Guard:
         self._coil = coil
         self._lift_samples = round(LIFT_S * sample_rate_hz)
         self._release_samples = round(RELEASE_RAMP_S * sample_rate_hz)
+        self._rate = sample_rate_hz
+        self._newest_m = np.full(3, np.nan)
         self._lifted = False
         self._plausibility = Plausibility(sample_rate_hz, coil.resistance_ohm, coil.force_constant_n_per_a)
 
@@ -35,6 +41,23 @@ class Guard:
         """A run under these limits begins."""
         self._lifted = False
         self._plausibility.begin(seen_low_end=armed.min_position_m <= 0.0)
+
+    def lowered(self, command_v: NDArray[np.float64], block: Block, armed: ArmedLimits) -> NDArray[np.float64]:
+        """Commands, shape (n,), V, lowered where the force would go beyond its limit; ``block`` is what they gave.
+
+        The current follows the voltage within a sample (L/R is 0.08 ms), less what the moving coil induces: F = k (V -
+        k v) / R. So a probe that moves against a push that begins is pushed harder than at standstill. The speed when
+        a sample begins follows from the three positions before it: of the block only those before a sample tell of it.
+        A command is never raised, and never turned round.
+        """
+        position = np.concatenate((self._newest_m, self._read(block, "position")))
+        step = np.diff(position)[:-1] * self._rate
+        speed = step[1:] + 0.5 * np.diff(step)
+        coil = self._coil
+        ceiling_v = FORCE_CEILING * armed.max_force_n * coil.resistance_ohm / coil.force_constant_n_per_a
+        induced_v = coil.force_constant_n_per_a * speed * np.sign(command_v)
+        most_v = np.maximum(0.0, ceiling_v + induced_v) / coil.amplifier_gain
+        return np.where(np.abs(command_v) > most_v, np.sign(command_v) * most_v, command_v)
 
     def judge(self, block: Block, armed: ArmedLimits, first: int) -> tuple[int, Fault]:
         """Where in a block that was played the first limit is broken, and which; NONE when none is.
@@ -68,7 +91,8 @@ class Guard:
         return np.asarray(off)
 
     def live_on(self, block: Block) -> None:
-        """A block has passed, played or not: the winding warms or cools."""
+        """A block has passed, played or not: the winding warms or cools, the probe goes on."""
+        self._newest_m = np.concatenate((self._newest_m, self._read(block, "position")))[-3:]
         self.winding.advance(self._read(block, "current"), self._read(block, "temperature"))
 
     def _read(self, block: Block, name: str) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.bench import Bench
+from firmware_sim.bench import Bench, Block, Snapshot
 from firmware_sim.guard import Guard
 from firmware_sim.limits import ArmedLimits
 from tissueid import wire
@@ -30,6 +30,33 @@ class Sampled:
     button: bool
 
 
+def _below_the_limit(
+    bench: Bench,
+    guard: Guard,
+    before: Snapshot,
+    command_v: NDArray[np.float64],
+    flags: NDArray[np.uint16],
+    block: Block,
+    limits: ArmedLimits,
+) -> tuple[NDArray[np.float64], NDArray[np.uint16], Block]:
+    """Lower the commands of a block that has been played one by one, each by what was measured before it.
+
+    A device does so before it plays each sample; here the block is played again from ``before`` with each that changes.
+    """
+    done = 0
+    while True:
+        lowered = guard.lowered(command_v, block, limits)
+        changed = np.flatnonzero(lowered[done:] != command_v[done:])
+        if not changed.size:
+            return command_v, flags, block
+        k = done + int(changed[0])
+        command_v, flags, done = command_v.copy(), flags.copy(), k + 1
+        command_v[k] = lowered[k]
+        flags[k] |= Flag.LIMITED
+        bench.restore(before)
+        block = bench.block(command_v, energised=True)
+
+
 def sampled(
     bench: Bench,
     guard: Guard,
@@ -42,12 +69,14 @@ def sampled(
 ) -> Sampled:
     """Play a command, shape (n,), V, that is at ``cursor`` of its run; less of it where a limit is broken.
 
-    Nothing is judged while the coil is off, or without limits.
+    A command by which the force would go beyond its limit is lowered. Nothing is judged while the coil is off, or
+    without limits.
     """
     before = bench.snapshot()
     block = bench.block(command_v, energised)
     first, fault = 0, Fault.NONE
     if limits is not None and energised:
+        command_v, flags, block = _below_the_limit(bench, guard, before, command_v, flags, block, limits)
         first, fault = guard.judge(block, limits, cursor)
     if fault and first + 1 < command_v.size:
         # The trip acts on the very next sample, so what came after it never happened.

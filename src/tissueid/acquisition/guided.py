@@ -251,6 +251,8 @@ class _Recording:
         figures: dict[str, str | float] = {
             "saturated_samples": float(np.sum(still & ((samples["flags"] & Flag.SATURATED) != 0)))
         }
+        if limited := int(np.count_nonzero(samples["flags"] & Flag.LIMITED)):
+            figures["limited_samples"] = float(limited)
         coil = force(samples, device)
         if np.isfinite(coil).any():
             weight = device.weight_n(self._placement.orientation.along_m_s2)

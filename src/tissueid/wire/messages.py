@@ -94,6 +94,8 @@ class Flag(IntFlag):
     """The host's set-point was missing: the command is the firmware's own."""
     SOFT_START = 32
     """The command is the host's, faded in from zero."""
+    LIMITED = 64
+    """The command is the host's, lowered because the coil's motion would have raised the force beyond its limit."""
 
 
 HELLO = np.dtype([("protocol_min", "u1"), ("protocol_max", "u1"), ("host", "S30")])
