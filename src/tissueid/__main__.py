@@ -1,7 +1,17 @@
-"""``python -m tissueid`` is ``tissueid``."""
+"""``python -m tissueid`` is ``tissueid``; prefer the latter, or ``python -P -m tissueid``.
 
+``python -m`` puts the current folder first on the path. It is taken off here before anything else is imported, but what
+Python itself imports to get here cannot be protected. The console script never has that folder on its path.
+"""
+
+import os
 import sys
 
-from tissueid.cli import main
+_OWN = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))  # noqa: PTH120 - pathlib is not imported yet
+_FIRST = os.path.realpath(sys.path[0] or ".")
+if not sys.flags.safe_path and _FIRST == os.path.realpath(".") != _OWN:
+    del sys.path[0]
+
+from tissueid.cli import main  # noqa: E402
 
 sys.exit(main())

@@ -199,14 +199,14 @@ def test_an_interval_that_cannot_be_told_is_none(tmp_path: Path, capsys: pytest.
 def _recorded_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """The laboratory records in this process: starting another takes longer than all the rest."""
 
-    def run(command: list[str], **others: object) -> subprocess.CompletedProcess[str]:
-        assert command[1:3] == ["-m", "firmware_sim.laboratory"]
+    def run(*command: str, **others: object) -> subprocess.CompletedProcess[str]:
+        assert command[:2] == ("-m", "firmware_sim.laboratory")
         said = io.StringIO()
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            status = record(command[3:])
+            status = record(list(command[2:]))
         return subprocess.CompletedProcess(command, status, "", said.getvalue())
 
-    monkeypatch.setattr("tissueid.cli.gap_blind.subprocess.run", run)
+    monkeypatch.setattr("tissueid.cli.gap_blind.run", run)
 
 
 @pytest.mark.usefixtures("_recorded_here")

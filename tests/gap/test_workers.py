@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+import threading
 
 import pytest
 
@@ -43,3 +44,64 @@ def test_several_workers_answer_in_order_tell_failures_and_can_be_cancelled():
         with pytest.raises(Cancelled):
             people.do(math.factorial, list(range(100)), lambda: True, done.append)
         assert people.do(math.factorial, [3], never, done.append) == [6]
+
+
+def answer_or_wait(thing: tuple[int, bytes]) -> int:
+    number, _ = thing
+    if number:
+        threading.Event().wait()
+    return number
+
+
+LARGE = bytes(1 << 20)
+"""More than a pipe holds: whoever sends it to a process that does not read waits."""
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_an_interrupt_ends_the_pool_even_if_its_processes_are_gone(killed: bool):
+    things = [(number, LARGE) for number in range(9)]
+    with pytest.raises(KeyboardInterrupt), crew(2) as people:
+        assert isinstance(people, Pool)
+        started: list[object] = []
+
+        def interrupt(_: object) -> None:
+            started.extend(people.processes)
+            if killed:  # as a signal to the whole group does
+                for process in people.processes:
+                    process.kill()
+                    process.join()
+            raise KeyboardInterrupt
+
+        people.do(answer_or_wait, things, never, interrupt)
+    assert len(started) == 2
+    assert people.processes == ()
+
+
+def test_a_process_that_dies_is_an_error_and_the_pool_goes_on():
+    with crew(2) as people:
+        assert isinstance(people, Pool)
+        things = [(number, LARGE) for number in range(9)]
+
+        def kill(_: object) -> None:
+            for process in people.processes:
+                process.kill()
+
+        with pytest.raises(RuntimeError, match="unexpectedly"):
+            people.do(answer_or_wait, things, never, kill)
+        assert people.do(math.factorial, [3, 4], never, lambda _: None) == [6, 24]
+
+
+class OnlyHere(Exception):
+    """Cannot be made again from its arguments."""
+
+    def __init__(self, one: int, other: int) -> None:
+        super().__init__(f"{one} and {other}")
+
+
+def fail(_: int) -> None:
+    raise OnlyHere(1, 2)
+
+
+def test_an_error_that_cannot_be_sent_names_its_class():
+    with crew(2) as people, pytest.raises(RuntimeError, match="OnlyHere: 1 and 2"):
+        people.do(fail, [1], never, lambda _: None)

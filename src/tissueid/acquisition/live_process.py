@@ -22,6 +22,7 @@ from typing import IO
 import numpy as np
 
 from tissueid.acquisition.live_looks import Array, LiveLooks, LiveSettings, News, in_words
+from tissueid.children import start
 
 MOST_SHARE = 0.2
 """Share of a core that the looking may take: where it would take more, it looks less often."""
@@ -50,13 +51,13 @@ class LiveProcess:
         self._closing = False
         self._process: subprocess.Popen[bytes] | None = None
         self._threads: list[threading.Thread] = []
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _COMMAND],
+            self._process = start(
+                "-c",
+                _COMMAND,
+                environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=environment,
                 # In a group of its own Ctrl+C does not reach it: it ends when its input does.
                 start_new_session=sys.platform != "win32",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),

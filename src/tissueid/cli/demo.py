@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.analysis import Analysis, analyse_all
 from tissueid.calibration import ElectricalCheck, check_coil
+from tissueid.children import run, start
 from tissueid.cli.identify import identify_answer, readable
 from tissueid.cli.logged import noted
 from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
@@ -102,9 +102,9 @@ def firmware_process(preset: str, seed: int) -> Iterator[str]:
         UnusableInputError: no such preset.
         InstrumentError: it did not start.
     """
-    command = [sys.executable, "-m", "firmware_sim", "--preset", preset, "--seed", str(seed)]
+    command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed))
     with tempfile.TemporaryFile("w+") as complaints:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints, text=True)
+        process = start(*command, stdout=subprocess.PIPE, stderr=complaints, text=True)
         assert process.stdout is not None
         try:
             url = process.stdout.readline().strip()
@@ -147,8 +147,8 @@ def _measure(instrument: Instrument, path: Path, seed: int, preset: str, show: A
 def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> Comparison:
     """The small test's estimates beside what the plant says of itself at that depth, and the large test's."""
     position = float(np.nanmean(session.test(2).record().output))
-    command = [sys.executable, "-m", "firmware_sim", "--preset", preset, "--local-values", repr(position)]
-    truth = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    command = ("-m", "firmware_sim", "--preset", preset, "--local-values", repr(position))
+    truth = json.loads(run(*command, capture_output=True, text=True, check=True).stdout)
     large, small = (analyses[number]["lms"].model.report.parameters for number in (1, 2))
     rows = tuple(
         ComparisonRow(name, unit, small[name], truth[name], large[name])

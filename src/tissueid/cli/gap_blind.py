@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from tissueid.children import run
 from tissueid.cli.output import (
     check_different,
     check_json,
@@ -175,10 +175,10 @@ def _tell(console: Console, title: str, count: int, score: Score) -> None:
 
 def _record(folder: Path, n: int, seed: int, full_share: float) -> None:
     private_folder(folder)
-    command = [sys.executable, "-m", LABORATORY, "--seed", str(seed), "--n", str(n), "--out", str(folder), "--clean"]
+    command = ["-m", LABORATORY, "--seed", str(seed), "--n", str(n), "--out", str(folder), "--clean"]
     command += ["--full-share", str(full_share)]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
+        done = run(*command, capture_output=True, text=True, timeout=MOST_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UnusableInputError(f"the simulated laboratory cannot be run: {error}") from error
     if done.returncode != 0:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess, parent_process
+from typing import Any, Protocol, TypeVar
 
+from tissueid.children import spawning
 from tissueid.gap.fitting import Cancelled
 
 T = TypeVar("T")
@@ -16,15 +21,21 @@ R = TypeVar("R")
 
 POLL_S = 0.2
 """How often a wait for other processes looks whether the work was cancelled."""
+LEAVING_S = 2.0
+"""How long a process may take to end once it is asked to, before it is killed."""
 
 
 class Crew(Protocol):
-    """Somebody who does the same piece of work for many things."""
+    """What does the same piece of work for many things."""
 
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
-        """Results in the order of ``things``; ``done`` is told of each; raises ``Cancelled``."""
+        """Return results in the order of ``things``; call ``done`` with each that is finished.
+
+        Raises:
+            Cancelled: ``cancelled`` said so.
+        """
         ...
 
 
@@ -34,7 +45,7 @@ class Alone:
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
-        """Results in the order of ``things``."""
+        """Return results in the order of ``things``."""
         found = []
         for thing in things:
             if cancelled():
@@ -45,26 +56,89 @@ class Alone:
 
 
 class Pool:
-    """Does the work in processes of its own."""
+    """Does the work in processes of its own, each at the other end of a pipe.
 
-    def __init__(self, executor: ProcessPoolExecutor) -> None:
-        self._executor = executor
+    One thread sends and receives, and a process gets the next thing when it has answered the last: nothing is queued,
+    no lock is shared, and a process that dies closes its pipe. A signal may therefore interrupt anything here, or end
+    the processes first, and ``close`` still returns.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._members: list[tuple[BaseProcess, Connection]] = []
+
+    @property
+    def processes(self) -> tuple[BaseProcess, ...]:
+        """The processes."""
+        return tuple(process for process, _ in self._members)
 
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
-        """Results in the order of ``things``; what has not begun is dropped when cancelled."""
-        futures: list[Future[R]] = [self._executor.submit(work, thing) for thing in things]
-        waiting = set(futures)
-        while waiting:
-            finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
-            for future in finished:
-                done(things[futures.index(future)])
-            if cancelled():
-                for future in waiting:
-                    future.cancel()
-                raise Cancelled
-        return [future.result() for future in futures]
+        """Return results in the order of ``things``; what is under way is dropped when cancelled.
+
+        Raises:
+            Cancelled: ``cancelled`` said so.
+            RuntimeError: a process died.
+            Exception: whatever the work raised first in the order of ``things``.
+        """
+        answers: dict[int, tuple[bool, Any]] = {}
+        doing: dict[Connection, int] = {}
+        waiting = iter(range(len(things)))
+        idle: list[Connection] = []
+        try:
+            idle += self._staff(min(self._count, len(things)))
+            while len(answers) < len(things):
+                while idle and (place := next(waiting, None)) is not None:
+                    doing[idle[-1]] = place
+                    idle.pop().send((work, things[place]))
+                for pipe in wait(list(doing), POLL_S):
+                    assert isinstance(pipe, Connection)
+                    answers[doing[pipe]] = pipe.recv()
+                    done(things[doing[pipe]])
+                    del doing[pipe]
+                    idle.append(pipe)
+                if cancelled():
+                    raise Cancelled
+        except (EOFError, OSError) as error:
+            raise RuntimeError("a process that fits ended unexpectedly") from error
+        finally:
+            self._dismiss(doing)
+        for place in range(len(things)):
+            good, value = answers[place]
+            if not good:
+                raise value
+        return [answers[place][1] for place in range(len(things))]
+
+    def close(self) -> None:
+        """End all processes, whatever they do."""
+        self._dismiss([pipe for _, pipe in self._members])
+
+    def _staff(self, wanted: int) -> list[Connection]:
+        # The pipes of at least so many processes, with new ones where there are fewer.
+        context = spawning()
+        while len(self._members) < wanted:
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            try:
+                process.start()
+                self._members.append((process, ours))
+            finally:
+                theirs.close()
+        return [pipe for _, pipe in self._members]
+
+    def _dismiss(self, pipes: Collection[Connection]) -> None:
+        # End the processes behind these pipes; a process in the midst of work would answer a question of the past.
+        leaving = [(process, pipe) for process, pipe in self._members if pipe in pipes]
+        for process, _ in leaving:
+            process.terminate()
+        for process, pipe in leaving:
+            process.join(LEAVING_S)
+            if process.is_alive():
+                process.kill()
+                process.join()
+            pipe.close()
+        self._members = [member for member in self._members if member not in leaving]
 
 
 @contextmanager
@@ -74,8 +148,33 @@ def crew(workers: int | None = None) -> Iterator[Crew]:
     if count == 1:
         yield Alone()
         return
-    executor = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    with contextlib.closing(Pool(count)) as pool:
+        yield pool
+
+
+def _serve(pipe: Connection) -> None:
+    # Runs in a process of the pool until the pipe is closed. Ctrl+C reaches the whole group; the parent heeds it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            work, thing = pipe.recv()
+            pipe.send(_answer(work, thing))
+
+
+def _answer(work: Callable[[Any], Any], thing: Any) -> tuple[bool, Any]:
     try:
-        yield Pool(executor)
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+        return True, work(thing)
+    except Exception as error:  # noqa: BLE001 - it is raised again in the parent
+        try:
+            pickle.loads(pickle.dumps(error))  # noqa: S301 - written just now
+        except Exception:  # noqa: BLE001 - some errors cannot be made again from their arguments
+            return False, RuntimeError(f"{type(error).__name__}: {error}")
+        return False, error
+
+
+def _end_with(parent: BaseProcess) -> None:
+    # A process in the midst of a fit would outlive a parent that was killed.
+    parent.join()
+    os._exit(0)

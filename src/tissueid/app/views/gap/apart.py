@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, TypeVar
+
+from tissueid.children import spawning
 
 if TYPE_CHECKING:
     from tissueid.gap.workers import Crew
@@ -35,7 +33,7 @@ def done_apart(work: Work[R], step: Step, cancelled: Callable[[], bool]) -> R | 
         RuntimeError: the process ended without a word.
         Exception: whatever the work raised.
     """
-    context = multiprocessing.get_context("spawn")
+    context = spawning()
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(work, theirs))
     process.start()
@@ -77,14 +75,10 @@ def _work(work: Work[object], out: Connection) -> None:
 
 
 def _with_helpers(work: Work[R], step: Step, left: Callable[[], bool]) -> R:
-    from tissueid.gap.workers import Alone, Pool
+    from tissueid.gap.workers import crew
 
-    count = os.cpu_count() or 1
-    if count == 1:
-        return work(step, Alone(), left)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_follow) as executor:
-        return work(step, Pool(executor), left)
+    with crew() as people:
+        return work(step, people, left)
 
 
 def _say(out: Connection, what: tuple[str, object], left: threading.Event) -> None:
@@ -98,17 +92,3 @@ def _listen(out: Connection, left: threading.Event) -> None:
     with contextlib.suppress(EOFError, OSError):
         out.recv()
     left.set()
-    for helper in multiprocessing.active_children():
-        helper.terminate()
-
-
-def _follow() -> None:
-    # In a helper: go where its parent has gone. It would otherwise wait for work for ever.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_outlive_nobody, args=(parent,), daemon=True).start()
-
-
-def _outlive_nobody(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(0)

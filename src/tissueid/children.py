@@ -1,0 +1,63 @@
+"""Start child processes of Python that import nothing from the current folder.
+
+Python puts the current folder first on the path of ``python -c`` and ``python -m``, and multiprocessing starts its
+processes by the former. A folder that came from elsewhere with a ``multiprocessing.py`` or ``numpy.py`` in it would
+run as soon as one of its sessions is analysed. Every process is started here (a test holds it).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from multiprocessing.context import SpawnContext
+from typing import Any
+
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+"""Environment that keeps the current folder off the path of every Python below (PEP 686's ``-P``)."""
+
+
+def start(*arguments: str, environment: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[Any]:
+    """Start Python with arguments and return the process.
+
+    Args:
+        arguments: after the interpreter, such as ``-m`` and a module.
+        environment: variables in addition to this process's own.
+        options: for ``subprocess.Popen``.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+    return subprocess.Popen(_command(arguments), env=_environment(environment), **options)
+
+
+def run(*arguments: str, environment: dict[str, str] | None = None, **options: Any) -> subprocess.CompletedProcess[Any]:
+    """Run Python with arguments to its end.
+
+    Args:
+        arguments: after the interpreter, such as ``-m`` and a module.
+        environment: variables in addition to this process's own.
+        options: for ``subprocess.run``.
+
+    Raises:
+        OSError: it cannot be started.
+        subprocess.TimeoutExpired: it did not end in time.
+        subprocess.CalledProcessError: with ``check``, its status is not 0.
+    """
+    return subprocess.run(_command(arguments), env=_environment(environment), **options)
+
+
+def spawning() -> SpawnContext:
+    """Return the context of multiprocessing whose processes, and the tracker of their resources, are safe."""
+    # Its processes take their environment from this one, and this one's path, which must not have the folder on it.
+    os.environ.update(SAFE_PATH)
+    return multiprocessing.get_context("spawn")
+
+
+def _command(arguments: tuple[str, ...]) -> list[str]:
+    return [sys.executable, "-P", *arguments]
+
+
+def _environment(more: dict[str, str] | None) -> dict[str, str]:
+    return os.environ | SAFE_PATH | (more or {})
