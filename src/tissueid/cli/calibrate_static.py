@@ -17,6 +17,7 @@ from tissueid.cli.logged import end_noted, logged, noted
 from tissueid.cli.output import (
     check_different,
     check_json,
+    check_new,
     check_output,
     console,
     people_read,
@@ -86,6 +87,7 @@ def run_static(url: str, out: Path | None, report: Path | None, json_file: Path 
     check_different(out, report, json_file)
     check_place(out)
     check_output(report, ("<!DOCTYPE html",))
+    check_new(report)
     check_json(json_file)
     ask = _asker()
     if ask is None and (options.weights_g or options.orientations > 1):

@@ -28,6 +28,7 @@ from tissueid.cli.logged import end_noted, logged, noted, trail
 from tissueid.cli.output import (
     check_different,
     check_json,
+    check_new,
     check_output,
     console,
     people_read,
@@ -115,6 +116,8 @@ def run_sweep(
     check_different(out, report, json_file, options.session, options.kept)
     check_place(out)
     check_output(report, ("<!DOCTYPE html",))
+    if url is not None:
+        check_new(report)
     check_json(json_file)
     begin = time.perf_counter()
     head = ""

@@ -13,7 +13,7 @@ from rich.table import Table
 from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
 from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
 from tissueid.cli.identify import identify_answer, parse_options
-from tissueid.cli.output import check_json, check_output, people_read, progress_bars, table, write_json
+from tissueid.cli.output import check_json, check_output, check_report, people_read, progress_bars, table, write_json
 from tissueid.cli.quality import doubted
 from tissueid.errors import UnusableInputError
 from tissueid.identification.recommendation import Recommendation
@@ -50,6 +50,7 @@ def run_compare(
     names = None if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
     chosen = specifications(names, {} if memory is None else {"memory": memory}, _by_engine(options))
     session = read_session(path)
+    check_report(out, session)
     parts = split(session, test=test, also=also, validate=validate, input_name=input_name, output_name=output_name)
     no_ceiling = ""
     try:

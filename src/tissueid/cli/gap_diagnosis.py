@@ -11,7 +11,16 @@ import numpy as np
 from rich.table import Table
 
 from tissueid.cli.gap_accept import accepted
-from tissueid.cli.output import check_different, check_json, check_output, people_read, progress_bars, table, write_json
+from tissueid.cli.output import (
+    check_different,
+    check_json,
+    check_output,
+    check_report,
+    people_read,
+    progress_bars,
+    table,
+    write_json,
+)
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, crew, diagnose, observe
 from tissueid.gap.named import believing
@@ -48,6 +57,7 @@ def diagnose_session(
     saved = None if twin is None else read_twin(twin)
     with interruptible(), progress_bars() as show:
         read = read_session(session)
+        check_report(out, read)
         found = run_diagnose(read, fit, check, workers, show, saved)
         if out is not None:
             from tissueid.reports.gap import Origin, write_gap_report

@@ -17,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from tissueid.errors import UnusableInputError
+from tissueid.sessions import Session
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean
 
@@ -40,6 +41,7 @@ def _lines_clean(text: str) -> str:
 
 console = PlainConsole(stderr=True, highlight=False)
 _BETWEEN_LINES_S = 3.0
+_LARGEST_REPORT = 200_000_000
 
 
 def people_read(json_file: Path | None) -> Console:
@@ -67,6 +69,32 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
         known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
         if head and not head.startswith(known):
             raise UnusableInputError(f"{target} is there already and holds something else; it is not written over")
+
+
+def check_report(target: Path | None, session: Session) -> None:
+    """Refuse a report file that is there already and is not of this session: a person may have kept it.
+
+    The report of the same session may be written again.
+
+    Raises:
+        UnusableInputError: it is the report of something else.
+    """
+    if target is None or not target.is_file() or target.stat().st_size == 0:
+        return
+    with target.open("rb") as file:
+        if session.session_id and session.session_id.encode() in file.read(_LARGEST_REPORT):
+            return
+    raise UnusableInputError(f"{target} is there already and is the report of something else: name another file")
+
+
+def check_new(target: Path | None) -> None:
+    """Refuse, before any work, a report of what is measured now that would replace an earlier one.
+
+    Raises:
+        UnusableInputError: a file of that name is there already.
+    """
+    if target is not None and target.is_file() and target.stat().st_size > 0:
+        raise UnusableInputError(f"{target} is there already: name another file, or move it away")
 
 
 def check_different(*targets: Path | None) -> None:

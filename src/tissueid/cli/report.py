@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
-from tissueid.cli.output import check_output, people_read
+from tissueid.cli.output import check_output, check_report, people_read
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine
 from tissueid.reports import write_report
@@ -24,6 +24,8 @@ def run_report(path: Path, out: Path, test: int | None, engines: str | None = No
     check_output(out, ("<!DOCTYPE html",))
     check_output(pdf, ("%PDF",))
     session = read_session(path)
+    for target in (out, pdf):
+        check_report(target, session)
     chosen = session.test(test)
     names = REPORT_ENGINES if engines is None else [name.strip() for name in engines.split(",") if name.strip()]
     analyses: dict[str, Analysis] = {}

@@ -92,6 +92,7 @@ def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]
         numbers = {test.number for test in tests}
         sites = dict.fromkeys(test.site for test in origin.session.tests if test.number in numbers and test.site)
         yield "Session file", origin.file.name
+        yield "Session", origin.session.session_id or MISSING
         yield "Recorded", readable_date(origin.session.created)
         yield "Site", ", ".join(sites) or MISSING
         yield "Subject", origin.session.subject.pseudonym or MISSING

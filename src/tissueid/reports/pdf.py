@@ -101,7 +101,15 @@ def _write(
     for table in further:
         paper.table(*table)
     _figures(paper, analyses)
-    with PdfPages(target, metadata={"CreationDate": None, "Producer": None, "Title": "TissueID report"}) as pages:
+    with PdfPages(
+        target,
+        metadata={
+            "CreationDate": None,
+            "Producer": None,
+            "Title": "TissueID report",
+            "Subject": f"Session {session.session_id}",
+        },
+    ) as pages:
         for number, page in enumerate(paper.pages, 1):
             page.text(_LEFT / _WIDTH, 0.45 / _HEIGHT, RESEARCH_LINE, fontsize=8.0, color=MUTED, fontweight="bold")
             count = f"TissueID · page {number} of {len(paper.pages)}"

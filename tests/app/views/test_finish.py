@@ -100,7 +100,7 @@ def check_agreement(qtbot, window, papers, folder, files):
         for shown, unit_for in ((by_name[name], people_unit), (summary.cells[quantity][1].text(), shown_si)):
             unit, scale = unit_for(si_unit)
             assert shown == f"{plus_minus(Estimate(value.mean, value.std), scale)} {unit}"
-    assert path.exists()
+    assert session.session_id.encode() in path.read_bytes()  # the shell knows by it whose report it is
 
 
 def test_the_good_test_is_accepted_shown_and_printed_after_a_broken_repeat(qtbot, sitting, tmp_path):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.app.language import _
+from tissueid.app.place_to_save import free_place
 from tissueid.app.views.gap.diagnosing import Result
 from tissueid.audit import Trail
 from tissueid.errors import UnusableInputError
@@ -72,7 +73,7 @@ def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
 
 
 def report_beside(result: Result) -> Path:
-    """Write the page of a diagnosis beside its session; returns its path.
+    """Write the page of a diagnosis next to its session, never over an earlier one; return its path.
 
     Raises:
         OSError: it cannot be written there.
@@ -81,7 +82,7 @@ def report_beside(result: Result) -> Path:
     from tissueid.reports.gap import Origin, write_gap_report
 
     session = result.asked.session
-    path = session.with_name(f"{session.stem}-gap.html")
+    path = free_place(session.with_name(f"{session.stem}-gap.html"))
     write_gap_report(result.diagnosis, path, origin=Origin(read_session(session), session))
     return path
 
@@ -106,10 +107,7 @@ def proposed_twin(result: Result) -> Path:
         return result.asked.twin
     folder = result.asked.session.parent
     stem = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(result.diagnosis.combination)).strip("-._") or "twin"
-    path, number = folder / f"{stem}{_SUFFIX}", 2
-    while path.exists():
-        path, number = folder / f"{stem}-{number}{_SUFFIX}", number + 1
-    return path
+    return free_place(folder / f"{stem}{_SUFFIX}")
 
 
 def _finite(value: Any) -> Any:

@@ -49,6 +49,7 @@ class GapView(View):
 
     def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
         super().__init__(desk, parent)
+        self._written: tuple[Result, Path] | None = None
         self.setAcceptDrops(True)
         self._cancelled = threading.Event()
         self._running = False
@@ -194,7 +195,15 @@ class GapView(View):
         self._keep(lambda result: export_json(result, Path(path)), self._exported)
 
     def _report(self) -> None:
-        self._keep(report_beside, self.desk.show_file)
+        result, written = self.history.result, self._written
+        if written is not None and written[0] is result and written[1].exists():
+            self.desk.show_file(written[1])  # of what is shown it is there already
+        else:
+            self._keep(lambda result: (result, report_beside(result)), self._reported)
+
+    def _reported(self, written: tuple[Result, Path]) -> None:
+        self._written = written
+        self.desk.show_file(written[1])
 
     def _keep(self, work: Callable[[Result], object], then: Callable[..., None]) -> None:
         result = self.history.result
