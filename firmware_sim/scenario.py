@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -156,6 +157,26 @@ class Scenario(BaseModel):
         )
 
 
+MOST_BYTES = 16 * 1024
+"""Of a scenario: the parser of TOML takes memory in proportion to the square of it at the worst, 0.3 GB."""
+
+
+def _text(path: Path) -> str:
+    """The text of a scenario.
+
+    Raises:
+        OSError: it cannot be read, is no ordinary file (a pipe may never end), or is too large.
+        UnicodeDecodeError: it is no text.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
+    with path.open("rb") as file:
+        data = file.read(MOST_BYTES + 1)
+    if len(data) > MOST_BYTES:
+        raise OSError(errno.EFBIG, f"it has more than {MOST_BYTES} bytes", str(path))
+    return data.decode("utf-8")
+
+
 def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     """A scenario from a file, with options from the command line laid over it.
 
@@ -165,9 +186,11 @@ def load_scenario(path: Path | None, **overrides: object) -> Scenario:
     values: dict[str, object] = {}
     if path is not None:
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            reason = getattr(error, "strerror", None) or ("not text" if isinstance(error, UnicodeError) else error)
+            values = tomllib.loads(_text(path))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+            reason = getattr(error, "strerror", None) or error
+            if isinstance(error, UnicodeError | RecursionError):
+                reason = "not text" if isinstance(error, UnicodeError) else "nested too deeply"
             raise ValueError(f"cannot read the scenario {path}: {reason}") from error
     values |= {name: value for name, value in overrides.items() if value is not None}
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -154,3 +155,10 @@ def test_a_huge_file_a_missing_one_and_a_folder_are_refused(tmp_path: Path):
         load_stimulus(tmp_path / "none.json")
     with pytest.raises(UnusableInputError, match="cannot read"):
         load_stimulus(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_pipe_is_not_waited_for(tmp_path: Path):
+    os.mkfifo(tmp_path / "s.json")
+    with pytest.raises(UnusableInputError, match="not an ordinary file"):
+        load_stimulus(tmp_path / "s.json")

@@ -1,6 +1,7 @@
 """What a scenario makes of a device: its model, its true figures, its tilt and its rate."""
 
 import json
+import os
 from dataclasses import fields
 
 import numpy as np
@@ -100,6 +101,8 @@ def test_a_weight_goes_with_the_mass_unless_it_is_given():
         ("tilt_deg = 270.0", "tilt_deg cannot be used"),
         ("sample_rate_hz = 20000", "sample_rate_hz cannot be used"),
         ('stage = "high"', "stage cannot be used"),
+        ("a = " + "[" * 10_000, "nested too deeply"),
+        (".".join("a" * 10_000) + " = 1", "more than 16384 bytes"),
     ],
 )
 def test_a_scenario_that_cannot_be_is_one_line(tmp_path, text, words):
@@ -300,3 +303,10 @@ def test_what_cannot_be_hidden_is_refused(text, words, capsys):
 def test_a_level_out_of_range_is_refused(capsys):
     assert main(["--hide", "dry_friction=1e9"]) == 2
     assert "effects" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+def test_a_scenario_that_is_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "scenario.toml")
+    with pytest.raises(ValueError, match="not an ordinary file"):
+        load_scenario(tmp_path / "scenario.toml")

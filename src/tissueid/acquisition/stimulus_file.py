@@ -18,7 +18,7 @@ from tissueid import __version__
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import FeedbackKind, Stimulus, build_specified, specified
 from tissueid.untrusted import json_value
-from tissueid.whole_file import whole_file
+from tissueid.whole_file import open_regular, whole_file
 
 FORMAT = "tissueid-stimulus"
 FORMAT_VERSION = "1.0"
@@ -105,10 +105,8 @@ def _read(path: Path) -> dict[str, Any]:
     Raises:
         UnusableInputError: it cannot be read, is too long, or is something else.
     """
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise UnusableInputError(f"{path} is not a plain file")
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             data = file.read(_MOST_BYTES + 1)
     except FileNotFoundError as error:
         raise UnusableInputError(f"{path}: no such file") from error

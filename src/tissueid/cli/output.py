@@ -18,7 +18,7 @@ from rich.table import Table
 
 from tissueid.errors import UnusableInputError
 from tissueid.sessions import Session
-from tissueid.whole_file import whole_file
+from tissueid.whole_file import open_regular, whole_file
 from tissueid.wording import clean
 
 _SPACES = frozenset("\n\u00a0\u202f")
@@ -64,7 +64,7 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
     if not target.parent.is_dir():
         raise UnusableInputError(f"there is no folder {target.parent}")
     if target.exists():
-        with target.open("rb") as file:
+        with open_regular(target) as file:
             head = file.read(512).lstrip()
         known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
         if head and not head.startswith(known):
@@ -122,6 +122,10 @@ def write_json(target: Path, value: Any) -> None:
     text = json.dumps(_finite(value), indent=2, allow_nan=False) + "\n"
     if str(target) == "-":
         sys.stdout.write(text)
+        try:
+            getattr(sys.stdout, "deliver", sys.stdout.flush)()
+        except OSError as error:
+            raise UnusableInputError(f"cannot write the answer to standard output: {error.strerror}") from error
         return
     check_json(target)
     write_text(target, text)

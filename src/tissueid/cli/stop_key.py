@@ -106,13 +106,16 @@ else:
             if not os.isatty(terminal) or os.tcgetpgrp(terminal) != os.getpgrp():
                 return None
             before = termios.tcgetattr(terminal)
-            tty.setcbreak(terminal, termios.TCSAFLUSH)  # Ctrl+C stays what it is
+            tty.setcbreak(terminal, termios.TCSANOW)  # Ctrl+C stays what it is
+            termios.tcflush(terminal, termios.TCIFLUSH)
         except (OSError, ValueError, AttributeError, termios.error):
             return None  # closed, redirected or half gone
 
         def give_back() -> None:
             with contextlib.suppress(OSError, termios.error):
-                termios.tcsetattr(terminal, termios.TCSAFLUSH, before)
+                # Not TCSAFLUSH, which waits for a terminal that takes no output.
+                termios.tcsetattr(terminal, termios.TCSANOW, before)
+                termios.tcflush(terminal, termios.TCIFLUSH)
 
         stack.callback(give_back)
 
