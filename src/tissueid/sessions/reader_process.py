@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from tissueid.children import start
 from tissueid.errors import SessionFormatError, UnusableInputError
 from tissueid.sessions import file, members
 from tissueid.untrusted import MEMORY_BYTES, most_seconds
@@ -97,12 +98,13 @@ class ReaderProcess:
             return self._process
         self._ended()
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _COMMAND],
+            self._process = start(
+                "-c",
+                _COMMAND,
+                environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 cwd=Path(sys.executable).anchor,  # no folder stays in use by it
                 # In a group of its own Ctrl+C does not reach it: it ends when its input does.
                 start_new_session=sys.platform != "win32",
