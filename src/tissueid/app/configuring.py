@@ -9,7 +9,7 @@ from tissueid.app.number_field import NumberField
 from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
 
 _USUAL_SPRING_N_PER_M = 200.0
-_NAMES = {
+CONFIGURATION_NAMES = {
     "indentation": marked("Indentation"),
     "extension": marked("Extension"),
     "surface": marked("Surface (sliding)"),
@@ -29,7 +29,7 @@ class ConfigurationChooser(QWidget):
         self.name = QComboBox()
         self.name.setAccessibleName(_("Configuration"))
         for name in CONFIGURATIONS:
-            self.name.addItem(_(_NAMES.get(name, name.capitalize())), name)
+            self.name.addItem(_(CONFIGURATION_NAMES.get(name, name.capitalize())), name)
         self.probe = QComboBox()
         self.probe.setAccessibleName(_("Probe"))
         self.spring = NumberField()

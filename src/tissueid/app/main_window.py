@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QCoreApplication, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QKeySequence, QShortcut
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
 from tissueid.acquisition.playing import Phase
@@ -17,6 +17,7 @@ from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
 from tissueid.app.errands import judge_and_find
+from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
 from tissueid.app.findings import Findings, find, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.language import _, speak
@@ -82,6 +83,8 @@ class MainWindow(QMainWindow):
         self.panels = Panels(self)
         self.searching = Searching(self)
         self.pages = Pages(self)
+        self.files = FileDrops(self)
+        self.setAcceptDrops(True)
         self._connect()
         self._take_palette()
         self.searching.list_instruments()
@@ -301,14 +304,25 @@ class MainWindow(QMainWindow):
         self.ui.notice.say(words, problem=True)
 
     def _choose_session(self) -> None:
-        dialog = QFileDialog(self, _("Open a session"), str(self.ui.form.folder), _("Sessions (*.h5);;All files (*)"))
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
+        dialog = QFileDialog(self, _("Open a session, or import records"), str(self.ui.form.folder), kinds)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        dialog.fileSelected.connect(self._open_chosen)
+        dialog.filesSelected.connect(self._open_chosen)
         dialog.open()
 
-    def _open_chosen(self, path: str) -> None:
-        self.open_session(Path(path))
+    def _open_chosen(self, paths: list[str]) -> None:
+        self.files.open([Path(path) for path in paths])
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802
+        """Files may be dropped on every page while nothing goes on."""
+        if self.files.can_take(dropped_paths(event)):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802
+        """Open what was dropped."""
+        self.files.take(dropped_paths(event))
+        event.acceptProposedAction()
 
     def _analyse_other(self, number: int) -> None:
         if self.findings is not None:

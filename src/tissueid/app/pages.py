@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject
 
+from tissueid.app.file_drops import pass_drops_on
 from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.remembered import put_back, remember, remembered_page
@@ -86,6 +87,7 @@ class Pages(QObject):
         for name, (title, _make) in LATER.items():
             window.ui.rail.add(name, _(title))
         window.ui.order_tabs()
+        pass_drops_on(window)
         window.ui.rail.chosen.connect(self.show)
         self.start.role_chosen.connect(self._work_as)
         self.start.instrument_chosen.connect(self._use_instrument)
@@ -134,6 +136,19 @@ class Pages(QObject):
         for view in self.views:
             view.heard_of(path)
 
+    def offer_files(self, paths: list[Path]) -> bool:
+        """Return whether the page that is shown takes these files."""
+        return any(view.offer_files(paths) for view in self.views if view.name == self._window.ui.page)
+
+    def list_sessions(self, paths: list[Path]) -> None:
+        """Show folders and sessions in the list of the page Research."""
+        from tissueid.app.views.researcher.view import ResearchView
+
+        self.show("research")
+        for view in self.views:
+            if isinstance(view, ResearchView):
+                view.list_sessions(paths)
+
     def cancel(self) -> None:
         """The window closes: whatever goes on ends soon."""
         for view in self.views:
@@ -150,6 +165,7 @@ class Pages(QObject):
         view = LATER[name][1](self._desk_of(name))
         self.views.append(view)
         self._window.ui.add_page(name, view)
+        pass_drops_on(view)
         view.take_role(self._window.ui.role.role)
         view.settle(busy=self._window.busy, testing=self._window.testing)
         tell_why(view.waiting(), self._window.jobs.why)

@@ -13,15 +13,15 @@ import numpy as np
 from tissueid.cli.logged import noted
 from tissueid.cli.output import check_different, check_json, people_read, progress_bars, table, write_json
 from tissueid.configuration import CONFIGURATIONS
-from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.sessions import KINDS, Test, read_session, write_session
+from tissueid.errors import UnusableInputError
+from tissueid.sessions import KINDS, Test, read_session
 from tissueid.sessions.imports import (
     Choices,
     Imported,
     Source,
-    assembled,
+    check_new_session,
     export_session,
-    import_test,
+    import_session,
     instrument_figures,
     parse_map,
 )
@@ -91,27 +91,26 @@ def run_import(plan: ImportPlan) -> None:
     """Read every file, check, write the session whole, and say what was taken and what is doubtful."""
     check_json(plan.json_file)
     check_different(plan.out, plan.json_file)
-    if plan.out.exists():
-        raise SessionFormatError(f"{plan.out} is there already; sessions are never overwritten")
-    if not plan.out.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {plan.out.parent}")
+    check_new_session(plan.out)
     for option, rate in (("--rate", plan.rate_hz), ("--resample", plan.resample_hz)):
         if rate is not None and not 1e-6 <= rate <= 1e9:
             raise UnusableInputError(f"{option} is a rate in Hz above 0, not {rate:g}")
     wanted = parse_map(plan.mapping) if plan.mapping else None
     figures = instrument_figures(plan.instrument)
     choices = plan.choices()
-    imported = []
     with progress_bars() as progress:
-        for k, (file, choice) in enumerate(zip(plan.files, choices, strict=True)):
-            progress("reading", k / len(plan.files))
-            imported.append(
-                import_test(Source.parsed(file), wanted, choice, rate_hz=plan.rate_hz, resample_hz=plan.resample_hz)
-            )
-        session, notices = assembled(imported, figures, plan.subject)
-        progress("writing", 0.0)
-        write_session(plan.out, session)
-        progress("writing", 1.0)
+        made = import_session(
+            [Source.parsed(file) for file in plan.files],
+            wanted,
+            choices,
+            plan.out,
+            figures=figures,
+            pseudonym=plan.subject,
+            rate_hz=plan.rate_hz,
+            resample_hz=plan.resample_hz,
+            progress=progress,
+        )
+    session, imported, notices = made.session, made.tests, made.notices
     noted(
         "researcher",
         "session.imported",
@@ -121,7 +120,7 @@ def run_import(plan: ImportPlan) -> None:
     tests = [_answer(item, test) for item, test in zip(imported, session.tests, strict=True)]
     _tell(plan, tests, notices)
     if plan.json_file is not None:
-        answer = {"session": str(plan.out), "session_id": session.session_id, "tests": tests, "notices": notices}
+        answer = {"session": str(plan.out), "session_id": session.session_id, "tests": tests, "notices": list(notices)}
         write_json(plan.json_file, answer)
 
 

@@ -8,9 +8,9 @@ from typing import get_args
 import pytest
 from app.benches import WAIT_MS
 from app.tabbing import check_tabs
+from app.test_window import idle
 from gap_records import recorded
-from PySide6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PySide6.QtGui import QDragEnterEvent, QDropEvent
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
 from tissueid.app.language import speak, spoken
@@ -313,13 +313,8 @@ def test_a_dropped_file_is_chosen_and_found_again_at_the_next_start(open_window,
     other.write_bytes(friction.read_bytes())
     window = open_window(first_page="gap")
     page = page_of(window)
-    data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(other))])
-    shared = (Qt.DropAction.CopyAction, data, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier)
-    enter = QDragEnterEvent(QPoint(9, 9), *shared)
-    page.dragEnterEvent(enter)
-    assert enter.isAccepted()
-    page.dropEvent(QDropEvent(QPointF(9, 9), *shared))
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    window.files.take([other])
     assert page.asking.session.path == other
     assert page.asking.session.choice.currentText() == "<b>other.h5"
     page.asking.check.setText("2")

@@ -86,6 +86,11 @@ class View(QWidget):
     def heard_of(self, path: Path) -> None:
         """A session was recorded or recovered into this file."""
 
+    def offer_files(self, paths: list[Path]) -> bool:
+        """Take files that were dropped on this page; False leaves them to the window."""
+        del paths
+        return False
+
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
 

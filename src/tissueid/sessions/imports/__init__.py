@@ -1,18 +1,34 @@
 """Records from elsewhere into sessions, and sessions out to other programs (docs/sessions.md)."""
 
-from tissueid.sessions.imports.assembling import assembled, instrument_figures
+from tissueid.sessions.imports.assembling import (
+    ImportedSession,
+    assembled,
+    check_new_session,
+    import_session,
+    instrument_figures,
+)
 from tissueid.sessions.imports.building import Choices, Imported, Source, import_test
 from tissueid.sessions.imports.exporting import FORMATS, export_session
-from tissueid.sessions.imports.mapping import parse_map
+from tissueid.sessions.imports.mapping import ROLES, guessed_role, parse_map
+from tissueid.sessions.imports.opening import is_record, open_foreign
+from tissueid.sessions.imports.units import alternatives
 
 __all__ = [
     "FORMATS",
+    "ROLES",
     "Choices",
     "Imported",
+    "ImportedSession",
     "Source",
+    "alternatives",
     "assembled",
+    "check_new_session",
     "export_session",
+    "guessed_role",
+    "import_session",
     "import_test",
     "instrument_figures",
+    "is_record",
+    "open_foreign",
     "parse_map",
 ]

@@ -1,21 +1,80 @@
-"""A session out of tests from elsewhere."""
+"""A session made of imported tests."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 from tissueid.device import DeviceDescription
-from tissueid.errors import UnusableInputError
+from tissueid.errors import SessionExistsError, UnusableInputError
 from tissueid.sessions.imports.attributes import unknown_device
-from tissueid.sessions.imports.building import Imported
+from tissueid.sessions.imports.building import Choices, Imported, Source, import_test
 from tissueid.sessions.model import Session, Subject
+from tissueid.sessions.writing import write_session
 from tissueid.untrusted import MAX_NUMBERS, MAX_TESTS
 
 _FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
 """Every figure of an instrument, and whether it is a number."""
+
+
+@dataclass(frozen=True)
+class ImportedSession:
+    """What an import made: the session as it was written, its tests as they were read, and doubts about the whole."""
+
+    session: Session
+    tests: tuple[Imported, ...]
+    notices: tuple[str, ...]
+
+
+def check_new_session(out: Path) -> None:
+    """Refuse, before any work, a path where no session can be made.
+
+    Raises:
+        SessionExistsError: a file is there; sessions are never overwritten.
+        UnusableInputError: there is no folder for it.
+    """
+    if out.exists():
+        raise SessionExistsError(out)
+    if not out.parent.is_dir():
+        raise UnusableInputError(f"there is no folder {out.parent}")
+
+
+def import_session(
+    sources: Sequence[Source],
+    wanted: dict[str, tuple[str, str]] | None,
+    choices: Sequence[Choices],
+    out: Path,
+    *,
+    figures: Mapping[str, str | float] | None = None,
+    pseudonym: str | None = None,
+    rate_hz: float | None = None,
+    resample_hz: float | None = None,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> ImportedSession:
+    """Read one test from each source and write them as one session.
+
+    ``wanted`` is column and unit by role (``parse_map``), ``choices`` has one entry for each source. ``progress`` gets
+    a word for what is done and the share of it, 0 to 1.
+
+    Raises:
+        UnusableInputError: a file, its columns, units or times cannot be used; names the file.
+        SessionExistsError: ``out`` exists.
+        OSError: a file cannot be read or written.
+    """
+    check_new_session(out)
+    tests = []
+    for done, (source, choice) in enumerate(zip(sources, choices, strict=True)):
+        progress("reading", done / len(sources))
+        tests.append(import_test(source, wanted, choice, rate_hz=rate_hz, resample_hz=resample_hz))
+    progress("reading", 1.0)
+    session, notices = assembled(tests, dict(figures or {}), pseudonym)
+    progress("writing", 0.0)
+    write_session(out, session)
+    progress("writing", 1.0)
+    return ImportedSession(session, tuple(tests), tuple(notices))
 
 
 def instrument_figures(options: Sequence[str]) -> dict[str, str | float]:

@@ -17,6 +17,15 @@ ROLES = (*SIGNAL_UNITS, *STAND_INS.values())
 """What a column can be: time, a signal of the format, or the bare input and output of something else."""
 
 _TIME_NAMES = frozenset({"time", "t", "x_value", "timestamp", "zeit", "temps", "tempo", "elapsed", "elapsed time"})
+_NAMED_LIKE = {
+    "position": ("pos", "disp", "depth", "weg", "indent", "stroke", "auslenkung", "eindr", "deplacement"),
+    "force": ("force", "kraft", "load", "fz", "newton"),
+    "voltage": ("volt", "spannung"),
+    "current": ("curr", "strom", "amp"),
+    "command": ("command", "cmd", "soll"),
+    "temperature": ("temp",),
+}
+"""Parts of names that columns of each signal often carry, in English, German and French."""
 _TIME_UNITS = ("s", "ms", "us", "min")
 
 _PLAUSIBLE = {
@@ -91,6 +100,20 @@ def mapped(file: ForeignFile, wanted: dict[str, tuple[str, str]]) -> tuple[list[
             notices.append(f"{role}: the file says {told.unit}, and was read in {chosen.symbol} as --map asks")
         found.append(Mapped(role, place, told.header or f"column {place + 1}", chosen))
     return found, notices
+
+
+def guessed_role(file: ForeignFile, place: int) -> str:
+    """Return the role that a column seems to have, by its name or else by its unit; "" where neither tells."""
+    column = file.columns[place]
+    if place == file.time or column.name.casefold() in _TIME_NAMES:
+        return "time"
+    name = column.name.casefold()
+    unit = known_unit(column.unit) if column.unit else None
+    fits = [role for role in _NAMED_LIKE if unit is None or SIGNAL_UNITS[role] == unit.si]
+    named = [role for role in fits if any(part in name for part in _NAMED_LIKE[role])]
+    if named:
+        return named[0]
+    return fits[0] if unit is not None and len(fits) == 1 else ""
 
 
 def time_column(file: ForeignFile, taken: Sequence[Mapped]) -> Mapped | None:

@@ -10,6 +10,13 @@ from tissueid.sessions.imports.lvm import FIRST_LINE, open_lvm
 from tissueid.sessions.imports.mat import HDF5_MARK, MARK, open_mat
 from tissueid.sessions.imports.table import ForeignFile, checked_size
 
+_SESSIONS = (".h5", ".hdf5", ".hdf")
+
+
+def is_record(path: Path) -> bool:
+    """Return whether a file, by its name, is a record to be imported rather than a session to be opened."""
+    return path.suffix.lower() not in (*_SESSIONS, "")
+
 
 def open_foreign(path: Path) -> ForeignFile:
     """Look into a file from elsewhere: CSV, MAT or LVM.

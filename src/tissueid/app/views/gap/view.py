@@ -8,8 +8,8 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, Qt, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QSizePolicy, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
@@ -50,7 +50,6 @@ class GapView(View):
     def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
         super().__init__(desk, parent)
         self._written: tuple[Result, Path] | None = None
-        self.setAcceptDrops(True)
         self._cancelled = threading.Event()
         self._running = False
         self._busy = self._testing = False
@@ -238,24 +237,12 @@ class GapView(View):
 
     # -- files that are dropped -----------------------------------------------------------------------------------
 
-    def dragEnterEvent(self, event: QDragEnterEvent) -> None:  # noqa: N802
-        """A file may be dropped while no test runs."""
-        if not self._testing and _dropped(event) is not None:
-            event.acceptProposedAction()
-
-    def dropEvent(self, event: QDropEvent) -> None:  # noqa: N802
-        """Choose the file."""
-        path = _dropped(event)
-        if path is not None and not self._testing:
-            self.asking.take(path)
-            event.acceptProposedAction()
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
-        """Text fields would take a dropped file as text."""
-        if isinstance(event, QDropEvent) and _dropped(event) is not None:
-            (self.dragEnterEvent if isinstance(event, QDragEnterEvent) else self.dropEvent)(event)  # type: ignore[arg-type]
-            return True
-        return super().eventFilter(watched, event)
+    def offer_files(self, paths: list[Path]) -> bool:
+        """Choose a session or a twin that was dropped here."""
+        if len(paths) != 1 or not paths[0].is_file() or paths[0].suffix.lower() not in (".h5", ".toml"):
+            return False
+        self.asking.take(paths[0])
+        return True
 
     # -- building -------------------------------------------------------------------------------------------------
 
@@ -283,8 +270,6 @@ class GapView(View):
         self.result.report.clicked.connect(self._report)
         self.result.export.clicked.connect(self._ask_for_json)
         self.result.next.wanted.connect(self._prepare)
-        for field in (self.asking.fit, self.asking.check):
-            field.installEventFilter(self)
         start = QShortcut(QKeySequence("Ctrl+Return"), self)
         start.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
         start.activated.connect(self.begin)
@@ -292,12 +277,6 @@ class GapView(View):
     def _resettle(self) -> None:
         self.settle(busy=self._busy, testing=self._testing)
         tell_why(self.waiting(), self.desk.jobs.why)
-
-
-def _dropped(event: QDropEvent) -> Path | None:
-    """The one file that is dragged, if it is one."""
-    files = [url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile()]
-    return Path(files[0]) if len(files) == 1 else None
 
 
 def _whole_number(kept: object) -> int:

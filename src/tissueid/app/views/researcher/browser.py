@@ -112,6 +112,14 @@ class Browser(QWidget):
         self._heard.append(path)
         self.work_waits.emit()
 
+    def list_sessions(self, paths: list[Path]) -> None:
+        """Add folders and single sessions to the list."""
+        for path in paths:
+            if path.is_dir():
+                self.folders.add(str(path))
+            else:
+                self.heard_of(path)
+
     def look_again(self) -> None:
         """Look through all folders, as soon as nothing else goes on."""
         self._all_wanted = True

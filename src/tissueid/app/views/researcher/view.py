@@ -82,6 +82,10 @@ class ResearchView(View):
         if not busy:
             self._soon.start()
 
+    def list_sessions(self, paths: list[Path]) -> None:
+        """Add folders and sessions to the list of sessions."""
+        self.browser.list_sessions(paths)
+
     def heard_of(self, path: Path) -> None:
         """List a new session."""
         self.browser.heard_of(path)

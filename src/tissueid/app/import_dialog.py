@@ -1,0 +1,342 @@
+"""The dialog that imports records: which column is which signal, in which unit, with a preview of the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QFormLayout,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.configuring import CONFIGURATION_NAMES
+from tissueid.app.language import _, marked
+from tissueid.app.words import in_words
+from tissueid.configuration import CONFIGURATIONS
+from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.sessions import KINDS
+from tissueid.sessions.imports import (
+    ROLES,
+    Choices,
+    Source,
+    alternatives,
+    guessed_role,
+    open_foreign,
+    parse_map,
+)
+from tissueid.sessions.imports.attributes import attributes_beside
+from tissueid.sessions.imports.table import Rows
+from tissueid.sessions.model import SIGNAL_UNITS
+from tissueid.wording import clean, number
+
+_SHOWN_ROWS = 4
+_MOST_COLUMNS = 60
+"""Columns that the table offers; the command line takes any."""
+_ROLE_NAMES = {
+    "": marked("not imported"),
+    "time": marked("Time"),
+    "command": marked("Command"),
+    "voltage": marked("Voltage"),
+    "current": marked("Current"),
+    "force": marked("Force"),
+    "position": marked("Position"),
+    "temperature": marked("Temperature"),
+    "acceleration_x": marked("Acceleration, first axis"),
+    "acceleration_y": marked("Acceleration, second axis"),
+    "input": marked("Input of another system"),
+    "output": marked("Output of another system"),
+}
+_KIND_NAMES = {
+    "stochastic": marked("Stochastic test"),
+    "quiet": marked("Quiet: no command"),
+    "slow_ramp": marked("Slow ramp"),
+    "step_hold": marked("Step and hold"),
+    "spring": marked("Calibration spring"),
+    "free_air": marked("Free air"),
+}
+
+
+@dataclass(frozen=True)
+class ColumnPreview:
+    """One column of a record: its header, the unit that the file states, the role it seems to have, first numbers."""
+
+    header: str
+    unit: str
+    role: str
+    first: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What a record looks like before it is imported. ``described`` is true where an export's attributes say it all."""
+
+    paths: tuple[Path, ...]
+    format: str
+    columns: tuple[ColumnPreview, ...]
+    described: bool
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """What is to be imported, as ``import_session`` takes it."""
+
+    sources: tuple[Source, ...]
+    wanted: dict[str, tuple[str, str]] | None
+    choices: Choices
+    out: Path
+    pseudonym: str | None
+    rate_hz: float | None
+
+
+def preview_of(paths: Sequence[Path]) -> Preview:
+    """Look into the first of some records of equal layout.
+
+    Raises:
+        UnusableInputError: it cannot be read; OSError: neither can its disk.
+    """
+    file = open_foreign(paths[0])
+    places = range(min(len(file.columns), _MOST_COLUMNS))
+    try:
+        values, _rows = file.load(list(places), Rows(0, _SHOWN_ROWS))
+    except UnusableInputError:  # fewer rows than that
+        values, _rows = file.load(list(places), Rows())
+    columns = []
+    taken: set[str] = set()
+    for place, numbers in zip(places, values, strict=True):
+        role = guessed_role(file, place)
+        role = "" if role in taken else role
+        taken.add(role)
+        first = tuple(float(one) for one in np.asarray(numbers[:_SHOWN_ROWS], np.float64))
+        column = file.columns[place]
+        columns.append(ColumnPreview(column.header, column.unit, role, first))
+    return Preview(tuple(paths), file.format, tuple(columns), attributes_beside(paths[0]) is not None)
+
+
+class ImportDialog(QDialog):
+    """Asks for what an import needs; ``wanted`` carries an :class:`ImportPlan`. It stays open until that succeeds."""
+
+    wanted = Signal(object)
+
+    def __init__(self, preview: Preview, out: Path, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._preview = preview
+        self.setWindowTitle(_("Import records"))
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        names = ", ".join(clean(path.name) for path in preview.paths[:5])
+        more = len(preview.paths) - 5
+        self.files = QLabel(f"{names}{f' + {more}' if more > 0 else ''}  ({preview.format})")
+        self.files.setWordWrap(True)
+        self.files.setTextFormat(Qt.TextFormat.PlainText)
+        self.table = self._make_table()
+        self.rate = QLineEdit()
+        self.rate.setPlaceholderText(_("only where no column is time"))
+        self.first, self.last = QLineEdit(), QLineEdit()
+        for field, name in ((self.first, _("First row")), (self.last, _("Row after the last"))):
+            field.setPlaceholderText(name)
+            field.setAccessibleName(name)
+        self.site, self.subject = QLineEdit(), QLineEdit()
+        self.subject.setPlaceholderText(_("a pseudonym, never a name"))
+        self.kind = _choice(_KIND_NAMES, KINDS)
+        self.configuration = _choice(CONFIGURATION_NAMES, tuple(CONFIGURATIONS))
+        self.out = QLineEdit(str(out))
+        self.browse = QPushButton(_("Browse…"))
+        self.browse.clicked.connect(self._choose_out)
+        self.said = QLabel()
+        self.said.setWordWrap(True)
+        self.said.setTextFormat(Qt.TextFormat.PlainText)
+        self.said.setProperty("role", "problem")
+        self.said.hide()
+        self.buttons = QDialogButtonBox()
+        self.go = self.buttons.addButton(_("Import"), QDialogButtonBox.ButtonRole.ActionRole)
+        self.cancel = self.buttons.addButton(_("Cancel"), QDialogButtonBox.ButtonRole.RejectRole)
+        self.buttons.rejected.connect(self.reject)
+        self.go.clicked.connect(self._ask)
+        self._arrange()
+        for button in (self.browse, self.cancel):
+            button.setAutoDefault(False)
+        self.go.setDefault(True)
+        self.resize(760, 560)
+
+    def plan(self) -> ImportPlan:
+        """Return what is asked for.
+
+        Raises:
+            UnusableInputError: the columns, units or numbers do not make an import.
+        """
+        wanted = None
+        if not self._preview.described:
+            options = []
+            for row in range(self.table.rowCount()):
+                role, unit = self._role(row).currentData(), self._unit(row).currentText().strip()
+                if role:
+                    options.append(f"{role}={row + 1}:{unit}" if unit else f"{role}={row + 1}")
+            wanted = parse_map(options)
+        rows = Rows(_whole(self.first), _whole(self.last))
+        return ImportPlan(
+            tuple(Source(path, rows) for path in self._preview.paths),
+            wanted,
+            Choices(self.kind.currentData(), self.site.text().strip() or None, self.configuration.currentData()),
+            Path(self.out.text().strip()),
+            self.subject.text().strip() or None,
+            _rate(self.rate),
+        )
+
+    def say(self, words: str) -> None:
+        """Show what is wrong, and let it be put right."""
+        self.said.setText(words)
+        self.said.show()
+        self.settle(busy=False)
+
+    def settle(self, *, busy: bool) -> None:
+        """Nothing can be changed while the files are read."""
+        self.go.setEnabled(not busy)
+        self.table.setEnabled(not busy and not self._preview.described)
+
+    def _ask(self) -> None:
+        try:
+            plan = self.plan()
+        except TissueIDError as error:
+            self.say(in_words(error))
+            return
+        self.said.hide()
+        self.settle(busy=True)
+        self.wanted.emit(plan)
+
+    def _choose_out(self) -> None:
+        dialog = QFileDialog(self, _("Save the session"), self.out.text(), _("Sessions (*.h5)"))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # an import never overwrites
+        dialog.setDefaultSuffix("h5")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.out.setText)
+        dialog.open()
+
+    # -- the table ------------------------------------------------------------------------------------------
+
+    def _make_table(self) -> QTableWidget:
+        heads = [_("Column"), _("Is"), _("Unit"), _("First values")]
+        table = QTableWidget(len(self._preview.columns), len(heads))
+        table.setHorizontalHeaderLabels(heads)
+        table.setAccessibleName(_("Columns of the record and the signals they become"))
+        table.verticalHeader().hide()
+        table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+        table.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
+        header = table.horizontalHeader()
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        for row, column in enumerate(self._preview.columns):
+            table.setItem(row, 0, QTableWidgetItem(clean(column.header)[:60] or str(row + 1)))
+            roles = QComboBox()
+            roles.setAccessibleName(_("What column {name} is").format(name=clean(column.header)[:60]))
+            for role in ("", *ROLES):
+                roles.addItem(_(_ROLE_NAMES[role]), role)
+            units = QComboBox()
+            units.setEditable(True)
+            units.setAccessibleName(_("Unit of column {name}").format(name=clean(column.header)[:60]))
+            roles.currentIndexChanged.connect(lambda _index, row=row: self._offer_units(row))
+            table.setCellWidget(row, 1, roles)
+            table.setCellWidget(row, 2, units)
+            numbers = "  ".join(number(one, 6) for one in column.first)
+            table.setItem(row, 3, QTableWidgetItem(numbers))
+        self.table = table
+        for row, column in enumerate(self._preview.columns):
+            self._role(row).setCurrentIndex(max(0, self._role(row).findData(column.role)))
+            self._offer_units(row)
+        return table
+
+    def _offer_units(self, row: int) -> None:
+        """Offer the units of a role's quantity, with the one that the file states chosen."""
+        role, units, stated = self._role(row).currentData(), self._unit(row), self._preview.columns[row].unit
+        units.clear()
+        quantity = SIGNAL_UNITS.get(role, "")
+        symbols = [unit.symbol for unit in alternatives(quantity)] if quantity else []
+        units.addItems(symbols)
+        units.setEnabled(bool(role))
+        units.setEditText(stated)
+
+    def _role(self, row: int) -> QComboBox:
+        widget = self.table.cellWidget(row, 1)
+        assert isinstance(widget, QComboBox)
+        return widget
+
+    def _unit(self, row: int) -> QComboBox:
+        widget = self.table.cellWidget(row, 2)
+        assert isinstance(widget, QComboBox)
+        return widget
+
+    def _arrange(self) -> None:
+        rows = QHBoxLayout()
+        rows.addWidget(self.first)
+        rows.addWidget(self.last)
+        place = QHBoxLayout()
+        place.addWidget(self.out, 1)
+        place.addWidget(self.browse)
+        form = QFormLayout()
+        form.addRow(_("Sample rate (Hz)"), self.rate)
+        form.addRow(_("Rows"), rows)
+        form.addRow(_("Site"), self.site)
+        form.addRow(_("Subject"), self.subject)
+        form.addRow(_("Kind of test"), self.kind)
+        form.addRow(_("Configuration"), self.configuration)
+        form.addRow(_("Save to"), place)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.files)
+        layout.addWidget(self.table, 1)
+        if self._preview.described:
+            layout.addWidget(QLabel(_("The file beside it says what its columns are.")))
+            for widget in (self.rate, self.table):
+                widget.setEnabled(False)
+        layout.addLayout(form)
+        layout.addWidget(self.said)
+        layout.addWidget(self.buttons)
+
+
+def _choice(names: dict[str, str], known: Sequence[str]) -> QComboBox:
+    box = QComboBox()
+    box.addItem(_("as the file says, else the usual one"), None)
+    for name in known:
+        box.addItem(_(names[name]), name)
+    return box
+
+
+def _whole(field: QLineEdit) -> int | None:
+    """Return the row that is typed, None for an empty field.
+
+    Raises:
+        UnusableInputError: it is not a whole number.
+    """
+    text = field.text().strip()
+    if not text:
+        return None
+    if not text.removeprefix("-").isdecimal() or len(text) > 12:
+        raise UnusableInputError(_("a row is a whole number, not {text}").format(text=clean(text)[:20]))
+    return int(text)
+
+
+def _rate(field: QLineEdit) -> float | None:
+    text = field.text().strip().replace(",", ".")
+    if not text:
+        return None
+    try:
+        rate_hz = float(text)
+    except ValueError:
+        rate_hz = 0.0
+    if not 1e-6 <= rate_hz <= 1e9:
+        raise UnusableInputError(_("the sample rate is a number above 0, not {text}").format(text=clean(text)[:20]))
+    return rate_hz
