@@ -113,9 +113,9 @@ def preview_of(paths: Sequence[Path]) -> Preview:
     file = open_foreign(paths[0])
     places = range(min(len(file.columns), _MOST_COLUMNS))
     try:
-        values, _rows = file.load(list(places), Rows(0, _SHOWN_ROWS))
-    except UnusableInputError:  # fewer rows than that
-        values, _rows = file.load(list(places), Rows())
+        values = file.load(list(places), Rows(0, _SHOWN_ROWS))[0]
+    except UnusableInputError:  # a short record, or variables of different lengths
+        values = [file.load([place], Rows())[0][0] for place in places]
     columns = []
     taken: set[str] = set()
     for place, numbers in zip(places, values, strict=True):
