@@ -299,7 +299,7 @@ class ImportDialog(QDialog):
         layout.addWidget(self.files)
         layout.addWidget(self.table, 1)
         if self._preview.described:
-            layout.addWidget(QLabel(_("The file beside it says what its columns are.")))
+            layout.addWidget(QLabel(_("Its attributes file (.json) says what its columns are.")))
             for widget in (self.rate, self.table):
                 widget.setEnabled(False)
         layout.addLayout(form)
