@@ -1,6 +1,7 @@
 """The quality gate: quiet on good tests, and each finding on the fault that it is for."""
 
 import json
+import tracemalloc
 import warnings
 from dataclasses import replace
 from functools import partial
@@ -483,3 +484,17 @@ def test_old_sessions_can_be_judged(good):
     session = Session(DeviceDescription(), tests=(good, replace(good, number=2)))
     assert [quality.verdict for _, quality in judge_session(session)] == ["good", "good"]
     assert partial(quality_of, good)() is None
+
+
+@pytest.mark.parametrize(("samples", "rate"), [(9000, 1.0), (400_000, 2000.0), (9000, 1e-6), (9000, 1e9)])
+def test_memory_stays_in_proportion_to_the_test(samples, rate):
+    rng = np.random.default_rng(2)
+    signals = {name: rng.standard_normal(samples) for name in ("command", "current", "force", "position")}
+    session = Session(DEVICE, tests=(Test(1, "stochastic", signals, rate),))
+    tracemalloc.start()
+    try:
+        ((_, quality),) = judge_session(session)
+        assert tracemalloc.get_traced_memory()[1] < 350_000_000
+    finally:
+        tracemalloc.stop()
+    assert rate != 2000.0 or quality != gate.NOT_JUDGED

@@ -201,3 +201,10 @@ def test_calibrating_starts_from_the_nominal_figures():
     found = calibrate_static(instrument, StaticPlan(steps=("electrical",))).calibration
     assert found.quantities["current_offset_a"].value == pytest.approx(0.05, abs=2e-3)
     assert instrument.device == instrument.nominal
+
+
+@pytest.mark.parametrize("date", ["no date", "2026-13-01", "0001-01-01T00:00:00+14:00", ""])
+def test_a_date_that_is_none_does_without_an_age(date):
+    device = replace(DEVICE, calibration={"state": "valid", "static_date": date})
+    assert in_words(device, NOW)
+    assert " days ago" not in in_words(device, NOW) or date.startswith("0001")

@@ -147,6 +147,16 @@ def warnings_of(device: DeviceDescription) -> tuple[str, ...]:
     return tuple(line for line in str(device.calibration.get("warnings", "")).split(BETWEEN) if line)
 
 
+def _age(date: str, now: datetime) -> str:
+    try:
+        made = datetime.fromisoformat(date)
+        days = now - (made if made.tzinfo else made.replace(tzinfo=UTC))
+    except (ValueError, OverflowError):
+        return "an unknown time ago"
+    whole = max(0, round(days.total_seconds() / 86400.0))
+    return "today" if whole == 0 else "yesterday" if whole == 1 else f"{whole} days ago"
+
+
 def in_words(device: DeviceDescription, now: datetime | None = None) -> str:
     """The calibration that a device carries, in a line: "calibrated 12 days ago, linear from 4.0 to 27.5 mm".
 
@@ -156,9 +166,7 @@ def in_words(device: DeviceDescription, now: datetime | None = None) -> str:
     dates = [str(known[name]) for name in ("static_date", "sweep_date") if known.get(name)]
     if not dates:
         return NOT_CALIBRATED
-    days = (now or datetime.now(UTC)) - datetime.fromisoformat(min(dates))
-    whole = max(0, round(days.total_seconds() / 86400.0))
-    age = "today" if whole == 0 else "yesterday" if whole == 1 else f"{whole} days ago"
+    age = _age(min(dates), now or datetime.now(UTC))
     words = f"calibrated {age}"
     if not known.get("static_date"):
         force = "nominal force" if "force_constant_n_per_a" not in known else "force by the sweep"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -27,6 +28,8 @@ MOVED_SHARE = 0.10
 _BLOCK_S = 0.05
 _POWERS = (1, 2, 3)
 _FEWEST_BLOCKS = 24
+_MOST_BLOCKS = 2000
+"""Longer tests have longer blocks: the search takes memory in proportion to the square of their number."""
 
 _AFTER_RISE_S = 0.07
 """What follows the rise of the preload at once belongs to it."""
@@ -105,11 +108,13 @@ def moved(evidence: Evidence) -> Iterator[QualityFinding]:
 def baseline_shift(evidence: Evidence) -> tuple[float, float, bool] | None:
     """The shift, m, when it was, s from the start of the test, and whether it was sudden; None for none.
 
-    Means over blocks of 50 ms follow the means of the powers of the force, whatever the static curve, and the
-    logarithm of time, as creep does. What a step or a ramp accounts for beyond them is movement.
+    Means over blocks of 50 ms, or more in a test of over 100 s, follow the means of the powers of the force, whatever
+    the static curve, and the logarithm of time, as creep does. What a step or a ramp accounts for beyond them is
+    movement.
     """
-    length = max(1, round(_BLOCK_S * evidence.rate))
-    count = (evidence.test.samples - evidence.first) // length
+    samples = evidence.test.samples - evidence.first
+    length = max(1, round(_BLOCK_S * evidence.rate), math.ceil(samples / _MOST_BLOCKS))
+    count = samples // length
     if count < _FEWEST_BLOCKS:
         return None
     part = slice(evidence.first, evidence.first + count * length)
@@ -121,7 +126,7 @@ def baseline_shift(evidence: Evidence) -> tuple[float, float, bool] | None:
     scaled = (force - level) / spread
     blocks = [(scaled**power).reshape(count, length).mean(axis=1) for power in _POWERS]
     moving = (evidence.velocity[part] ** 2).reshape(count, length).mean(axis=1)
-    seconds = (np.arange(count) + 0.5) * _BLOCK_S
+    seconds = (np.arange(count) + 0.5) * length / evidence.rate
     creep = np.log(seconds + max(evidence.test.preload_s, _BLOCK_S))
     position = evidence.position[part].reshape(count, length).mean(axis=1)
     common = np.column_stack([np.ones(count), *blocks, moving / (moving.mean() or 1.0), creep])[whole]
