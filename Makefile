@@ -40,7 +40,7 @@ compiled: env # what the tests compile on first use: once, on the processor that
 bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks
 
-soak: env ## the long runs, half an hour: streaming, damaged frames, killed hosts, coverage of intervals
+soak: env ## the long runs, half an hour: streaming, damaged frames and files, killed hosts, coverage of intervals
 	@$(BIN)/python -m pytest -m soak --timeout 3600 -o addopts="-v -p no:cacheprovider --import-mode=importlib"
 
 run: env ## open the application
