@@ -375,8 +375,8 @@ def test_parameters_of_an_engine_that_predicts_nothing_are_left_out(session: Ses
     assert parameter_table(found) is None
     assert all("predicts nothing" in row[2] for row in score_table(found).rows)
     assert [number.label for number in key_numbers(found)] == [
-        "Motion explained, linear model",
-        "Motion explained, nonlinear model",
+        "Motion explained, linear",
+        "Motion explained, nonlinear",
     ]
     one = {**analyses[1], "lms": found["lms"]}
     table = parameter_table(one)

@@ -99,7 +99,7 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     for engine, label in ((linear, _("Motion explained, linear")), ("wiener", _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
-            note = _("in the part kept for checking; {vaf} % in the rest").format(vaf=fixed(report.vaf_percent, 1))
+            note = _("of the check part; {vaf} % of the rest").format(vaf=fixed(report.vaf_percent, 1))
             yield Number(label, fixed(report.vaf_validation_percent, 1), "%", note)
 
 

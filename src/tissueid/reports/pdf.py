@@ -328,7 +328,7 @@ def _prediction(axes: Axes, analyses: Analyses) -> None:
     unit, scale = people_unit(found.output_unit)
     time_s = found.time_s[part] - found.time_s[part][0]
     axes.plot(time_s, scale * found.measured[part], color=BLUE, linewidth=2.6, alpha=0.5, label="measured")
-    axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label=f"{found.label} model")
+    axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label="predicted")
     axes.set_xlabel("Time (s)")
     axes.set_ylabel(f"Position ({unit})")
     axes.legend(loc="upper right", ncols=2)

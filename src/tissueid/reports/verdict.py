@@ -209,7 +209,7 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
             if name == "natural_frequency_rad_per_s" and ratio is not None:
                 note = f"damping ratio {fixed(ratio.value, 2)}"
             numbers.append(KeyNumber(label, value, std, f"{power} {unit}".strip(), note))
-    for label, engine in (("linear model", linear), ("nonlinear model", wiener)):
+    for label, engine in (("linear", linear), ("nonlinear", wiener)):
         if engine is None:
             continue
         report = analyses[engine].model.report
@@ -219,7 +219,7 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
                 fixed(report.vaf_validation_percent, 1),
                 "",
                 "%" if report.vaf_validation_percent is not None else "",
-                f"in the part kept for checking; {fixed(report.vaf_percent, 1)} % in the rest",
+                f"of the check part; {fixed(report.vaf_percent, 1)} % of the rest",
             )
         )
     return tuple(numbers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeGuard
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -149,9 +149,13 @@ def result_of(folder: Path, test: Test) -> AcceptedResult | None:
 def sitting_of(test: Test) -> str | None:
     """Return the key of the sitting of a test; None where it has none that could name a file."""
     key = test.notes.get(SITTING)
-    if not isinstance(key, str):
-        return None
+    return key if is_sitting_key(key) else None
+
+
+def is_sitting_key(key: object) -> TypeGuard[str]:
+    """Return whether a text may be the key of a sitting, and so a part of the name of a file."""
     try:
-        return _KEY.validate_python(key)
+        _KEY.validate_python(key, strict=True)
     except ValidationError:
-        return None
+        return False
+    return True

@@ -1,5 +1,6 @@
 """The first page, help and log: chosen by hand, remembered, and unharmed by what lies in a folder."""
 
+import dataclasses
 import os
 import shutil
 import threading
@@ -17,6 +18,7 @@ from tissueid.app.panels import HELP_KEY
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.instrument import Found
 from tissueid.sessions import read_session, write_session
+from tissueid.sessions.accepted import AcceptedResult, AcceptedTest, AcceptedValue, write_result
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -171,10 +173,10 @@ def test_a_session_that_is_recorded_meanwhile_is_listed(qtbot, open_start, tmp_p
 def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, open_window, tmp_path, monkeypatch):
     reached, go_on = threading.Event(), threading.Event()
 
-    def slow(folder, cancelled):
+    def slow(folder, cancelled, known):
         reached.set()
         assert go_on.wait(WAIT_MS / 1000)
-        return look_into(folder, cancelled)
+        return look_into(folder, cancelled, known)
 
     monkeypatch.setattr("tissueid.app.views.start.view.look_into", slow)
     (tmp_path / "rubbish.h5").write_bytes(b"rubbish")
@@ -200,10 +202,10 @@ def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, 
 def test_closing_while_the_folder_is_read(qtbot, open_window, monkeypatch):
     reached, seen = threading.Event(), []
 
-    def slow(folder, cancelled):
+    def slow(folder, cancelled, known):
         reached.set()
         seen.append(cancelled.wait(WAIT_MS / 1000))
-        return look_into(folder, cancelled)
+        return look_into(folder, cancelled, known)
 
     monkeypatch.setattr("tissueid.app.views.start.view.look_into", slow)
     window = open_window(first_page="start")
@@ -398,3 +400,38 @@ def test_the_page_fits(qtbot, open_start, size):
         corner = part.mapTo(window, part.rect().bottomRight())
         assert corner.x() < size[0]
         assert corner.y() < size[1]
+
+
+# -- sittings -------------------------------------------------------------------------------------------------------
+
+
+def test_sittings_are_listed_by_the_time_of_their_tests_with_their_accepted_mean(open_start, tmp_path, saved):
+    session = read_session(saved)
+    key = "0f8fad5b-d9cb-469f-a165-70867728950e"
+    files = []
+    for number in range(3):
+        notes = session.tests[0].notes | {"sitting": key, "repeat": number + 1.0}
+        test = dataclasses.replace(session.tests[0], notes=notes)
+        created = f"2026-02-0{number + 1}T10:00:00Z"
+        path = tmp_path / f"2026-02-0{number + 1}_11-00-00.h5"
+        files.append(path)
+        write_session(path, dataclasses.replace(session, session_id=str(number), created=created, tests=(test,)))
+    # Copied today, measured a year before: older than all of them, whatever its file says.
+    write_session(tmp_path / "copied.h5", dataclasses.replace(session, created="2025-02-01T10:00:00Z"))
+    for path in files:
+        os.utime(path, (1e9, 1e9))
+    tests = tuple(AcceptedTest(file=path.name, number=1, session_id=str(k)) for k, path in enumerate(files[:2]))
+    values = {"mass_kg": AcceptedValue(mean=0.0927, std=0.001, repeatability=0.0028, count=2)}
+    write_result(tmp_path, AcceptedResult(sitting=key, tests=tests, values=values))
+    page = open_start().pages.start
+    lines = said(page.recent)
+    assert len(lines) == 2
+    assert lines[0][1] == "left calf (3 tests): accepted mean of 2: 92.7 g"
+    assert lines[1][0].startswith("2025-02-01")
+    assert [item.path for item in page._look.sessions] == [files[1], tmp_path / "copied.h5"]
+    assert page.about_recent.text() == ""
+    (tmp_path / f"sitting-{key}.json").write_text("{", encoding="utf-8")
+    assert [item.site for item in look_into(tmp_path, threading.Event()).sessions] == [
+        "left calf (3 tests)",
+        "left calf",
+    ]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tissueid.app.findings import Findings
 from tissueid.app.place_to_save import free_place
-from tissueid.app.views.clinician.comparing import OF_OTHERS, Comparison
+from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, named_unit, people_unit, plus_minus
@@ -39,7 +39,7 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
             ]
             lines.append((f"{THIS} {one.label}" if one.this else one.label, *texts))
         heading = "The subject's other sites and sittings"
-        further.append((f"{heading} ({OF_OTHERS[:-1]})" if comparison.remark else heading, columns, lines))
+        further.append((f"{heading} († another instrument)" if comparison.remark else heading, columns, lines))
     result = None if standing is None else _result(standing)
     write_pdf(path, findings.session, findings.test, findings.analyses, result=result, further=further)
     return path

@@ -1,30 +1,42 @@
-"""What lies in the folder of sessions: the newest ones in one line each, and tests that were never finished."""
+"""What lies in the folder of sessions: the newest sittings in one line each, and tests that were never finished."""
 
 from __future__ import annotations
 
+import os
 import threading
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.errands import unfinished
 from tissueid.app.language import _, marked
+from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
-from tissueid.errors import TissueIDError
-from tissueid.sessions import Outline, read_outline
+from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.sessions import Outline, read_outline, read_session_head
+from tissueid.sessions.accepted import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import Quality, quality_of
-from tissueid.wording import MISSING, clean, local_minute
+from tissueid.wording import MISSING, clean, local_minute, local_time, named_unit, number
 
-MOST_SHOWN = 10
+MOST_SHOWN = 30
+MOST_READ = 200
+"""Files without a date in their name whose heads are read to learn when they were recorded, newest change first."""
 LONGEST_TEXT = 80
 NOT_JUDGED = marked("Not judged")
 _LEVELS = {"good": "good", "look": "check", "repeat": "poor"}
 _LONGEST_PROBLEM = 200
+_DATED, _DATED_LENGTH = "%Y-%m-%d_%H-%M-%S", 19
+"""How the window names a session, by local time, and how long that is."""
 
 
 @dataclass(frozen=True)
 class Recent:
-    """One session as the list shows it. ``level`` is that of a colour; ``verdict`` says why where it is no session."""
+    """One sitting as the list shows it, or a session that belongs to none.
+
+    ``path`` is the file that is opened: an accepted test, or else the newest. ``level`` is that of a colour;
+    ``verdict`` says why where a file is no session. ``tests`` counts the files of the sitting.
+    """
 
     path: Path
     date: str
@@ -32,6 +44,14 @@ class Recent:
     subject: str
     verdict: str
     level: str = ""
+    tests: int = 1
+
+
+@dataclass
+class KnownDates:
+    """When sessions without a date in their name were recorded, by file, time of change and size: read once each."""
+
+    dates: dict[tuple[Path, float, int], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -44,38 +64,111 @@ class FolderLook:
     problem: str = ""
 
 
-def look_into(folder: Path, cancelled: threading.Event) -> FolderLook:
-    """List the newest sessions of a folder, and its unfinished tests; a folder that is not there yet is empty.
+def look_into(folder: Path, cancelled: threading.Event, known: KnownDates | None = None) -> FolderLook:
+    """List the newest sittings of a folder by the time of their tests, and its unfinished tests.
 
-    Files come from anywhere: one that is no session has a line that says so. Ends soon once ``cancelled`` is set.
+    A folder that is not there yet is empty. Files come from anywhere: one that is no session has a line that says so.
+    Ends soon once ``cancelled`` is set. ``known`` keeps dates from one look to the next.
     """
     try:
-        dated = sorted(((path.stat().st_mtime, path) for path in folder.glob("*.h5") if path.is_file()), reverse=True)
+        files = [(path, path.stat()) for path in folder.glob("*.h5") if path.is_file()]
         journals = tuple(unfinished(folder))
     except OSError as error:
         return FolderLook(problem=in_words(error))
-    sessions: list[Recent] = []
-    for changed, path in dated[:MOST_SHOWN]:
+    dated = _dated(files, known or KnownDates(), cancelled)
+    sittings: dict[str, list[Recent]] = {}
+    for recorded, path in dated:
         if cancelled.is_set():
             break
-        sessions.append(_line(path, changed))
-    return FolderLook(tuple(sessions), journals, len(dated))
+        key, line = _line(path, recorded)
+        if key not in sittings and len(sittings) == MOST_SHOWN:
+            break
+        sittings.setdefault(key, []).append(line)
+    return FolderLook(tuple(_joined(key, lines) for key, lines in sittings.items()), journals, len(dated))
 
 
-def _line(path: Path, changed: float) -> Recent:
-    date = f"{datetime.fromtimestamp(changed):%Y-%m-%d %H:%M}"
+def _dated(
+    files: Sequence[tuple[Path, os.stat_result]], known: KnownDates, cancelled: threading.Event
+) -> list[tuple[float, Path]]:
+    """When each file was recorded, newest first: by its name, by its head, or by its change where neither says so."""
+    dated: list[tuple[float, Path]] = []
+    read = 0
+    for path, state in sorted(files, key=lambda item: item[1].st_mtime, reverse=True):
+        recorded = _by_name(path.name)
+        key = (path, state.st_mtime, state.st_size)
+        if recorded is None and key not in known.dates and read < MOST_READ and not cancelled.is_set():
+            read += 1
+            known.dates[key] = _by_head(path) or state.st_mtime
+        dated.append((recorded if recorded is not None else known.dates.get(key, state.st_mtime), path))
+    return sorted(dated, reverse=True)
+
+
+def _by_name(name: str) -> float | None:
+    """When a session was recorded whose name the window gave it, in local time."""
+    try:
+        return datetime.strptime(name[:_DATED_LENGTH], _DATED).timestamp()
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def _by_head(path: Path) -> float | None:
+    try:
+        moment = local_time(read_session_head(path).created)
+    except (TissueIDError, OSError):
+        return None
+    return None if moment is None else moment.timestamp()
+
+
+def _joined(key: str, lines: Sequence[Recent]) -> Recent:
+    """The tests of a sitting as one line, with its accepted result where it was finished."""
+    newest = lines[0]
+    folder = newest.path.parent
+    try:
+        path = result_path(folder, key)
+        result = read_result(path) if is_sitting_key(key) and path.exists() else None
+    except (UnusableInputError, OSError):
+        result = None  # the page of the sitting says so
+    accepted = [] if result is None else [test.file for test in result.tests]
+    counting = [line for line in lines if line.path.name in accepted] or list(lines)
+    worst = max(counting, key=lambda line: list(_LEVELS.values()).index(line.level) if line.level else -1)
+    site = newest.site
+    if len(lines) > 1:
+        site = _("{site} ({count} tests)").format(site=site, count=len(lines))
+    if result is not None:
+        site = f"{site}: {_said(result)}"
+    shown = counting[0].path
+    return replace(newest, path=shown, site=site, verdict=worst.verdict, level=worst.level, tests=len(lines))
+
+
+def _said(result: AcceptedResult) -> str:
+    """The accepted values in a line, in the units in force."""
+    values = []
+    for quantity, value in result.values.items():
+        unit, scale = shown_si(named_unit(quantity)[1])
+        values.append(f"{number(scale * value.mean, 3)} {unit}")
+    words = ", ".join(values)
+    if result.count == 1:
+        return _("accepted {values}").format(values=words)
+    return _("accepted mean of {count}: {values}").format(count=result.count, values=words)
+
+
+def _line(path: Path, recorded: float) -> tuple[str, Recent]:
+    """The key of the sitting of a session, its path where it has none, and its line."""
+    date = f"{datetime.fromtimestamp(recorded):%Y-%m-%d %H:%M}"
     try:
         outline = read_outline(path)
     except (TissueIDError, OSError) as error:
         words = in_words(error).replace(f"{path}: ", "").replace(f"{path} ", "")
-        return Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, _short(sentence(words), _LONGEST_PROBLEM))
+        said = _short(sentence(words), _LONGEST_PROBLEM)
+        return str(path), Recent(path, date, clean(path.name)[:LONGEST_TEXT], MISSING, said)
     tests = [item.test for item in outline.tests]
     sites = list(dict.fromkeys(clean(test.site).strip() for test in tests if test.site.strip()))
     site = _short(", ".join(sites), LONGEST_TEXT) or _("Site not recorded")
     if len(tests) != 1:
         site = _("{site} ({count} tests)").format(site=site, count=len(tests))
     verdict, level = _verdict(outline)
-    return Recent(
+    key = (sitting_of(tests[0]) if len(tests) == 1 else None) or str(path)
+    return key, Recent(
         path,
         local_minute(outline.head.created) or date,
         site,

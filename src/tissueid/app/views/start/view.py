@@ -18,7 +18,7 @@ from tissueid.app.layout import RESEARCH_USE
 from tissueid.app.theme import Theme
 from tissueid.app.views.start.language_chooser import LanguageChooser
 from tissueid.app.views.start.parts import brief, cells, heading, under_heading, words
-from tissueid.app.views.start.recent import FolderLook, look_into
+from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
 from tissueid.app.views.start.role_card import RoleCard
 from tissueid.app.views.start.rows import Rows
 from tissueid.app.views.start.unit_chooser import UnitChooser
@@ -60,6 +60,7 @@ class StartView(View):
     def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
         super().__init__(desk, parent)
         self._look = FolderLook()
+        self._known = KnownDates()
         self._urls: list[str] = []
         self._stale, self._reading = True, False
         self._cancelled = threading.Event()
@@ -180,7 +181,7 @@ class StartView(View):
         elif self._stale:
             self._stale, self._reading = False, True
             self._cancelled = threading.Event()
-            work = functools.partial(look_into, self.desk.around.folder, self._cancelled)
+            work = functools.partial(look_into, self.desk.around.folder, self._cancelled, self._known)
             self.desk.jobs.do(work, self._looked, self._looking_failed)
 
     def _looked(self, look: FolderLook) -> None:
@@ -201,17 +202,12 @@ class StartView(View):
     def _words_of(self, look: FolderLook) -> str:
         if look.problem:
             return look.problem
+        read = sum(item.tests for item in look.sessions)
         if self._cancelled.is_set():
-            return _("Cancelled: {read} of {count} sessions were read.").format(
-                read=len(look.sessions), count=look.count
-            )
+            return _("Cancelled: {read} of {count} sessions were read.").format(read=read, count=look.count)
         if not look.count:
             return _("No session is here yet: the first test makes one.")
-        return (
-            _("The newest {shown} of {count}.").format(shown=len(look.sessions), count=look.count)
-            if look.count > len(look.sessions)
-            else ""
-        )
+        return _("The newest {shown} of {count}.").format(shown=read, count=look.count) if look.count > read else ""
 
     def _looking_failed(self, words: str) -> None:
         self._reading = False
