@@ -191,7 +191,7 @@ def opened(tmp_path_factory, saved):
         close()
         folder = tmp_path_factory.mktemp("window")
         shutil.copy(saved, folder / "2026-01-15_10-30-00.h5")
-        gate = Gate(passed=300) if state == "testing" else None
+        gate = Gate(passed=60) if state == "testing" else None
         window = MainWindow(
             Surroundings(
                 opener=lambda _: SimulatedInstrument("forearm", seed=3),
@@ -351,7 +351,7 @@ def test_a_notice_of_two_lines_covers_nothing(in_state, text):
     settle()
     window.ui.notice.say(text, problem=True, offer="Re&cover")
     settle()
-    covered = window.ui.notice.geometry()
+    covered = QRect(window.ui.notice.mapTo(window, QPoint(0, 0)), window.ui.notice.size())
     assert [
         called(widget)
         for widget, place in places(window).items()

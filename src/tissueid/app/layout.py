@@ -47,7 +47,7 @@ _NARROW_SIDE_WIDTH = 284
 _NARROW = 1000
 """Width of the window below which the side is narrow."""
 _TITLE_BAR = 40
-_LEAST_ROOM = 480
+_LEAST_ROOM = 480, 256
 _LEAST_TABS = 200
 _LEAST_FORM = 20
 _TWO_COLUMNS = 560
@@ -213,7 +213,7 @@ class Layout:
     def _arrange(self) -> QWidget:
         page = _Room()
         page.resized.connect(self._fold)
-        page.setMinimumSize(_LEAST_ROOM, 1)  # beside the docks
+        page.setMinimumSize(*_LEAST_ROOM)  # beside the docks
         rows = QVBoxLayout(page)
         rows.setContentsMargins(0, 0, 0, 0)
         rows.setSpacing(0)

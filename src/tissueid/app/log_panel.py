@@ -136,5 +136,5 @@ def _reader(name: str) -> QPlainTextEdit:
     text.setTabChangesFocus(True)
     text.setAccessibleName(name)
     text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
-    text.setMinimumHeight(54)
+    text.setMinimumHeight(32)
     return text

@@ -13,8 +13,10 @@ from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
 from tissueid.acquisition.playing import Phase
 from tissueid.app import ending
+from tissueid.app.actions import install_shortcuts
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.calibrator import Calibrator
+from tissueid.app.command_palette import CommandPalette
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
 from tissueid.app.errands import judge_and_find
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
@@ -85,6 +87,8 @@ class MainWindow(QMainWindow):
         self.pages = Pages(self)
         self.files = FileDrops(self)
         self.setAcceptDrops(True)
+        install_shortcuts(self)
+        self.commands = CommandPalette(self)
         self._connect()
         self._take_palette()
         self.searching.list_instruments()
@@ -402,7 +406,6 @@ class MainWindow(QMainWindow):
         ui.result.test_chosen.connect(self._analyse_other)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
-        for keys, then in ((Qt.Key.Key_Escape, self._stop_by_key), ("Ctrl+Q", self.close)):
-            shortcut = QShortcut(QKeySequence(keys), self)
-            shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
-            shortcut.activated.connect(then)
+        stop = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
+        stop.setContext(Qt.ShortcutContext.ApplicationShortcut)
+        stop.activated.connect(self._stop_by_key)

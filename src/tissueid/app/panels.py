@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Qt
-from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QDockWidget, QToolButton, QWidget
 
 from tissueid.app.help_panel import HelpPanel
@@ -40,8 +39,8 @@ class Panels(QObject):
         window.addDockWidget(sides.BottomDockWidgetArea, self.log)
         window.setCorner(Qt.Corner.BottomRightCorner, sides.RightDockWidgetArea)
         rail = window.ui.rail
-        self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")), HELP_KEY)
-        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("What happened so far")), LOG_KEY)
+        self.help_button = self._add(self.help, rail.add_foot(_("Help"), HELP_KEY, _("Help for this page")))
+        self.log_button = self._add(self.log, rail.add_foot(_("Log"), LOG_KEY, _("What happened so far")))
         window.ui.notice.said.connect(self.log.note)
         window.jobs.failed.connect(self._note_failure)
         self.log.saved.connect(self._tell_saved)
@@ -51,16 +50,13 @@ class Panels(QObject):
         """Take on the colours of a theme."""
         self.help.paint_with(theme)
 
-    def _add(self, panel: QDockWidget, button: QToolButton, keys: str) -> QToolButton:
+    def _add(self, panel: QDockWidget, button: QToolButton) -> QToolButton:
         panel.hide()
         features = QDockWidget.DockWidgetFeature
         panel.setFeatures(features.DockWidgetClosable | features.DockWidgetMovable)
         toggle: Callable[..., None] = partial(self._toggle, panel, button)
         button.clicked.connect(toggle)
         panel.visibilityChanged.connect(partial(self._follow, panel, button))
-        shortcut = QShortcut(QKeySequence(keys), self._window)
-        shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
-        shortcut.activated.connect(toggle)
         return button
 
     def _toggle(self, panel: QDockWidget, button: QToolButton, _checked: bool = False) -> None:
@@ -87,7 +83,7 @@ class Panels(QObject):
             width = _NARROW_HELP_WIDTH if window.width() < _NARROW else _HELP_WIDTH
             window.resizeDocks([panel], [width], Qt.Orientation.Horizontal)
         else:
-            window.resizeDocks([panel], [_LOG_HEIGHT], Qt.Orientation.Vertical)
+            window.resizeDocks([panel], [min(_LOG_HEIGHT, window.height() // 3)], Qt.Orientation.Vertical)
 
     def _follow(self, panel: QDockWidget, button: QToolButton, _visible: bool) -> None:
         button.setChecked(not panel.isHidden())

@@ -6,7 +6,7 @@ For the tab key all pages together are one stop, the page that is shown; what st
 from __future__ import annotations
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtGui import QKeyEvent, QKeySequence, QShortcut
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QFrame, QToolButton, QVBoxLayout, QWidget
 
 from tissueid.app.language import _
@@ -25,6 +25,7 @@ class Rail(QFrame):
         self.setFixedWidth(WIDTH)
         self.setAccessibleName(_("Pages"))
         self.buttons: dict[str, QToolButton] = {}
+        self.keys: dict[str, str] = {}
         self.feet: list[QToolButton] = []
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 8, 0, 8)
@@ -36,14 +37,11 @@ class Rail(QFrame):
         button = _button(title)
         button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         button.setAccessibleName(_("Page {title}").format(title=title))
-        keys = f"Ctrl+{len(self.buttons) + 1}"
+        keys = self.keys[name] = f"Ctrl+{len(self.buttons) + 1}"
         button.setToolTip(f"{title} ({keys})")
         button.clicked.connect(lambda _checked=False, name=name: self._choose(name))
         self._column.insertWidget(len(self.buttons), button)
         self.buttons[name] = button
-        shortcut = QShortcut(QKeySequence(keys), self)
-        shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
-        shortcut.activated.connect(button.click)
 
     def add_foot(self, title: str, keys: str, what: str) -> QToolButton:
         """Put a button at the foot that shows something beside the page, and takes it away."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from PySide6.QtCore import QSettings, Signal
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QAbstractButton, QWidget
 
 from tissueid.app.jobs import Jobs
 from tissueid.app.surroundings import Surroundings
@@ -78,6 +78,10 @@ class View(QWidget):
 
     def waiting(self) -> tuple[QWidget, ...]:
         """The controls that are grey while something goes on elsewhere; on them it is said what that is."""
+        return ()
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
         return ()
 
     def take_role(self, role: Role) -> None:

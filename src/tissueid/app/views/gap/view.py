@@ -10,7 +10,15 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QSizePolicy, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QFileDialog,
+    QHBoxLayout,
+    QSizePolicy,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
@@ -88,6 +96,10 @@ class GapView(View):
     def waiting(self) -> tuple[QWidget, ...]:
         """Run, and what keeps a result."""
         return self.asking.run, self.result.accept, self.result.report, self.result.export
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
+        return self.asking.run, self.asking.stop, self.result.accept, self.result.report, self.result.export
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

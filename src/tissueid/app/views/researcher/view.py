@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import QByteArray, QTimer
-from PySide6.QtWidgets import QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _
 from tissueid.app.theme import Theme
@@ -85,6 +85,10 @@ class ResearchView(View):
     def list_sessions(self, paths: list[Path]) -> None:
         """Add folders and sessions to the list of sessions."""
         self.browser.list_sessions(paths)
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
+        return self.browser.again, self.analysis.run, self.analysis.compare, self.analysis.save_table, self.strip.stop
 
     def heard_of(self, path: Path) -> None:
         """List a new session."""

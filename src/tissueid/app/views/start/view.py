@@ -10,7 +10,17 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QScrollArea, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.language import _, marked, plural
@@ -106,6 +116,10 @@ class StartView(View):
         self._enable_choices()
         if not busy and (self._stale or self._then is not None):
             self._soon.start()
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
+        return self.recover, self.folder, self.stop_reading
 
     def take_role(self, role: Role) -> None:
         """Mark the card of the role."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
@@ -138,6 +138,10 @@ class InstrumentView(View):
             tab.settle(busy=self._busy)
         if not self._busy:
             self._soon.start()
+
+    def buttons(self) -> tuple[QAbstractButton, ...]:
+        """Return the buttons that the command palette offers."""
+        return self.health.ask, self.calibrations.calibrate, self.audit.verify, self.audit.export, self.give_up
 
     def heard_of(self, path: Path) -> None:
         """A test was measured: what is shown is out of date."""
