@@ -23,8 +23,8 @@ MAX_SAMPLES = 20_000_000
 """Samples of one signal."""
 MAX_NUMBERS = 200_000_000
 """Numbers in all signals of a session together: 1.6 GB once they are read."""
-FREE_NUMBERS = 10_000_000
-"""Numbers that a file of any size may hold: 80 MB once they are read."""
+FREE_NUMBERS = 5_000_000
+"""Numbers that a file of any size may hold: 40 MB once they are read, 400 MB while the quality gate judges them."""
 NUMBERS_PER_BYTE = 4
 """Beyond ``FREE_NUMBERS``, numbers for each byte of the file. Recordings of noise need at least one byte a number."""
 MAX_TESTS = 10_000

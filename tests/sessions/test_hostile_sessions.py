@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+
 import h5py
 import numpy as np
 import pytest
@@ -54,6 +58,25 @@ def test_a_file_that_makes_the_library_loop_costs_the_child_alone(path, tmp_path
         reader.read("head", path)
     assert reader.read("head", good)[0].subject.pseudonym == "B5978"
     reader.close()
+
+
+def test_an_interrupt_ends_the_wait_for_a_file_that_hangs(path):
+    hostile.endless_heap(path, unseen=True)
+    program = (
+        "import signal, sys; from pathlib import Path; from tissueid.cli import main\n"
+        "from tissueid.sessions import reader_process as r\n"
+        "asked = r.ReaderProcess._running\n"
+        "r.ReaderProcess._running = lambda self: (asked(self), print('asked', flush=True))[0]\n"
+        "sys.exit(main(['quality', sys.argv[1]]))"
+    )
+    command = [sys.executable, "-c", program, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"asked\n"
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=15)
+    assert process.returncode == 130
+    assert errors.count(b"\n") == 1
 
 
 @pytest.mark.parametrize("what", hostile.REFUSED)

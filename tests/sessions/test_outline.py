@@ -60,5 +60,5 @@ def test_an_outline_refuses_what_is_too_large_to_be_read(path):
         for name in list(signals):
             del signals[name]
             signals.create_dataset(name, shape=(9_000_000,), chunks=(100_000,), dtype="f8")
-    with pytest.raises(SessionFormatError, match="27003000 numbers; at most 10000000"):
+    with pytest.raises(SessionFormatError, match="27003000 numbers; at most 5000000"):
         read_outline(path)

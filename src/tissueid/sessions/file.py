@@ -201,7 +201,8 @@ def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
         if length is not None and dataset.size != length:
             raise SessionFormatError(f"signals/{name} has {dataset.size} samples where others have {length}")
         length = dataset.size
-        signals[name] = dataset[:].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # any bits are a number in a damaged file, or NaN
+            signals[name] = dataset[:].astype(np.float64)
     if len(set(signals) - {"time"}) < 2:
         raise SessionFormatError("a test needs at least one input and one output")
     return signals

@@ -73,6 +73,12 @@ class ReaderProcess:
         with self._lock:
             self._ended()
 
+    def kill(self) -> None:
+        """End the child without waiting for a file that it reads: the program ends."""
+        if (process := self._process) is not None:
+            process.kill()
+            process.wait()
+
     def _ask(self, request: bytes) -> list[Any]:
         process = self._running()
         assert process.stdin is not None
@@ -131,7 +137,7 @@ class ReaderProcess:
 
 _reader = ReaderProcess()
 _reader_of = os.getpid()
-atexit.register(_reader.close)
+atexit.register(lambda: _reader.kill())
 
 
 def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:

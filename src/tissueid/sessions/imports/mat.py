@@ -193,6 +193,7 @@ def _file(lengths: dict[str, int], read: Callable[[str, slice], NDArray[np.gener
             raise UnusableInputError(f"its variables are not of one length: {told}")
         taken = rows.within(lengths[chosen[0]])
         part = slice(taken.start, taken.stop)
-        return [np.ascontiguousarray(read(name, part), dtype=np.float64) for name in chosen], taken
+        with np.errstate(invalid="ignore"):  # any bits are a number in a damaged file, or NaN
+            return [np.ascontiguousarray(read(name, part), dtype=np.float64) for name in chosen], taken
 
     return ForeignFile("mat", tuple(Column.headed(name) for name in names), load)
