@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from tissueid.cli.gap_accept import accepted
 from tissueid.cli.output import (
     check_different,
     check_json,
@@ -23,6 +22,7 @@ from tissueid.cli.output import (
 )
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, crew, diagnose, observe
+from tissueid.gap.accepting import accepted
 from tissueid.gap.named import believing
 from tissueid.gap.search import Progress
 from tissueid.gap.statement import headline_of, listed, members_of, percent

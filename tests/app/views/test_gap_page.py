@@ -15,6 +15,7 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 
 from tissueid.app.language import speak, spoken
 from tissueid.app.views.gap import diagnosing
+from tissueid.app.views.gap.choosing import EffectChoice
 from tissueid.app.views.gap.proposal import Proposal
 from tissueid.app.views.gap.story import story_of
 from tissueid.audit import AuditLog, last_lines
@@ -193,6 +194,29 @@ def test_an_accepted_effect_becomes_a_twin_that_is_logged(qtbot, diagnosed, tmp_
     answer_dialog(page, tmp_path / "größe.toml")
     wait(qtbot, window)
     assert "letters of the English alphabet" in window.ui.notice.text.text()
+
+
+def test_what_is_accepted_is_chosen_among_members_and_close_rivals(qtbot, diagnosed, tmp_path):
+    window, page = diagnosed()
+    offered = (
+        ("dry_friction", "Dry friction (40 %)", True),
+        ("directional_damping", "Damping & direction (37 %)", False),
+    )
+    result = page.history.result
+    page.history.add(diagnosing.replace(result, story=diagnosing.replace(result.story, offered=offered)))
+    press(qtbot, page.result.accept)
+    choice = page.findChild(EffectChoice)
+    assert choice.names == ["dry_friction"]
+    choice.boxes["dry_friction"].setChecked(False)
+    assert not choice.accept_button.isEnabled()
+    choice.boxes["directional_damping"].setChecked(True)
+    press(qtbot, choice.accept_button)
+    path = tmp_path / "other.toml"
+    answer_dialog(page, path)
+    wait(qtbot, window)
+    made = read_twin(path)
+    assert [item.name for item in made.effects] == ["directional_damping"]
+    assert made.source.verdict == "by hand"
 
 
 def test_report_and_answer_are_written_beside_the_session(qtbot, diagnosed, friction, tmp_path):

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tissueid.app.language import _
 from tissueid.app.place_to_save import free_place
-from tissueid.app.views.gap.diagnosing import Result
+from tissueid.app.views.gap.apart import Step, done_apart
+from tissueid.app.views.gap.diagnosing import Asked, Result
 from tissueid.audit import Trail
 from tissueid.errors import UnusableInputError
 from tissueid.sessions import read_session
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean
+
+if TYPE_CHECKING:
+    from tissueid.gap.workers import Crew
+    from tissueid.instrument.twin_file import TwinFile
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}")
 _SUFFIX = ".toml"
@@ -30,19 +37,24 @@ def why_not_accepted(result: Result) -> str:
     return ""
 
 
-def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
-    """Save the twin that has the named effect, and log it; returns what is to be said.
+def accept_into_twin(result: Result, path: Path, trail: Trail, effects: Sequence[str], *, apart: bool) -> str:
+    """Save the twin that has the chosen effects, and log it; returns what is to be said.
+
+    Another choice than the diagnosis names is fitted to the session first, as ``tissueid gap accept --effect`` does;
+    with ``apart`` in other processes.
 
     Raises:
         UnusableInputError: nothing was named, the file's name makes no name of a twin, or it cannot be written.
     """
-    from tissueid.gap.named import file_of
+    from tissueid.gap.accepting import accepted
+    from tissueid.gap.workers import Alone
     from tissueid.instrument.twin_file import check_twin_writable, write_twin
 
     found = result.diagnosis
     if why := why_not_accepted(result):
         raise UnusableInputError(why)
-    assert found.best is not None
+    if not effects:
+        raise UnusableInputError(_("There is nothing to accept: no effect is chosen."))
     check_twin_writable(path)
     name = path.stem if result.twin is None else result.twin.name
     if _NAME.fullmatch(name) is None:
@@ -52,24 +64,46 @@ def accept_into_twin(result: Result, path: Path, trail: Trail) -> str:
                 "letters of the English alphabet, digits, blanks, dots, dashes and underscores"
             ).format(name=clean(name)[:40])
         )
-    content = file_of(
-        found.best,
-        name,
-        session_id=result.session_id,
-        verdict=found.verdict,
-        closed=found.gap.closed,
-        probability=found.ranking[0].probability if found.ranking else None,
-        before=result.twin,
-    )
+    if set(effects) == set(found.combination):
+        content = accepted(found, name, result.session_id, result.twin)
+    else:
+        work = functools.partial(_fitted, result.asked, result.twin, name, tuple(effects))
+        made = done_apart(work, _no_step, _never) if apart else work(_no_step, Alone(), _never)
+        assert made is not None
+        content = made
     write_twin(path, content)
-    effects = [item.name for item in content.effects]
-    made = {"file": path.name, "name": content.name, "version": content.version, "effects": effects}
-    trail.note("twin.accepted", subject=result.session_id, new=made)
+    new = {"file": path.name, "name": content.name, "version": content.version}
+    new |= {"effects": [item.name for item in content.effects]}
+    trail.note("twin.accepted", subject=result.session_id, new=new)
     unlogged = trail.settle()
     said = _("The twin {name}, version {version}, is saved in {path}.").format(
         name=content.name, version=content.version, path=path
     )
     return f"{said} {_('It is not in the audit log: {problem}').format(problem=unlogged)}" if unlogged else said
+
+
+def _fitted(
+    asked: Asked,
+    twin: TwinFile | None,
+    name: str,
+    effects: tuple[str, ...],
+    step: Step,
+    people: Crew,
+    cancelled: Callable[[], bool],
+) -> TwinFile:
+    from tissueid.gap.accepting import accept_named
+
+    return accept_named(
+        asked.session, effects, name, twin, people, lambda _: None, asked.fit, asked.check, cancelled=cancelled
+    )
+
+
+def _no_step(_what: str, _done: int, _total: int) -> None:
+    """Ignore progress: it takes seconds."""
+
+
+def _never() -> bool:
+    return False
 
 
 def report_beside(result: Result) -> Path:
@@ -101,12 +135,12 @@ def export_json(result: Result, path: Path) -> Path:
     return path
 
 
-def proposed_twin(result: Result) -> Path:
+def proposed_twin(result: Result, effects: Sequence[str]) -> Path:
     """A file for the twin beside the session: over the one that it improves, or one of a name that is free."""
     if result.asked.twin is not None:
         return result.asked.twin
     folder = result.asked.session.parent
-    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(result.diagnosis.combination)).strip("-._") or "twin"
+    stem = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(effects)).strip("-._") or "twin"
     return free_place(folder / f"{stem}{_SUFFIX}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from tissueid.gap.statement import (
     effect_words,
     headline_of,
     listed,
+    members_of,
     next_steps_of,
     percent,
     sentences_of,
@@ -119,6 +120,8 @@ class Story:
     closing: str
     overlays: tuple[Overlay, ...]
     proposal: Proposal | None
+    offered: tuple[tuple[str, str, bool], ...]
+    """Effects to accept: name, title with its odds, and whether the diagnosis names it."""
 
 
 def story_of(found: Diagnosis, session: Session) -> Story:
@@ -144,7 +147,15 @@ def story_of(found: Diagnosis, session: Session) -> Story:
         _closing(found),
         overlays_of(found),
         proposal_of(found, session),
+        tuple(_offered(found)),
     )
+
+
+def _offered(found: Diagnosis) -> Iterator[tuple[str, str, bool]]:
+    for member in members_of(found):
+        for name, share in ((member.effect, member.probability), *member.rivals):
+            odds = f" ({percent(share)} %)" if np.isfinite(share) else ""
+            yield name, sentence(_cause(name)).rstrip(".") + odds, name == member.effect
 
 
 def _stage(found: Diagnosis, stage: Stage) -> StageStory:

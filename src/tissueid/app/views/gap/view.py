@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.asking import Asking
+from tissueid.app.views.gap.choosing import EffectChoice
 from tissueid.app.views.gap.diagnosing import Result, run
 from tissueid.app.views.gap.history import History
 from tissueid.app.views.gap.keeping import (
@@ -180,7 +181,21 @@ class GapView(View):
         if why := why_not_accepted(result):
             self.desk.say(why, problem=True)
             return
-        self._ask(_("Save the twin"), proposed_twin(result), _("Twins (*.toml)"), "toml", self._accept)
+        offered = result.story.offered
+        if len(offered) < 2:
+            self._ask_for_file([name for name, _title, _named in offered])
+            return
+        dialog = EffectChoice(offered, self)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.chosen.connect(self._ask_for_file)
+        dialog.open()
+
+    def _ask_for_file(self, effects: list[str]) -> None:
+        result = self.history.result
+        if result is not None:
+            path = proposed_twin(result, effects)
+            accept = functools.partial(self._accept, effects)
+            self._ask(_("Save the twin"), path, _("Twins (*.toml)"), "toml", accept)
 
     def _ask_for_json(self) -> None:
         result = self.history.result
@@ -198,9 +213,12 @@ class GapView(View):
         dialog.fileSelected.connect(then)
         dialog.open()
 
-    def _accept(self, path: str) -> None:
-        trail = self.desk.trail
-        self._keep(lambda result: accept_into_twin(result, Path(path), trail), self._accepted)
+    def _accept(self, effects: list[str], path: str) -> None:
+        trail, apart = self.desk.trail, self.desk.around.apart
+        self._keep(
+            lambda result: accept_into_twin(result, Path(path), trail, effects, apart=apart),
+            self._accepted,
+        )
 
     def _export(self, path: str) -> None:
         self._keep(lambda result: export_json(result, Path(path)), self._exported)
