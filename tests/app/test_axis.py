@@ -6,7 +6,7 @@ import pytest
 from PySide6.QtCore import QRectF
 from PySide6.QtGui import QColor, QImage, QPainter
 
-from tissueid.app.axis import QuickAxis
+from tissueid.app.axis import QuickAxis, without_overlaps
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import DARK, LIGHT
 
@@ -98,3 +98,11 @@ def test_an_axis_without_room_draws_nothing(qtbot):
     axis.paint(painter, None)
     painter.end()
     assert (pixels(image) == 255).all()
+
+
+def test_numbers_never_touch_and_those_of_coarser_ticks_stay():
+    def number(left, text):
+        return QRectF(left, 0.0, 14.0, 10.0), 0, text
+
+    coarse, fine = [number(0.0, "80"), number(30.0, "90")], [number(15.0, "85"), number(60.0, "95")]
+    assert [text for _, _, text in without_overlaps([*coarse, *fine])] == ["80", "90", "95"]

@@ -26,6 +26,7 @@ from tissueid.app.emergency import EmergencyStop
 from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.surroundings import Surroundings
 from tissueid.calibration.in_force import calibrated
 from tissueid.instrument import SimulatedInstrument
@@ -371,3 +372,20 @@ def test_a_result_is_shown_from_its_top(qtbot, in_state):
     qtbot.waitUntil(lambda: not window.jobs, timeout=WAIT_MS)
     settle()
     assert [bar.value() for bar in bars] == [0, 0]
+
+
+def test_a_row_folds_where_it_has_no_room_and_unfolds_again(qtbot):
+    holder = QWidget()
+    qtbot.addWidget(holder)
+    row = FoldingBox(300, holder)
+    parts = [QLabel("one", holder), QLabel("two", holder)]
+    for part in parts:
+        part.setFixedSize(140, 20)
+        row.addWidget(part)
+    holder.show()
+    for width, across in ((400, True), (200, False), (400, True)):
+        holder.resize(width, 100)
+        settle()
+        assert (parts[1].x() > parts[0].x()) == across
+        assert row.sizeHint().width() > 280
+        assert row.minimumSize().width() < 200

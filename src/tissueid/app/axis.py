@@ -15,6 +15,8 @@ Text = tuple[QRectF, int, str]
 
 _UNDER = -200.0
 """Depth of the axes: pyqtgraph puts what is plotted at -100."""
+_APART = 3.0
+"""Least distance between two numbers, pixels."""
 _FINEST = 1
 """Ticks at whole steps and parts of them; tenths of a step are too faint to be seen, and cost as much as the rest."""
 
@@ -74,8 +76,18 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
             painter.setFont(self.style["tickFont"])
         painter.setPen(self.textPen())
         painter.setClipRect(self.boundingRect().toAlignedRect())
-        for place, flags, text in texts:
+        for place, flags, text in without_overlaps(texts):
             painter.drawText(place, int(flags), text)
+
+
+def without_overlaps(texts: Sequence[Text]) -> list[Text]:
+    """Return the texts that do not touch one before them; those of the coarser ticks come first, and stay."""
+    kept: list[Text] = []
+    for text in texts:
+        room = text[0].adjusted(-_APART, 0.0, _APART, 0.0)
+        if not any(room.intersects(other[0]) for other in kept):
+            kept.append(text)
+    return kept
 
 
 def _over(ground: QColor, colour: QColor) -> QColor:
@@ -88,4 +100,4 @@ def _over(ground: QColor, colour: QColor) -> QColor:
     )
 
 
-__all__ = ["QuickAxis"]
+__all__ = ["QuickAxis", "without_overlaps"]

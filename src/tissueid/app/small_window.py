@@ -85,6 +85,13 @@ class FoldingBox(QBoxLayout):
             self.setDirection(wanted)
         super().setGeometry(room)
 
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the width of the row, also while it is folded: what is around it knows when it can unfold."""
+        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
+        width = sum(item.sizeHint().width() for item in items) + max(0, len(items) - 1) * self.spacing()
+        margins = self.contentsMargins()
+        return QSize(width + margins.left() + margins.right(), super().sizeHint().height())
+
     def minimumSize(self) -> QSize:  # noqa: N802
         """Return the width of the widest item, and the height in the present direction."""
         margins = self.contentsMargins()

@@ -6,9 +6,10 @@ import html
 from collections.abc import Sequence
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QLabel, QPushButton, QWidget
 
 from tissueid.app.language import _, marked
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting import NORM, Sitting
 
@@ -20,6 +21,7 @@ _WORDS = {
     None: marked("not judged"),
 }
 
+_ONE_ROW = 400
 _FINISH_ONE = marked("Finish: use this test")
 
 
@@ -52,7 +54,7 @@ class RepeatBar(QWidget):
         self.undo.setToolTip(
             _("Continue the sitting as if it had not been finished. Possible until the next test starts")
         )
-        row = QHBoxLayout(self)
+        row = FoldingBox(_ONE_ROW, self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(8)
         for part in (self.dots, self.repeat, self.accept, self.undo):
