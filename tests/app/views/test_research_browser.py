@@ -10,6 +10,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QPushButton, QSpinBox
 
 from tissueid.app.theme import LIGHT
+from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.views.researcher.session_model import QUALITY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -224,3 +225,28 @@ def test_it_fits_the_smallest_window(qtbot, opened):
         corner = part.mapTo(window, part.rect().bottomRight())
         assert corner.x() < 1008
         assert corner.y() < 598
+
+
+def test_columns_without_room_are_folded_so_that_the_list_needs_no_sideways_scrolling(opened):
+    _window, view = opened()
+    tree = view.browser.tree
+    for width in (380, 500, 700, 1000):
+        tree.resize(width, 300)
+        tree.fold()
+        shown = [column for column in range(view.browser.model.columnCount()) if not tree.isColumnHidden(column)]
+        assert shown[:4] == [0, 1, 2, 3]
+        needed = sum(tree._widths[column] for column in shown)
+        assert needed <= tree.viewport().width() or shown == [0, 1, 2, 3]
+    assert len(shown) == 9
+    view.browser.bar.words.setText("a.h5")
+    assert listed(view) == ["a.h5"]
+
+
+def test_cancel_of_a_search_stays_within_the_strip_whatever_it_is_called(opened):
+    _window, view = opened()
+    view.strip.watch(Errand("looking for sessions in a folder of a very long name " * 3))
+    stop = view.strip.stop
+    assert stop.geometry().right() <= view.strip.width()
+    assert view.strip.mapTo(view.tabs, stop.geometry().topRight()).x() <= view.tabs.width()
+    assert stop.width() >= stop.sizeHint().width()
+    view.strip.rest()

@@ -65,6 +65,19 @@ def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, pane
     assert [slot._under.yData.size > 0 for slot in slots] == [True, True, True]
 
 
+def test_the_legend_uses_the_room_there_is_and_never_cuts_a_score(qtbot, panel, two):
+    long = [dataclasses.replace(test, site="a very long name of a site " * 2 + test.pseudonym) for test in two]
+    run(qtbot, panel, long)
+    pictures = panel.pictures
+    pictures.choice.setCurrentText(OUTPUT)
+    pictures.resize(1600, 400)
+    assert "…" not in pictures.legend.text()
+    pictures.resize(300, 400)
+    assert "…" in pictures.legend.text()
+    for outcome in panel.results.outcomes:
+        assert f"VAF&nbsp;{outcome.report.vaf_validation_percent:.1f}&nbsp;%" in pictures.legend.text()
+
+
 def test_a_closer_look_is_taken_back(qtbot, panel, two):
     run(qtbot, panel, two[:1])
     pictures = panel.pictures

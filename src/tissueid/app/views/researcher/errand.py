@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import threading
 
-from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QWidget
+from PySide6.QtCore import QSize, QTimer
+from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
+from tissueid.app.elided import ElidedLabel
 from tissueid.app.language import _
 from tissueid.errors import CancelledError
 
 _LOOK_MS = 60
 _STEPS = 1000
+_WIDTH = 240
+"""Pixels of the strip; its words are cut before its button is."""
 
 
 class Errand:
@@ -48,7 +51,7 @@ class ErrandStrip(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._errand: Errand | None = None
-        self._words = QLabel()
+        self._words = ElidedLabel()
         self._words.setProperty("role", "muted")
         self._bar = QProgressBar()
         self._bar.setRange(0, _STEPS)
@@ -60,7 +63,7 @@ class ErrandStrip(QWidget):
         self.stop.clicked.connect(self.cancel)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(self._words)
+        row.addWidget(self._words, 2)
         row.addWidget(self._bar, 1)
         row.addWidget(self.stop)
         self._timer = QTimer(self)
@@ -70,6 +73,10 @@ class ErrandStrip(QWidget):
         keep.setRetainSizeWhenHidden(True)
         self.setSizePolicy(keep)
         self.hide()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return the same width whatever is going on: the corner of tabs gives no more, and cuts what is wider."""
+        return QSize(_WIDTH, super().sizeHint().height())
 
     def watch(self, errand: Errand) -> None:
         """Show how far an errand is, until :meth:`rest`."""

@@ -9,6 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from pyqtgraph.GraphicsScene.mouseEvents import MouseClickEvent
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
 from tissueid.app.language import _
@@ -23,7 +24,8 @@ from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
-_LONGEST = 64
+_LEAST, _AROUND = 48, 8
+"""Characters of a name in the legend that are shown at least, and those that the square and the margins take."""
 _PLAIN, _LABELLED = 76, 104
 """Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
 
@@ -99,10 +101,25 @@ class Pictures(QWidget):
     @property
     def keys(self) -> tuple[str, list[str]]:
         """What the drawn results have in common, and the name of each in the legend of the picture that is shown."""
+        return self._keys()
+
+    def _keys(self, room: int | None = None) -> tuple[str, list[str]]:
+        """As ``keys``; with ``room`` the names are cut in their middle to so many characters, and never the scores."""
         common, labels = keys_of(self._drawn)
+        scores = [""] * len(labels)
         if self._pages.currentIndex() == list(PICTURES).index(OUTPUT):
-            labels = [f"{label}: {_scores(o)}" for label, o in zip(labels, self._drawn, strict=True)]
-        return common, labels
+            scores = [f": {_scores(outcome)}" for outcome in self._drawn]
+        if room is not None:
+            labels = [
+                in_the_middle(label, max(_LEAST // 2, room - len(score)))
+                for label, score in zip(labels, scores, strict=True)
+            ]
+        return common, [label + score for label, score in zip(labels, scores, strict=True)]
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Cut the names in the legend to the room that there is now."""
+        super().resizeEvent(event)
+        self._show_legend()
 
     @property
     def figure(self) -> PictureFigure | KernelFigure | None:
@@ -207,10 +224,11 @@ class Pictures(QWidget):
         theme = self._theme
         if theme is None:
             return
-        common, labels = self.keys
+        room = max(_LEAST, self.width() // max(1, self.fontMetrics().averageCharWidth()) - _AROUND)
+        common, labels = self._keys(room)
         entries = [html.escape(f"{common}:")] if common else []
         for role, label in zip(SERIES, labels, strict=False):
-            name = html.escape(in_the_middle(label, _LONGEST)).replace(" ", "&nbsp;")
+            name = html.escape(label).replace(" ", "&nbsp;")
             entries.append(f'<span style="color:{getattr(theme, role)}">■</span>&nbsp;{name}')
         words = []
         if self._pages.currentIndex() == list(PICTURES).index(OUTPUT) and self._drawn:

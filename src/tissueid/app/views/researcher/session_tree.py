@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QModelIndex, Qt, Signal
-from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent
+from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import QAbstractItemView, QTreeView, QWidget
 
 from tissueid.app.language import _
 from tissueid.app.views.researcher.session_filter import SessionFilter
+from tissueid.app.views.researcher.session_model import CONFIGURATION, DURATION, FILE, KIND, TESTS
+
+_FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
+"""Columns that are hidden where there is no room, in this order."""
+_UNKNOWN = 90
+"""Pixels for a column that was hidden when its width was asked for."""
 
 
 class SessionTree(QTreeView):
@@ -19,6 +25,7 @@ class SessionTree(QTreeView):
         super().__init__(parent)
         self._shown = shown
         self._empty = ""
+        self._widths: dict[int, int] = {}
         self.setModel(shown)
         self.setAccessibleName(_("Sessions and their tests"))
         self.setToolTip(_("Return or a double click opens a session; Shift and Ctrl select several"))
@@ -34,6 +41,23 @@ class SessionTree(QTreeView):
         self.header().setSectionsMovable(True)
         self.sortByColumn(shown.sortColumn(), shown.sortOrder())
         self.doubleClicked.connect(self.opened)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Fold the columns away that there is no room for, the least important first."""
+        super().resizeEvent(event)
+        self.fold()
+
+    def fold(self) -> None:
+        """Hide columns until the others fit, and show them again where there is room; they stay searched."""
+        header, room = self.header(), self.viewport().width()
+        for column in range(header.count()):  # once: later the last one shown is stretched
+            self._widths.setdefault(column, header.sectionSize(column) or _UNKNOWN)
+        needed = sum(self._widths.values())
+        for column in _FOLDED:
+            hidden = needed > room
+            needed -= self._widths.get(column, 0) if hidden else 0
+            if self.isColumnHidden(column) != hidden:
+                self.setColumnHidden(column, hidden)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
         """Return opens, wherever a system has other habits."""

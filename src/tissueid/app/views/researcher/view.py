@@ -18,7 +18,6 @@ from tissueid.app.views.view import Desk, View
 
 _SPLIT, _TAB = "research/split", "research/tab"
 _WIDTHS = (400, 600)
-_STRIP = 240
 
 
 class ResearchView(View):
@@ -41,7 +40,6 @@ class ResearchView(View):
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
         self.tabs.tabBar().setAccessibleName(_("Signals and analysis"))
-        self.strip.setMinimumWidth(_STRIP)
         self.tabs.setCornerWidget(self.strip)
         self.tabs.addTab(self.signals, _("Signals"))
         self.tabs.addTab(self.analysis, _("Analysis"))
