@@ -24,6 +24,8 @@ from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
+_CHOICE = 96
+"""Pixels to which the choice of a picture may shrink beside the buttons."""
 _LEAST, _AROUND = 48, 8
 """Characters of a name in the legend that are shown at least, and those that the square and the margins take."""
 _PLAIN, _LABELLED = 76, 104
@@ -37,6 +39,7 @@ class Pictures(QWidget):
         super().__init__(parent)
         self.choice = QComboBox()
         self.choice.setAccessibleName(_("Picture"))
+        self.choice.setMinimumWidth(_CHOICE)
         self._pages = QStackedWidget()
         self._cards: dict[Panel, PlotCard] = {}
         self._measured: pg.PlotDataItem | None = None
