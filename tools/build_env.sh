@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Build the environment: a virtual environment from pinned versions, then the system libraries that Qt needs.
+# Build the environment: a virtual environment from pinned versions with verified hashes, then the system libraries that
+# Qt needs. TISSUEID_UNVERIFIED=1 installs the pinned versions without verification, where a file has no known hash.
 set -euo pipefail
 venv=${1:-.venv}
 
@@ -24,7 +25,34 @@ rm -f "$venv/.built"
     exit 2
 }
 export PIP_DISABLE_PIP_VERSION_CHECK=1
-"$venv/bin/python" -m pip install --quiet --constraint constraints.txt --editable '.[app,dev]'
+pip=("$venv/bin/python" -m pip --quiet)
+pins=$venv/pins.txt
+build_pins=$venv/build_pins.txt
+verify=(--require-hashes)
+if [ "${TISSUEID_UNVERIFIED:-}" = 1 ]; then
+    echo "== packages are not verified: TISSUEID_UNVERIFIED is set" >&2
+    verify=()
+    sed -nE 's/^([A-Za-z0-9._-]+==[^ ]+( *;[^\\]*)?).*/\1/p' constraints.txt >"$pins"
+else
+    cp constraints.txt "$pins"
+fi
+# What builds packages is installed first, as wheels, so that nothing is fetched unverified in order to build another.
+awk '/^[A-Za-z]/ { keep = /^(hatchling|packaging|pathspec|pluggy|setuptools|tomlkit|trove-classifiers)==/ } keep' \
+    "$pins" >"$build_pins"
+if ! { "${pip[@]}" install ${verify[@]+"${verify[@]}"} --no-deps --only-binary :all: --requirement "$build_pins" &&
+    "${pip[@]}" install ${verify[@]+"${verify[@]}"} --no-build-isolation --requirement "$pins"; }; then
+    cat >&2 <<'END'
+The packages could not be installed (pip says above why). If it says that hashes do not match, a file is not the one that was
+published: do not use it. If it finds no matching file, or wants to build a package and cannot, this platform or this
+version of Python has no wheel of the pinned version:
+  - use a version of Python from 3.11 on that has one (PYTHON=/path/to/python make env), or
+  - write another version into constraints.txt and run tools/renew_hashes.py, with an index that has it, or
+  - TISSUEID_UNVERIFIED=1 make env, which takes what the index gives for the pinned versions without verification.
+END
+    exit 2
+fi
+"${pip[@]}" install --no-deps --no-build-isolation --no-index --editable .
+"$venv/bin/python" -m pip check
 bash "$(dirname "$0")/check_qt_libraries.sh" "$venv"
 touch "$venv/.built"
 echo "== environment ready"
