@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from PySide6.QtCore import QPoint, QRect, QSize, Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent, QMoveEvent, QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
@@ -63,6 +65,7 @@ class Notice(QFrame):
         self._page = ""
         self._pages: frozenset[str] | None = frozenset()
         self._lasts = self._about_form = False
+        self._act: Callable[[], object] | None = None
         self.setProperty("role", "notice")
         self.text = QLabel()
         self.text.setWordWrap(True)
@@ -76,7 +79,7 @@ class Notice(QFrame):
         layout.addWidget(self.text, 1)
         layout.addWidget(self.offer, 0, Qt.AlignmentFlag.AlignTop)
         layout.addWidget(self.dismiss, 0, Qt.AlignmentFlag.AlignTop)
-        self.offer.clicked.connect(self.accepted)
+        self.offer.clicked.connect(self._accept)
         self.dismiss.clicked.connect(self.retract)
         self.hide()
 
@@ -103,6 +106,12 @@ class Notice(QFrame):
         self._pages, self._lasts, self._about_form = frozenset(), False, False
         self.hide()
 
+    def _accept(self) -> None:
+        if self._act is None:
+            self.accepted.emit()
+        else:
+            self._act()
+
     def form_changed(self) -> None:
         """What was wrong in the form may be right now."""
         if self._about_form:
@@ -114,14 +123,22 @@ class Notice(QFrame):
         self._pages = None
 
     def say(
-        self, text: str, *, problem: bool = False, offer: str = "", page: str = "", about_form: bool = False
+        self,
+        text: str,
+        *,
+        problem: bool = False,
+        offer: str = "",
+        act: Callable[[], object] | None = None,
+        page: str = "",
+        about_form: bool = False,
     ) -> None:
         """Show a text, as a problem or as news, with a button that offers something if there is anything.
 
+        The button calls ``act``, or sends ``accepted`` without one. What only it offers does not outlast the news.
         ``page`` is where it belongs besides the page that is shown. What is ``about_form`` goes when that is changed.
         """
         self._pages = frozenset({self._page, page or self._page})
-        self._lasts, self._about_form = problem or bool(offer), about_form
+        self._lasts, self._about_form, self._act = problem or (bool(offer) and act is None), about_form, act
         self.setProperty("level", "problem" if problem else "news")
         self.style().unpolish(self)
         self.style().polish(self)

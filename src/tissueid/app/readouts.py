@@ -58,6 +58,11 @@ class SafetyReadouts(QFrame):
             text = _("Line lost: the instrument's own watchdog releases the coil within {seconds:g} s")
         _say(self.keys, text.format(seconds=watchdog_s), "check")
 
+    def show_watched(self, words: str, level: str) -> None:
+        """Contact is watched before a test, with the coil free: show how the probe stands."""
+        _say(self.contact, words, "check" if level == "check" else "")
+        _say(self.keys, _("Contact is watched; the coil is not driven"))
+
     def expect(self, *, calibrating: bool = False) -> None:
         """A test begins, or a calibration: that has no skin to find, and shows where the probe stands."""
         self.rest()

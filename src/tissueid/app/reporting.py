@@ -51,7 +51,8 @@ class Reports(QObject):
         """Open a report, and say where it is."""
         opened = self._window.around.show_file(path)
         words = _OPENED if opened else _PDF_NOT_OPENED if path.suffix.lower() == ".pdf" else _NOT_OPENED
-        self._window.ui.notice.say(_(words).format(path=path))
+        show_folder = functools.partial(self._window.around.show_file, path.parent)
+        self._window.ui.notice.say(_(words).format(path=path), offer=_("Open folder"), act=show_folder)
 
     def _show_written(self, path: Path) -> None:
         self._written = path

@@ -160,6 +160,7 @@ def test_contact_is_watched_before_a_test_and_the_test_takes_over(qtbot, window,
     qtbot.waitUntil(lambda: lamp.contact is Contact.ON, timeout=WAIT_MS)
     assert not window.testing
     assert bench.opened[0]._run is None
+    assert window.ui.safety.contact.text() == Contact.ON.value
     assert lamp.arm.isHidden()  # the simulation has no button
     assert window.ui.start.isEnabled()
     assert not window.ui.open.isEnabled()

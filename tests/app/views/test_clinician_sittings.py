@@ -35,7 +35,9 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     assert ui.result.summary.isHidden()
     run_test(qtbot, window, bar.repeat)
     assert bar.repeat.text() == "Measure again (3 of 5)"
-    assert bar.dots.accessibleName().startswith("2 of 5 repeats: 1 good, 2 good")
+    levels = [repeat.findings.verdict.level for repeat in window.clinician.sitting.repeats]
+    words = [{"good": "good", "check": "to be looked at"}[level] for level in levels]
+    assert bar.dots.accessibleName() == f"2 of 5 repeats: 1 {words[0]}, 2 {words[1]}"
     assert ui.result.summary.heading.text() == "Mean so far of 2 repeats"
     tests = [read_session(path).test() for path in sorted(tmp_path.glob("*.h5"))]
     assert len({test.notes["sitting"] for test in tests}) == 1
@@ -201,6 +203,8 @@ def test_an_opened_session_is_compared_and_printed(qtbot, open_window, shelf_of)
     press(qtbot, window.ui.result.pdf)
     qtbot.waitUntil(lambda: idle(window) and bool(shown), timeout=WAIT_MS)
     assert shown == [shelf_of / "s1-report.pdf"]
+    press(qtbot, window.ui.notice.offer)
+    assert shown.pop() == shelf_of
     content = shown[0].read_bytes()
     assert content.startswith(b"%PDF")
     assert 1 <= content.count(b"/Type /Page ") + content.count(b"/Type /Page\n") <= 2

@@ -90,6 +90,7 @@ class Watcher(QObject):
         if sight is None:
             return
         self._lamp.show_contact(sight.contact)
+        self._window.ui.safety.show_watched(_(sight.contact.value), sight.contact.level)
         if sight.device is not None:
             form = self._window.ui.form
             form.instrument.tell_calibration(self._url, calibration_state(sight.device))
@@ -123,6 +124,7 @@ class Watcher(QObject):
         self._sight = None
         self._lamp.arm.setChecked(False)
         self._lamp.show_contact(Contact.UNWATCHED)
+        self._window.ui.safety.rest()
 
     def _go_on(self) -> None:
         """The watch is over and its port free: now the test that was asked for can begin."""
