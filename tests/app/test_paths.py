@@ -90,7 +90,10 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
     assert window.testing
     assert ui.stop.hasFocus()
     rest(qtbot, window)
-    assert ui.gate.headline.text() == "Good test"
+    assert (ui.gate.headline.text(), ui.gate.property("level")) == (
+        window.findings.verdict.headline,
+        window.findings.verdict.level,
+    )
     bar = ui.gate.repeats
     assert (bar.repeat.text(), bar.accept.text()) == ("Measure again (2 of 5)", "Finish: use this test")
     press(qtbot, bar.repeat)

