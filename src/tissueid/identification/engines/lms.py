@@ -11,7 +11,7 @@ from pydantic import Field
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory, factor_input, kernel_std
+from tissueid.identification.impulse_response import beyond_memory, doubt_memory, factor_input, kernel_std
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold
@@ -73,14 +73,19 @@ class Lms(Engine):
             UnusableInputError: nothing varies, too few samples, or a memory longer than the part.
         """
         prepared = prepare(record, fit_part, self.memory)
-        solved = factor_input(prepared, pseudo_inverse=self.method == "svd", tolerance=self.tolerance, taper=self.taper)
-        kernel = solved.kernel(record.output)  # (lags,)
+        lags = prepared.memory_samples
+        solved = factor_input(
+            prepared if self.taper == 0.0 else beyond_memory(prepared),
+            pseudo_inverse=self.method == "svd",
+            tolerance=self.tolerance,
+            taper=self.taper,
+        )
+        kernel = solved.kernel(record.output)[:lags]
         modelled = prepared.output_mean + convolve_at_rest(kernel, solved.input)
         residuals = np.where(prepared.used, record.output - modelled, np.nan)
-        std = kernel_std(solved.inverse, solved.input[prepared.part], residuals[prepared.part])
+        std = kernel_std(solved.inverse, solved.input[prepared.part], residuals[prepared.part])[:lags]
         second_order = fit_second_order(record, prepared.used, self.hold)
 
-        lags = prepared.memory_samples
         rate = record.sample_rate_hz
         return LmsModel(
             report=FitReport(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory, factor_input
+from tissueid.identification.impulse_response import beyond_memory, doubt_memory, factor_input
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order import Hold, SecondOrder
@@ -18,7 +18,14 @@ from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.wiener.history import KernelSystems
-from tissueid.identification.wiener.iteration import Cascade, LinearStage, Pass, hunter_korenberg, linear_output
+from tissueid.identification.wiener.iteration import (
+    Cascade,
+    LinearStage,
+    Pass,
+    hunter_korenberg,
+    linear_output,
+    shortened,
+)
 from tissueid.identification.wiener.parameters import fit_linear_stage, straightness, wiener_parameters
 from tissueid.identification.wiener.refinement import coefficient_covariance, refine
 from tissueid.records import Record
@@ -120,13 +127,16 @@ class Wiener(Engine):
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
         n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the kernel's sum is one
         prepared = prepare(record, fit_part, self.memory, n_parameters)
+        longer = LinearStage(factor_input(beyond_memory(prepared), taper=_TAPER))
         solved = factor_input(prepared, taper=_TAPER)
         stage = LinearStage(solved)
-        passes = hunter_korenberg(stage, self.nonlinearity, self.degree, self.iterations)
+        estimated = hunter_korenberg(longer, self.nonlinearity, self.degree, self.iterations)
+        passes = [_shortened(longer, stage, done) for done in estimated]
         chosen = min(range(len(passes)), key=lambda k: passes[k].cascade.rss)
         cascade = passes[chosen].cascade
         if self.refine:
-            cascade = refine(stage, cascade)
+            refined = shortened(longer, stage, refine(longer, estimated[chosen].cascade))
+            cascade = min(refined, cascade, key=lambda one: one.rss)
         warnings = [*prepared.warnings, *solved.warnings, *self._doubts(passes, chosen, cascade)]
 
         used = prepared.used
@@ -223,3 +233,9 @@ class Wiener(Engine):
                 )
             )
         return tuple(history)
+
+
+def _shortened(longer: LinearStage, stage: LinearStage, done: Pass) -> Pass:
+    cascade = shortened(longer, stage, done.cascade)
+    simulated = cascade.nonlinearity(stage.input_mean + stage.response(cascade.kernel))
+    return replace(done, cascade=cascade, nonlinear_vaf_percent=vaf_percent(stage.y, simulated))

@@ -231,7 +231,8 @@ def _respond(identifier: LiveIdentifier) -> _Response:
         solved = identifier.solve()
         prepared = solved.prepared
         x, modelled, residuals = _run(solved.kernel, prepared, prepared.input_mean, prepared.output_mean)
-        return _Response(solved.kernel, kernel_std(solved.inverse, x, residuals), modelled, prepared)
+        std = kernel_std(solved.inverse, x, residuals)[: solved.kernel.size]
+        return _Response(solved.kernel, std, modelled, prepared)
     prepared = prepare(identifier.recent(), None, identifier.options.memory)
     if isinstance(identifier, AlsIdentifier):
         kernel = identifier.average_response / identifier.sample_rate_hz

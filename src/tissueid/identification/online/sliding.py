@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import condition_number, toeplitz_inverse, toeplitz_solve
 from tissueid.identification.engines.lms import Lms, LmsModel
-from tissueid.identification.impulse_response import RIDGE, factor_input
+from tissueid.identification.impulse_response import BEYOND_S, RIDGE, beyond_memory, factor_input
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.online import sliding_sums
 from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
@@ -28,7 +28,8 @@ class SlidingSolution:
     """The answer over the window as it stood.
 
     ``kernel`` (lags,) is the response per sample; ``prepared`` is the window looked over for the fit. The correlation
-    matrix R (lags, lags) that it was found with is held by its first column, as a whole, or by its pseudo-inverse.
+    matrix R (estimated, estimated) that it was found with, of a response somewhat longer than is kept, is held by its
+    first column, as a whole, or by its pseudo-inverse.
     """
 
     kernel: Array
@@ -39,7 +40,7 @@ class SlidingSolution:
 
     @cached_property
     def inverse(self) -> Array:
-        """Inverse of R, shape (lags, lags), or its pseudo-inverse; what uncertainty takes."""
+        """Inverse of R, shape (estimated, estimated), or its pseudo-inverse; what uncertainty takes."""
         if self.column is not None:
             return toeplitz_inverse(self.column)
         if self.matrix is not None:
@@ -86,12 +87,13 @@ class SlidingLms:
         self.lags = memory_in_samples(options.memory, sample_rate_hz)
         self._units = (input_unit, output_unit)
         self._window = None if window_s is None else round(window_s * sample_rate_hz)
-        room = 2 * self._window if self._window else round(_FIRST_ROOM_S * sample_rate_hz) + self.lags
+        summed = self.lags + round(BEYOND_S * sample_rate_hz)
+        room = 2 * self._window if self._window else round(_FIRST_ROOM_S * sample_rate_hz) + summed
         self._received = np.zeros((2, room))  # input and output as they came
         self._counted = np.zeros((2, room))  # less the first of each, and nothing where none was received
         self._first = self._end = self._taken = 0
         self._origin: tuple[float | None, float | None] = (None, None)
-        self._gained, self._lost = np.zeros((2, self.lags)), np.zeros((2, self.lags))
+        self._gained, self._lost = np.zeros((2, summed)), np.zeros((2, summed))
         self._since_summed = 0
         self._solution: SlidingSolution | None = None
 
@@ -159,15 +161,17 @@ class SlidingLms:
         """
         if self._solution is None:
             prepared = prepare(self.recent(), None, self.options.memory)
+            wide = prepared if self.options.taper == 0.0 else beyond_memory(prepared)
             try:
                 if self.options.method == "svd":
-                    self._solution = self._as_a_whole(prepared)
+                    solution = self._as_a_whole(wide)
                 elif prepared.gapless:
-                    self._solution = self._from_sums(prepared)
+                    solution = self._from_sums(wide)
                 else:
-                    self._solution = self._across_gaps(prepared)
+                    solution = self._across_gaps(wide)
             except np.linalg.LinAlgError:
-                self._solution = self._as_a_whole(prepared)
+                solution = self._as_a_whole(wide)
+            self._solution = replace(solution, kernel=solution.kernel[: self.lags], prepared=prepared)
         return self._solution
 
     # -- sums ---------------------------------------------------------------------------------------------
@@ -225,14 +229,14 @@ class SlidingLms:
         Raises:
             numpy.linalg.LinAlgError: the input does not excite every lag.
         """
-        record, size = prepared.record, len(prepared.record)
+        record, size, lags = prepared.record, len(prepared.record), prepared.memory_samples
         origin_u, origin_y = (value or 0.0 for value in self._origin)
         mean_x, mean_y = prepared.input_mean - origin_u, prepared.output_mean - origin_y
         x, y = self._counted[:, self._first : self._end]
-        later_x, later_y = _without_first(x, self.lags), _without_first(y, self.lags)
-        earlier_x = _without_first(x[::-1], self.lags)
-        pairs = size - np.arange(self.lags)
-        raw_auto, raw_cross = self._gained[:, ::-1] - self._lost
+        later_x, later_y = _without_first(x, lags), _without_first(y, lags)
+        earlier_x = _without_first(x[::-1], lags)
+        pairs = size - np.arange(lags)
+        raw_auto, raw_cross = (self._gained[:, ::-1] - self._lost)[:, :lags]
         auto = raw_auto - mean_x * (later_x + earlier_x) + pairs * mean_x * mean_x
         cross = raw_cross - mean_x * later_y - mean_y * earlier_x + pairs * mean_x * mean_y
         taper = self.options.taper
@@ -251,10 +255,10 @@ class SlidingLms:
     def _across_gaps(self, prepared: Prepared) -> SlidingSolution:
         """The least-squares answer over the outputs whose memory was received throughout."""
         x = prepared.record.input - prepared.input_mean
-        regressors = LaggedRegressors(x[None, :], (self.lags,), 1, prepared.used, constant=False)
+        regressors = LaggedRegressors(x[None, :], (prepared.memory_samples,), 1, prepared.used, constant=False)
         count = int(prepared.used.sum())
         gram = regressors.gram() / count
-        gram[np.diag_indices(self.lags)] += RIDGE * np.trace(gram) / self.lags
+        gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / prepared.memory_samples
         right = regressors.adjoint(prepared.record.output[prepared.used] - prepared.output_mean) / count
         kernel = np.asarray(linalg.solve(gram, right, assume_a="pos"))
         return SlidingSolution(kernel, prepared, matrix=gram)

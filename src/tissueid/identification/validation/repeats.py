@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.impulse_response import factor_input
+from tissueid.identification.impulse_response import beyond_memory, factor_input
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.validation import part_mask
 from tissueid.identification.validation.vaf_spread import ratio_std
@@ -93,8 +93,8 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
     together = Record(u.mean(axis=0), y.mean(axis=0), rate)
     prepared = prepare(together, part, memory)
     used = prepared.used & part_mask(u.shape[1], part)
-    solved = factor_input(prepared, taper=_TAPER)
-    kernel = solved.kernel(together.output)  # (lags,)
+    solved = factor_input(beyond_memory(prepared), taper=_TAPER)
+    kernel = solved.kernel(together.output)[: prepared.memory_samples]
 
     difference = y - together.output
     answer = np.array([convolve_at_rest(kernel, row) for row in u - together.input])

@@ -245,6 +245,19 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
     return done
 
 
+def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
+    """The cascade with as much of its kernel as ``stage`` has lags, of the more that ``longer`` has.
+
+    What the kernel holds where the input has no power, which the refinement leaves to chance, goes first: a cut through
+    it would excite what is in the band. What then goes with the cut hardly moves z, so g stays as it is.
+    """
+    kernel = longer.solved.without_unexcited(cascade.kernel)[: stage.lags]
+    kernel = kernel / float(kernel.sum())
+    z = stage.input_mean + stage.response(kernel)
+    error = stage.y - cascade.nonlinearity(z)
+    return Cascade(kernel, cascade.nonlinearity, float(np.dot(error, error)))
+
+
 def _normalised(stage: LinearStage, cascade: Cascade) -> Cascade:
     """The same cascade with a kernel that sums to one; a polynomial knows no scale of z."""
     kernel = cascade.kernel / float(cascade.kernel.sum())
