@@ -85,6 +85,8 @@ def test_a_view_is_shown_in_the_units_of_people(panel, method):
     np.testing.assert_allclose(10.0**frequency, shown.bode.frequency_hz)
     np.testing.assert_allclose(coherence, shown.bode.coherence)
     np.testing.assert_allclose(10.0 ** data(panel._magnitude)[1], 1e3 * shown.bode.magnitude)
+    np.testing.assert_allclose(data(panel._phase)[1], np.degrees(shown.bode.phase_rad))
+    np.testing.assert_allclose(data(panel._phase_fit)[1][[0, -1]], [-2.0, -168.0], atol=6.0)  # of a system of order two
     np.testing.assert_allclose(data(panel._levels)[0], 1e3 * shown.curve.predicted)
     seconds, change = data(panel._courses["damping"])
     assert seconds.tolist() == [1.0, 2.0, 4.0]
@@ -159,3 +161,31 @@ def test_it_is_there_during_a_test_and_gone_with_an_opened_session(qtbot, open_w
     window.open_session(saved)
     qtbot.waitUntil(lambda: window.findings.path == saved and not window.jobs, timeout=WAIT_MS)
     assert not panel.isVisible()
+
+
+def test_phase_and_nonlinearity_are_seen_at_1280x740_without_scrolling(qtbot, open_window, saved):
+    window = open_window()
+    window.resize(1280, 740)
+    panel = window.ui.analysis
+    panel.show()
+    window.open_session(saved)
+    qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
+    page = window.ui.result
+    frequency, degrees = data(page._measured[page.phase])
+    assert frequency.size > 10
+    assert -30.0 < degrees[0] < 10.0
+    card = page.nonlinearity
+    window.ui.pages.setCurrentWidget(page)
+
+    def bottom():
+        return card.mapTo(page.viewport(), card.rect().bottomLeft()).y()
+
+    qtbot.waitUntil(lambda: 0 < bottom() <= page.viewport().height(), timeout=WAIT_MS)
+    window.ui.pages.setCurrentIndex(0)
+    panel.expect(Plan(url="simulated://forearm", site="left forearm", path=saved))
+    qtbot.waitUntil(panel.isVisible, timeout=WAIT_MS)
+    panel.show_view(seen())
+    for card in (panel.curve, panel.phase):
+        corner = card.mapTo(window, card.rect().bottomRight())
+        assert window.rect().contains(corner), card
+        assert not card.visibleRegion().isEmpty()

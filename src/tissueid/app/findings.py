@@ -77,6 +77,7 @@ class Findings:
     cautions: tuple[str, ...]
     impulse: Curves
     bode: Curves
+    phase: Curves
     nonlinearity: Curves
     prediction: Curves
     accepted: AcceptedResult | None = None

@@ -12,6 +12,7 @@ from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.language import _, marked
 from tissueid.app.words import for_window, in_words, sentence
 from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Mask
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
@@ -69,6 +70,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         ),
         impulse=_drawn(_impulse, analyses),
         bode=_drawn(_bode, analyses),
+        phase=_drawn(_phase, analyses),
         nonlinearity=_drawn(_nonlinearity, analyses),
         prediction=_drawn(_prediction, analyses),
         accepted=accepted,
@@ -146,8 +148,8 @@ def _impulse(analyses: Mapping[str, Analysis]) -> Curves:
     return Curves(MS * model.lag_s, response, MS * fine_s, fitted, response - std, response + std)
 
 
-def _bode(analyses: Mapping[str, Analysis]) -> Curves:
-    """Decimal logarithms of frequency in Hz and compliance in mm/N, with a 95 % band, where there is input."""
+def _excited(analyses: Mapping[str, Analysis]) -> tuple[SpectralModel, Mask]:
+    """The spectral model, and where its input has power."""
     model = analyses["spectral"].model if "spectral" in analyses else None
     if not isinstance(model, SpectralModel):
         raise UnusableInputError(_("no transfer function could be estimated"))
@@ -156,6 +158,27 @@ def _bode(analyses: Mapping[str, Analysis]) -> Curves:
     shown &= (spectra.magnitude > 0.0) & np.isfinite(spectra.magnitude_std)
     if shown.sum() < 3:
         raise UnusableInputError(_("the input has power at fewer than three frequencies"))
+    return model, shown
+
+
+def _phase(analyses: Mapping[str, Analysis]) -> Curves:
+    """Decimal logarithm of frequency in Hz against phase in degrees, with a 95 % band, where there is input."""
+    model, shown = _excited(analyses)
+    spectra = model.spectra
+    frequency = np.log10(spectra.frequency_hz[shown])
+    phase = np.degrees(spectra.phase_rad[shown])
+    spread = _CONFIDENCE * np.degrees(spectra.phase_std_rad[shown])
+    fine = np.linspace(frequency[0], frequency[-1], _FINE)
+    response = model.second_order.sign * model.second_order.system.frequency_response(10.0**fine)
+    fitted = np.degrees(np.unwrap(np.angle(response)))
+    fitted += 360.0 * round((phase[0] - fitted[0]) / 360.0)
+    return Curves(frequency, phase, fine, fitted, phase - spread, phase + spread)
+
+
+def _bode(analyses: Mapping[str, Analysis]) -> Curves:
+    """Decimal logarithms of frequency in Hz and compliance in mm/N, with a 95 % band, where there is input."""
+    model, shown = _excited(analyses)
+    spectra = model.spectra
     frequency = np.log10(spectra.frequency_hz[shown])
     magnitude = np.log10(MM * spectra.magnitude[shown])
     spread = np.log10(1.0 + _CONFIDENCE * spectra.magnitude_std[shown] / spectra.magnitude[shown])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.language import _, marked
 from tissueid.app.live import Array
@@ -42,7 +42,7 @@ _ROLES: dict[Parameter, str] = {"mass": "good", "damping": "model", "stiffness":
 _LEAST = 1e-12
 """Magnitude below which a logarithm would say nothing, m/N."""
 
-_CARD_WIDTH = 226
+_CARD_WIDTH = 214
 """Least width of a plot, pixels: the longest heading fits."""
 
 _WIDEST_PERCENT = 30.0
@@ -58,11 +58,13 @@ class LiveAnalysis(QWidget):
         self._planned_s = 4.0
         self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)")
         self.bode = PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left"))
+        self.phase = PlotCard(_("Bode phase"), "", "°", log_axes=("bottom",))
         self.coherence = PlotCard(_("Coherence"), _("Frequency (Hz)"), "", log_axes=("bottom",))
         self.curve = PlotCard(_("Static nonlinearity"), _("Linear prediction (mm)"), "mm")
         self.course = PlotCard(_("Parameter change"), _("Time (s)"), "%")
         self.impulse.setToolTip(f"{_('Band: one standard deviation to either side')}. {_(_ORANGE)}")
         self.bode.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
+        self.phase.setToolTip(f"{_('Of the impulse response')}. {_(_ORANGE)}")
         self.coherence.setToolTip(
             _("Share of the motion that the force explains at each frequency; below the dotted line none")
         )
@@ -70,12 +72,14 @@ class LiveAnalysis(QWidget):
             _("Measured position against the linear prediction; a linear tissue lies on the dotted line")
         )
         self.course.setToolTip(_("Parameters against their newest value; bands: one standard deviation to either side"))
-        self.cards = (self.impulse, self.curve, self.bode, self.coherence, self.course)
+        self.cards = (self.impulse, self.bode, self.curve, self.phase, self.course, self.coherence)
         self._response_band = self.impulse.band("measured")
         self._response = self.impulse.line("measured", width=2)
         self._response_fit = self.impulse.line("model")
         self._magnitude = self.bode.line("measured", width=2)
         self._magnitude_fit = self.bode.line("model")
+        self._phase = self.phase.line("measured", width=2)
+        self._phase_fit = self.phase.line("model")
         self._coherent = self.coherence.line("measured", width=2)
         self._floor = self.coherence.mark(upright=False)
         self.coherence.plot.getAxis("left").setTicks([[(0.0, "0"), (0.5, "0.5"), (1.0, "1")]])
@@ -162,27 +166,22 @@ class LiveAnalysis(QWidget):
         row.setSpacing(8)
         for figure in (*self.numbers.values(), self.vaf):
             row.addWidget(figure, 1)
-        left, right = QVBoxLayout(), QVBoxLayout()
-        left.addWidget(self.impulse, 1)
-        left.addWidget(self.curve, 1)
-        right.addWidget(self.bode, 4)
-        right.addWidget(self.coherence, 3)
-        right.addWidget(self.course, 4)
-        left.setSpacing(8)
-        right.setSpacing(8)
-        for card in self.cards:
+        plots = QGridLayout()
+        plots.setSpacing(8)
+        for place, card in enumerate(self.cards):
             card.setMinimumWidth(_CARD_WIDTH)
-        columns = QHBoxLayout()
-        columns.setSpacing(8)
-        columns.addLayout(left, 1)
-        columns.addLayout(right, 1)
+            plots.addWidget(card, place // 2, place % 2)
+        for column in range(2):
+            plots.setColumnStretch(column, 1)
+        for line in range(len(self.cards) // 2):
+            plots.setRowStretch(line, 1)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
         layout.addWidget(numbers)
         layout.addWidget(self.simulated)
         layout.addWidget(self.said)
-        layout.addLayout(columns, 1)
+        layout.addLayout(plots, 1)
 
     def _say(self, text: str) -> None:
         self.said.setText(text)
@@ -213,18 +212,21 @@ class LiveAnalysis(QWidget):
     def _show_bode(self, view: LiveView, bode: LiveBode | None, missing: str) -> None:
         there = bode is not None and bode.frequency_hz.size > 1
         self.bode.say_missing("" if there else missing)
+        self.phase.say_missing("" if there else missing)
         self.coherence.say_missing("" if there else missing)
         if bode is None or not there:
             return
         frequency = np.log10(bode.frequency_hz)
         self._magnitude.setData(frequency, np.log10(MM * np.maximum(bode.magnitude, _LEAST)))
+        self._phase.setData(frequency, np.degrees(bode.phase_rad))
         self._coherent.setData(frequency, bode.coherence)
         self._floor.setValue(bode.coherence_floor)
         self._floor.show()
         if view.second_order is not None:
-            fitted = np.abs(view.second_order.system.frequency_response(bode.frequency_hz))
-            self._magnitude_fit.setData(frequency, np.log10(MM * fitted))
-        for card in (self.bode, self.coherence):
+            fitted = view.second_order.sign * view.second_order.system.frequency_response(bode.frequency_hz)
+            self._magnitude_fit.setData(frequency, np.log10(MM * np.abs(fitted)))
+            self._phase_fit.setData(frequency, np.degrees(np.unwrap(np.angle(fitted))))
+        for card in (self.bode, self.phase, self.coherence):
             card.plot.setXRange(float(frequency[0]), float(frequency[-1]), padding=0.02)
 
     def _show_curve(self, curve: LiveCurve | None, missing: str) -> None:

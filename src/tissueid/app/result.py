@@ -35,7 +35,7 @@ _TILES = 5
 _ROOM_FOR_TILES = 720
 _ROOM_FOR_THREE = 500
 _ONE_ROW = 560
-_ROOM_FOR_TWO_PLOTS = 840
+_ROOM_FOR_TWO_PLOTS = 700
 _APART = 16
 """Pixels."""
 _METHODS = marked(
@@ -163,6 +163,7 @@ class ResultPage(QScrollArea):
         fit = {_("measured"): "measured", _("second order"): "model"}
         self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)", key=fit)
         self.bode = PlotCard(_("Bode magnitude"), _("Frequency (Hz)"), "mm/N", key=fit, log_axes=("bottom", "left"))
+        self.phase = PlotCard(_("Bode phase"), _("Frequency (Hz)"), "°", key=fit, log_axes=("bottom",))
         self.nonlinearity = PlotCard(
             _("Static nonlinearity, position"),
             _("Force after the linear stage (N)"),
@@ -176,12 +177,14 @@ class ResultPage(QScrollArea):
             key={_("measured"): "measured", _("predicted"): "model"},
         )
         self.impulse.setToolTip(_("Band: one standard deviation to either side"))
-        self.bode.setToolTip(_("Band: 95 % confidence"))
-        self.cards = (self.impulse, self.bode, self.nonlinearity, self.prediction)
-        self._bands = {card: card.band("measured") for card in (self.impulse, self.bode)}
+        for card in (self.bode, self.phase):
+            card.setToolTip(_("Band: 95 % confidence"))
+        self.cards = (self.nonlinearity, self.impulse, self.bode, self.phase, self.prediction)
+        self._bands = {card: card.band("measured") for card in (self.impulse, self.bode, self.phase)}
         self._measured = {
             self.impulse: self.impulse.dots("measured", 4),
             self.bode: self.bode.dots("measured", 4),
+            self.phase: self.phase.dots("measured", 4),
             self.nonlinearity: self.nonlinearity.dots("measured", 2),
             self.prediction: self.prediction.line("measured", width=4, alpha=120),
         }
@@ -212,7 +215,7 @@ class ResultPage(QScrollArea):
     def _filled(self, findings: Findings) -> list[tuple[Curves, PlotCard, list[tuple]]]:
         """Curves, their card, and what goes into each of its items."""
         filled = []
-        every = findings.impulse, findings.bode, findings.nonlinearity, findings.prediction
+        every = findings.nonlinearity, findings.impulse, findings.bode, findings.phase, findings.prediction
         for curves, card in zip(every, self.cards, strict=True):
             items = [(self._measured[card], curves.x, curves.y), (self._models[card], curves.model_x, curves.model_y)]
             if card in self._bands:
