@@ -262,6 +262,7 @@ def in_state(qtbot, opened):
             view = ui.views[name]
             qtbot.waitUntil(lambda: view.browser.shown.rowCount() == 1, timeout=WAIT_MS)
             view.browser.tree.selectAll()
+            qtbot.waitUntil(lambda: len(view.signals.loaded) == 1, timeout=WAIT_MS)
             idle(window)
             view.tabs.setCurrentWidget(view.signals if part == "signals" else view.analysis)
             if part.isdigit():
