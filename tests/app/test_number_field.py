@@ -65,3 +65,33 @@ def test_arrows_still_step_and_what_is_undone_comes_back(qtbot, window):
     qtbot.keyClick(field, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     qtbot.keyClick(field, Qt.Key.Key_Tab)
     assert field.value() == 10.0
+
+
+@pytest.mark.parametrize(("typed", "at_once"), [("100", True), ("5 kN", True), ("0.2", False), ("4", None)])
+def test_what_is_not_taken_is_explained_at_the_field(qtbot, window, typed, at_once):
+    """Nothing moves for it, and it is gone once something better is typed."""
+    form = window.ui.form
+    form.fold.setChecked(True)
+    field = form.max_force
+    refused = []
+    field.refused.connect(refused.append)
+    place = form.seconds.mapToGlobal(form.seconds.rect().topLeft())
+    field.setFocus()
+    field.selectAll()
+    qtbot.keyClicks(field, typed)
+    assert field.hint.isVisible() is bool(at_once)
+    form.seconds.setFocus()
+    assert form.seconds.mapToGlobal(form.seconds.rect().topLeft()) == place
+    if at_once is None:
+        assert not field.hint.isVisible()
+        assert refused == []
+        return
+    assert refused == [typed]
+    assert field.hint.text().startswith("0.5 to 12 N; 10.50 N")
+    assert field.accessibleDescription() == field.hint.text()
+    below = field.mapTo(window, field.rect().bottomLeft())
+    assert field.hint.y() >= below.y()
+    assert window.rect().contains(field.hint.geometry())
+    field.selectAll()
+    qtbot.keyClicks(field, "4")
+    assert not field.hint.isVisible()

@@ -30,7 +30,9 @@ from tissueid.app.language import _, marked
 from tissueid.app.number_field import NumberField
 from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.app.pseudonym import reads_like_name
+from tissueid.app.stimulus_form import StimulusForm
 from tissueid.instrument import PROFILES
+from tissueid.stimuli.kinds.noise import Noise
 
 _CALLED = {
     "clinical": marked("Clinical"),
@@ -168,6 +170,7 @@ class PlanForm(QWidget):
             seconds=self.seconds.settled,
             seed=self.seed.value(),
             lower_force=not self._own_force,
+            **self.stimulus.values(),
         )
 
     def tell_force(self, url: str, greatest_n: float) -> None:
@@ -205,6 +208,7 @@ class PlanForm(QWidget):
             "max_force_n": self.max_force.setValue,
             "seconds": self.seconds.setValue,
             "seed": self.seed.setValue,
+            "stimulus_kind": self.stimulus.fill,
         }
         for name, value in values.items():
             fields[name](value)
@@ -238,10 +242,16 @@ class PlanForm(QWidget):
         self.seed = QSpinBox()
         self.seed.setRange(0, _MOST_SEED)
         self.seed.setValue(1)
+        self.stimulus = StimulusForm()
         self.settings = QWidget()
-        grid = QGridLayout(self.settings)
-        grid.setContentsMargins(0, 0, 0, 0)
+        inside = QVBoxLayout(self.settings)
+        inside.setContentsMargins(0, 0, 0, 0)
+        inside.setSpacing(6)
+        inside.addWidget(self.stimulus)
+        grid = QGridLayout()
         grid.setVerticalSpacing(6)
+        inside.addLayout(grid)
+        self._rows: list[tuple[QLabel, QWidget]] = []
         rows = (
             (_("&Distribution"), self.distribution),
             (_("Lo&west force"), self.min_force),
@@ -255,6 +265,7 @@ class PlanForm(QWidget):
             field.setAccessibleName(name.replace("&", ""))
             grid.addWidget(label, row, 0)
             grid.addWidget(field, row, 1)
+            self._rows.append((label, field))
         grid.setColumnStretch(1, 1)
         group = QVBoxLayout()
         group.setSpacing(4)
@@ -263,6 +274,10 @@ class PlanForm(QWidget):
         layout.addLayout(group)
         self.fold.toggled.connect(self._unfold)
         self.distribution.currentIndexChanged.connect(self._summarise)
+        self.stimulus.changed.connect(self._summarise)
+        self.stimulus.changed.connect(self.changed)
+        self.stimulus.kind_changed.connect(self._show_options)
+        self._show_options()
         for spin in (self.min_force, self.max_force, self.seconds, self.seed):
             spin.valueChanged.connect(self._summarise)
         self._unfold(False)
@@ -286,7 +301,28 @@ class PlanForm(QWidget):
         self.min_force.setMaximum(most - self.min_force.singleStep())
         self.seconds.setMaximum(longest_stimulus_s(name))
 
+    def _show_options(self) -> None:
+        """Show the fields that the chosen kind of stimulus has a use for."""
+        has = self.stimulus.has
+        wanted = {
+            self.distribution: self.stimulus.chosen == Noise.name,
+            self.min_force: "force_min_n" in has,
+            self.max_force: "force_max_n" in has,
+            self.seconds: "seconds" in has,
+            self.seed: "seed" in has,
+        }
+        for label, field in self._rows:
+            for widget in (label, field):
+                widget.setVisible(wanted[field])
+
     def _summarise(self) -> None:
+        if self.stimulus.chosen != Noise.name:
+            title, has = self.stimulus.kind.currentText(), self.stimulus.has
+            low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()
+            words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
+            words = words if "force_max_n" in has else title
+            self.summary.setText(f"{words}, {seconds:g} s" if "seconds" in has else words)
+            return
         self.summary.setText(
             _("{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}").format(
                 distribution=self.distribution.currentText(),

@@ -100,11 +100,12 @@ class Guidance(QFrame):
         if phase is None:
             return
         self._mark(phase)
-        run_s = glance.fraction * plan.total_s
+        total_s = plan.total_s if glance.total_s is None else glance.total_s
+        run_s = glance.fraction * total_s
         done_s = glance.fraction * PLACE_S if phase is Phase.PLACE else PLACE_S + run_s
-        self.bar.setValue(round(_STEPS * done_s / (PLACE_S + plan.total_s)))
+        self.bar.setValue(round(_STEPS * done_s / (PLACE_S + total_s)))
         if phase is Phase.STIMULUS:
-            self.say(_("Measuring. Hold still for {left} s.").format(left=max(1, math.ceil(plan.total_s - run_s))))
+            self.say(_("Measuring. Hold still for {left} s.").format(left=max(1, math.ceil(total_s - run_s))))
         else:
             self.say(_(_WORDS[phase]))
 

@@ -144,7 +144,14 @@ class Layout:
             self.form.subject,
         ]
         order += [self.form.set_up.name, self.form.set_up.probe, self.form.set_up.spring]
-        order += [self.form.limits, self.form.fold, self.form.distribution, self.form.min_force, self.form.max_force]
+        order += [
+            self.form.limits,
+            self.form.fold,
+            *self.form.stimulus.fields,
+            self.form.distribution,
+            self.form.min_force,
+            self.form.max_force,
+        ]
         order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.guidance.lamp.watch]
         order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]

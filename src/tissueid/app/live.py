@@ -30,7 +30,8 @@ class Glance:
 
     ``time_s`` counts from the start of the preload, as a session's does, and is negative while the probe is placed.
     ``phase`` is None before the first sample; ``fraction`` (0 to 1) tells how much of the phase's run is played.
-    ``safety`` is None until it is known which instrument answers.
+    ``safety`` is None until it is known which instrument answers, ``total_s`` (the run with its preload) until it is
+    known what is played.
     """
 
     time_s: Array
@@ -39,19 +40,21 @@ class Glance:
     phase: Phase | None
     fraction: float
     safety: Safety | None = None
+    total_s: float | None = None
 
 
 class LiveSignals:
     """A ring buffer of the newest samples. One thread adds, another looks; neither waits for the other for long.
 
-    ``device``, ``greatest_force_n`` and ``identification`` are set by the one that adds once it knows the instrument;
-    the one that looks asks the latter for its newest view.
+    ``device``, ``greatest_force_n``, ``total_s`` (how long it lasts) and ``identification`` are set by the one that
+    adds once it knows the instrument; the one that looks asks the latter for its newest view.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self.device: DeviceDescription | None = None
         self.identification: LiveIdentification | None = None
         self.greatest_force_n: float | None = None
+        self.total_s: float | None = None
         self._watch: SafetyWatch | None = None
         self._lock = threading.Lock()
         self._ring = np.full((3, capacity), np.nan)  # time, force, position
@@ -98,7 +101,7 @@ class LiveSignals:
             else:
                 rows = np.roll(self._ring, -(self._added % capacity), axis=1)
             safety = None if self._watch is None else self._watch.look()
-            return Glance(rows[0], rows[1], rows[2], self._phase, self._fraction, safety)
+            return Glance(rows[0], rows[1], rows[2], self._phase, self._fraction, safety, self.total_s)
 
 
 def decimated(time_s: Array, values: Array, low_s: float, high_s: float, columns: int) -> tuple[Array, Array]:

@@ -11,12 +11,16 @@ from types import NoneType
 from tissueid.acquisition import (
     GuidedTest,
     JournalError,
+    MultistepTest,
     Phase,
     Progress,
     SessionRecorder,
+    check_multistep,
     journal_path,
     run_guided_test,
+    run_multistep,
 )
+from tissueid.acquisition.choice import test_kind
 from tissueid.acquisition.guided import check_test, place
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.waiting import meanwhile
@@ -25,15 +29,17 @@ from tissueid.app.instruments import greatest_force_n
 from tissueid.app.language import _
 from tissueid.app.live import LiveSignals
 from tissueid.app.pacing import PacedInstrument, Wait
-from tissueid.app.plan import Plan
+from tissueid.app.plan import MULTISTEP, Plan
 from tissueid.app.safety import SafetyWatch
 from tissueid.app.words import in_words, sentence
 from tissueid.audit import Trail
 from tissueid.calibration.in_force import calibrated
+from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
-from tissueid.instrument import PROFILES, Instrument, SimulatedInstrument
+from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument
 from tissueid.instrument.answers import describe_faults
 from tissueid.sessions import Session, Subject, Test
+from tissueid.stimuli import Stimulus
 from tissueid.wire import Fault
 
 
@@ -93,32 +99,54 @@ def measure(
             device, limits = instrument.device, instrument.narrowed(PROFILES[plan.limits])
             live.greatest_force_n = greatest_force_n(instrument)
             live.begin(SafetyWatch(device, limits, winding=not simulated))
-            stimulus = plan.within(live.greatest_force_n).stimulus(device.sample_rate_hz)
-            test = GuidedTest(stimulus, plan.site, configuration=plan.set_up(), limits=limits, notes=plan.notes)
-            check_test(test, device)
+            plan = plan.within(live.greatest_force_n)
+            run = meanwhile(instrument, functools.partial(_prepared, plan, device, limits), stop.check)
+            live.total_s = run.total_s
             stop.check()
             recorder = SessionRecorder(plan.path, device, Subject(plan.pseudonym), trail=trail)
             meanwhile(instrument, functools.partial(_remember, recorder, earlier), stop.check)
             if simulated:
                 instrument = PacedInstrument(instrument, wait or stop.wait)
 
-            identification = LiveIdentification(
-                device,
-                preload_s=stimulus.preload_s,
-                apart=apart,
-                external_spring_n_per_m=test.configuration.external_spring_n_per_m,
-            )
-            live.identification = identification
+            if isinstance(run.test, GuidedTest):
+                live.identification = LiveIdentification(
+                    device,
+                    preload_s=run.test.opening.preload_s,
+                    stop=plan.stop_rule(),
+                    apart=apart,
+                    external_spring_n_per_m=plan.external_spring_n_per_m,
+                )
+            identification = live.identification
 
             def show(progress: Progress) -> None:
                 live.add(progress, device)
-                if progress.phase is not Phase.PLACE:
+                if identification is not None and progress.phase is not Phase.PLACE:
                     identification.feed(progress.samples)
                     identification.step()
 
             placement = place(instrument, limits, progress=show, cancelled=stop.check)
             live.placed(placement.surface_m)
-            run_guided_test(instrument, test, recorder, surface_m=placement, progress=show, cancelled=stop.check)
+            if isinstance(run.test, GuidedTest):
+                assert identification is not None
+                run_guided_test(
+                    instrument,
+                    run.test,
+                    recorder,
+                    surface_m=placement,
+                    progress=show,
+                    cancelled=stop.check,
+                    enough=identification.enough,
+                    why=lambda: identification.reason,
+                )
+            else:
+                run_multistep(
+                    instrument,
+                    run.test,
+                    recorder,
+                    surface_m=placement,
+                    progress=lambda _step, progress: show(progress),
+                    cancelled=stop.check,
+                )
         finally:
             try:
                 instrument.close()
@@ -148,6 +176,31 @@ def measure(
         link_lost=problem if isinstance(problem, LinkLostError) else None,
         unlogged=sentence(_("not in the audit log: {problem}").format(problem=lacking)) if lacking else "",
     )
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A test that could be played, or several in steps, and how long it lasts, s."""
+
+    test: GuidedTest | MultistepTest
+    total_s: float
+
+
+def _prepared(plan: Plan, device: DeviceDescription, limits: Limits) -> _Prepared:
+    """Build and check what a plan asks for.
+
+    Raises:
+        LimitError, UnusableInputError: it could not be played.
+    """
+    if plan.stimulus_kind == MULTISTEP:
+        steps = plan.multistep(device.sample_rate_hz, limits)
+        check_multistep(steps, device)
+        return _Prepared(steps, plan.total_s)
+    stimulus = plan.prepared(device.sample_rate_hz)
+    test = GuidedTest(stimulus, plan.site, test_kind(stimulus), plan.set_up(), limits, notes=plan.notes)
+    check_test(test, device)
+    seconds = stimulus.seconds if isinstance(stimulus, Stimulus) else plan.total_s
+    return _Prepared(test, seconds)
 
 
 def _remember(recorder: SessionRecorder, earlier: Sequence[Test]) -> None:

@@ -4,10 +4,48 @@ from __future__ import annotations
 
 import re
 
+from PySide6.QtCore import QPoint, Qt, QTimer, Signal
 from PySide6.QtGui import QValidator
-from PySide6.QtWidgets import QDoubleSpinBox, QWidget
+from PySide6.QtWidgets import QDoubleSpinBox, QLabel, QWidget
 
+from tissueid.app.language import _
+
+_SHOWN_MS = 6000
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
+
+
+class FieldHint(QLabel):
+    """Words right below a field, drawn over what is there, so that nothing moves for them."""
+
+    def __init__(self, field: QWidget) -> None:
+        super().__init__(field)
+        self._field = field
+        self.setProperty("role", "hint")
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self._over = QTimer(self)
+        self._over.setSingleShot(True)
+        self._over.setInterval(_SHOWN_MS)
+        self._over.timeout.connect(self.hide)
+        self.hide()
+
+    def say(self, words: str, *, fading: bool = False) -> None:
+        """Show words, for some seconds where they are ``fading``; none of them hides it."""
+        self._over.stop()
+        self.setText(words)
+        self._field.setAccessibleDescription(words)
+        if not words:
+            self.hide()
+            return
+        window = self._field.window()
+        self.setParent(window)
+        self.adjustSize()
+        place = self._field.mapTo(window, QPoint(0, self._field.height() + 1))
+        self.move(max(0, min(place.x(), window.width() - self.width())), place.y())
+        self.show()
+        self.raise_()
+        if fading:
+            self._over.start()
 
 
 class NumberField(QDoubleSpinBox):
@@ -18,9 +56,22 @@ class NumberField(QDoubleSpinBox):
     again once the field is left. Until then the field has the value before; :attr:`settled` does not wait for it.
     """
 
+    refused = Signal(str)
+    """What was typed and is not taken."""
+
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setKeyboardTracking(False)
+        self.hint = FieldHint(self)
+        self.editingFinished.connect(self._look_back)
+        self._typed = ""
+        if (line := self.lineEdit()) is not None:
+            line.textEdited.connect(self._look_at)
+
+    @property
+    def range_words(self) -> str:
+        """What may be typed, in words: "0.5 to 12 N"."""
+        return _("{low:g} to {high:g}{unit}").format(low=self.minimum(), high=self.maximum(), unit=self.suffix())
 
     @property
     def settled(self) -> float:
@@ -36,7 +87,24 @@ class NumberField(QDoubleSpinBox):
 
     def fixup(self, text: str) -> str:
         """Nothing is made of what is no number: Qt would take commas out, and read "0,1" as 1."""
+        self._typed = text
         return text
+
+    def _look_at(self, text: str) -> None:
+        """Say what may be typed as soon as what is typed cannot become it."""
+        number = self._number(text)
+        wrong = bool(text.strip()) and (number is None or number > self.maximum())
+        self.hint.say(self.range_words if wrong else "")
+
+    def _look_back(self) -> None:
+        """Say what may be typed, and which value stands again."""
+        typed, self._typed = self._typed.removesuffix(self.suffix()).strip(), ""
+        if not typed:
+            self.hint.say("")
+            return
+        kept = self.textFromValue(self.value()) + self.suffix()
+        self.hint.say(_("{range}; {kept} stands again").format(range=self.range_words, kept=kept), fading=True)
+        self.refused.emit(typed)
 
     def valueFromText(self, text: str) -> float:  # noqa: N802
         """The number that is typed; the value before where it is none."""
@@ -45,6 +113,6 @@ class NumberField(QDoubleSpinBox):
 
     def _number(self, text: str) -> float | None:
         body, unit = text.strip(), self.suffix().strip()
-        for _ in range(2):  # the field's own, and one that is typed before it
+        for _time in range(2):  # the field's own, and one that is typed before it
             body = body.removesuffix(unit).strip()
         return float(body.replace(",", ".")) if _NUMBER.fullmatch(body) else None

@@ -5,19 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from platformdirs import user_documents_path
 
-from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
+from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice, playable, playable_file
+from tissueid.acquisition.multistep import MultistepTest
 from tissueid.app.language import _
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
-from tissueid.instrument import PROFILES
+from tissueid.identification.online.stopping import StopRule
+from tissueid.instrument import PROFILES, Limits
+from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind, get_stimulus
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.redesign import DepthDesign
 
 DEFAULT_URL = "simulated://forearm"
 ANONYMOUS = "anonymous"
+FROM_FILE = "file"
+MULTISTEP = "multistep"
+_ANY_RATE_HZ = 2000.0
+"""Options are checked at this rate before it is known which instrument answers."""
 SITES = (
     "left forearm, posterior",
     "left forearm, anterior",
@@ -46,6 +54,11 @@ class Plan(NoiseChoice):
     Without a ``probe`` it is the first one that is made for the configuration. ``lower_force`` takes the highest force
     down to what the instrument gives where that is less, which is refused otherwise. ``sitting`` is what the tests of
     one sitting have in common, each in a file of its own, and ``repeat`` counts them from 1.
+
+    ``stimulus_kind`` is a kind of stimulus, ``FROM_FILE`` for the one saved in ``stimulus_file``, or ``MULTISTEP``: as
+    many tests as the option ``steps`` says, each designed by those before to spread evenly over the depths.
+    ``options`` are those of the kind that have no field here, by name. ``stop_when`` are targets as ``StopRule`` reads
+    them.
     """
 
     url: str
@@ -57,6 +70,10 @@ class Plan(NoiseChoice):
     probe: str | None = None
     external_spring_n_per_m: float = 0.0
     lower_force: bool = False
+    stimulus_kind: str = Noise.name
+    options: tuple[tuple[str, Any], ...] = ()
+    stimulus_file: Path | None = None
+    stop_when: tuple[str, ...] = ()
     sitting: str = ""
     repeat: int = 0
 
@@ -77,6 +94,79 @@ class Plan(NoiseChoice):
                 )
             )
         self.set_up()
+        self.stop_rule()
+        if self.stimulus_kind == MULTISTEP:
+            self._depth_design(_ANY_RATE_HZ)
+            if self.stop_when:
+                raise UnusableInputError(_("a test in steps designs its stimuli itself: it takes no stop rule"))
+        elif self.stimulus_kind != FROM_FILE:
+            self._specification(_ANY_RATE_HZ)
+        elif self.stimulus_file is None:
+            raise UnusableInputError(_("choose the file of the saved stimulus"))
+
+    def prepared(self, sample_rate_hz: float) -> Stimulus | FeedbackKind:
+        """Return what the test plays, with its preload, or what generates it.
+
+        Raises:
+            UnusableInputError: the options do not make a stimulus, or the file cannot be used.
+        """
+        if self.stimulus_kind == FROM_FILE:
+            assert self.stimulus_file is not None
+            return playable_file(self.stimulus_file)
+        return playable(self._specification(sample_rate_hz))
+
+    def multistep(self, sample_rate_hz: float, limits: Limits) -> MultistepTest:
+        """Return the tests of a plan in steps.
+
+        Raises:
+            UnusableInputError: the options do not make one.
+        """
+        chosen = dict(self.options)
+        return MultistepTest(
+            self._depth_design(sample_rate_hz),
+            self.site,
+            steps=int(chosen["steps"]),
+            target=float(chosen["target"]),
+            seed=self.seed,
+            limits=limits,
+            configuration=self.set_up(),
+        )
+
+    def stop_rule(self) -> StopRule | None:
+        """Return the rule that ends the test early; None where none is asked for.
+
+        Raises:
+            UnusableInputError: a target does not read as one.
+        """
+        return StopRule.from_words(self.stop_when) if self.stop_when else None
+
+    def _specification(self, sample_rate_hz: float) -> StimulusKind:
+        kind = get_stimulus(self.stimulus_kind)
+        own = {
+            "distribution": self.distribution,
+            "force_min_n": self.min_force_n,
+            "force_max_n": self.max_force_n,
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "sample_rate": sample_rate_hz,
+        }
+        if self.stimulus_kind != Noise.name:
+            own.pop("distribution")  # an option of the kind, with names of its own
+        known = {name: value for name, value in own.items() if name in kind.model_fields}
+        return kind.from_options(known | dict(self.options))
+
+    def _depth_design(self, sample_rate_hz: float) -> DepthDesign:
+        chosen = dict(self.options)
+        return DepthDesign.from_options(
+            {
+                "depth_min_m": chosen["depth_min_m"],
+                "depth_max_m": chosen["depth_max_m"],
+                "force_min_n": self.min_force_n,
+                "force_max_n": self.max_force_n,
+                "seconds": self.seconds,
+                "sample_rate": sample_rate_hz,
+            }
+        )
 
     def within(self, greatest_n: float) -> Plan:
         """This plan on an instrument that gives so much force at most, N."""
@@ -99,8 +189,9 @@ class Plan(NoiseChoice):
 
     @property
     def total_s(self) -> float:
-        """Seconds that the stimulus and its preload last."""
-        return PRELOAD_S + self.seconds
+        """Seconds that the stimulus and its preload last, as far as the plan tells; a saved one has its own length."""
+        each = PRELOAD_S + self.seconds
+        return each * int(dict(self.options)["steps"]) if self.stimulus_kind == MULTISTEP else each
 
 
 def longest_stimulus_s(limits: str) -> float:

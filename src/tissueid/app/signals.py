@@ -66,6 +66,8 @@ class SignalPlots(QWidget):
     def show_live(self, glance: Glance) -> None:
         """Draw what a running test has recorded so far."""
         safety = glance.safety
+        if glance.total_s is not None and glance.total_s != self._time[1]:
+            self._show_times(-PLACE_S, glance.total_s, (0.0, PRELOAD_S))
         if safety is not None and safety.region != self._region:
             self.show_region(safety.region)
         self._draw(glance.time_s, glance.force_n, MM * glance.position_m)

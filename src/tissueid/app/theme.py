@@ -82,6 +82,8 @@ QLabel[role="readout"] { font-size: 9pt; }
 QLabel[role="readout"][level="good"] { color: $good; }
 QLabel[role="readout"][level="check"] { color: $check; font-weight: 600; }
 QLabel[role="readout"][level="poor"] { color: $poor; font-weight: 600; }
+QLabel[role="hint"] { background: $panel; color: $check; border: 1px solid $check; border-radius: 3px;
+    padding: 2px 6px; }
 QLabel[role="heading"] { font-weight: 600; font-size: 9pt; }
 QLabel[role="research"] { color: $muted; border: 1px solid $line; border-radius: 9px; padding: 2px 10px; }
 QLabel[role="instruction"] { font-size: 14pt; }

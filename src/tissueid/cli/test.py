@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import partial
 
 from tissueid.acquisition import (
-    PRELOAD_S,
     GuidedTest,
     JournalError,
     MultistepTest,
@@ -20,10 +19,10 @@ from tissueid.acquisition import (
     run_guided_test,
     run_multistep,
 )
+from tissueid.acquisition.choice import playable, playable_file, test_kind
 from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.placing import Placement, place, place_in_air
 from tissueid.acquisition.resting import foresee, rest, temperature_c
-from tissueid.acquisition.stimulus_file import load_stimulus
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.calibration import calibrated, in_words, warnings_of
 from tissueid.cli.logged import tell, trail
@@ -40,8 +39,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.online.stopping import StopRule
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.sessions import Session, Subject
-from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, guided
-from tissueid.stimuli import specified as described
+from tissueid.stimuli import FeedbackKind, Stimulus
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.redesign import DepthDesign
 
@@ -184,7 +182,7 @@ def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Guid
         LimitError, UnusableInputError: it could not.
     """
     stimulus = _stimulus(plan, device, limits)
-    kind = plan.kind or _kind_of(stimulus)
+    kind = plan.kind or test_kind(stimulus)
     test = GuidedTest(stimulus, plan.site, kind, plan.instrument_configuration(), limits)
     check_test(test, device)
     return test
@@ -237,29 +235,15 @@ def _stimulus(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Stim
         UnusableInputError: the options do not make one.
     """
     if plan.stimulus_file is not None:
-        loaded = load_stimulus(plan.stimulus_file)
-        if isinstance(loaded, FeedbackKind) or loaded.preload_s > 0.0:
-            return loaded
-        return guided(loaded, PRELOAD_S)
+        return playable_file(plan.stimulus_file)
     name = plan.stimulus or Noise.name
     defaults: dict[str, object] = {"sample_rate": device.sample_rate_hz}
     if name == Noise.name:
         defaults |= _default_forces(plan, device, limits) | {"seconds": _DEFAULTS.seconds, "seed": _DEFAULTS.seed}
     specification = specified(name, plan.common, plan.all_options(), defaults)
-    if isinstance(specification, FeedbackKind):
-        return specification
-    if not isinstance(specification, OpenLoopKind):
-        raise UnusableInputError(f"the stimulus {name!r} can neither be built nor generated")
-    if isinstance(specification, Noise):
-        specification.check_size()
-        return guided(specification.build(), PRELOAD_S)
-    return guided(designed(specification)[0], PRELOAD_S)
-
-
-def _kind_of(stimulus: Stimulus | FeedbackKind) -> str:
-    """The kind of test that a stimulus makes on tissue."""
-    specification = stimulus if isinstance(stimulus, FeedbackKind) else described(stimulus.description)[0]
-    return specification.test_kind
+    if isinstance(specification, Noise):  # built in no time
+        return playable(specification)
+    return playable(specification, lambda kind: designed(kind)[0])
 
 
 def _step(steps: tuple[Step, ...], number: int) -> Step | None:

@@ -1,0 +1,180 @@
+"""Fields of the Measure form for stimuli other than noise: which kind, its own options, a saved file, a stop rule."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, Field
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+
+from tissueid.app.language import _, marked
+from tissueid.app.plan import FROM_FILE, MULTISTEP
+from tissueid.app.views.researcher.fields import OptionField
+from tissueid.stimuli import get_stimulus, stimulus_names
+from tissueid.stimuli.kinds.noise import Noise
+
+TITLES = {
+    "noise": marked("Noise"),
+    "interchange": marked("Exact amplitudes and spectrum"),
+    "multisine": marked("Multisine"),
+    "designed": marked("Noise about one load"),
+    "rtig": marked("Equal depths, by feedback"),
+    MULTISTEP: marked("Equal depths, in steps"),
+    "quiet": marked("Quiet: no force"),
+    "slow_ramp": marked("Slow ramp"),
+    "step_hold": marked("Steps that are held"),
+    FROM_FILE: marked("Saved stimulus"),
+}
+"""What kinds are called; a kind of another package has its own name."""
+IN_FORM = ("force_min_n", "force_max_n", "seconds", "seed", "sample_rate")
+"""Options that the form has fields for, or that the instrument decides."""
+
+
+class _Steps(BaseModel):
+    """Options of a test in steps, as the command line has them."""
+
+    steps: int = Field(3, ge=1, le=20, description="Most tests; fewer where the depth is even before")
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least depth wanted, from the surface, m")
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest depth wanted, m")
+    target: float = Field(0.05, gt=0.0, le=1.0, description="Distance from evenness at which it is enough")
+
+
+class StimulusForm(QWidget):
+    """``changed`` is sent when the kind or one of its options is another; ``kind_changed`` for the kind alone."""
+
+    changed = Signal()
+    kind_changed = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.kind = QComboBox()
+        self.kind.setAccessibleName(_("Stimulus"))
+        names = [Noise.name, *(name for name in stimulus_names() if name != Noise.name), MULTISTEP, FROM_FILE]
+        for name in names:
+            self.kind.addItem(_(TITLES.get(name, name)), name)
+        self.file = QLineEdit()
+        self.file.setPlaceholderText(_("a stimulus saved by 'tissueid stimulus'"))
+        self.file.setAccessibleName(_("Saved stimulus"))
+        self.browse = QPushButton(_("Browse…"))
+        self.stop_when = QLineEdit()
+        self.stop_when.setPlaceholderText(_("such as stiffness=0.02; empty: to its end"))
+        self.stop_when.setAccessibleName(_("Stop when known to"))
+        self.stop_when.setToolTip(
+            _("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
+        )
+        self._options: dict[str, OptionField] = {}
+        self._grid = QGridLayout(self)
+        self._grid.setContentsMargins(0, 0, 0, 0)
+        self._grid.setVerticalSpacing(6)
+        self._grid.setColumnStretch(1, 1)
+        self._saved = QWidget()
+        row = QHBoxLayout(self._saved)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(self.file, 1)
+        row.addWidget(self.browse)
+        self._stop_label = QLabel(_("Stop when known to"))
+        for place, (label, field) in enumerate(
+            (
+                (QLabel(_("Stimulus")), self.kind),
+                (QLabel(_("File")), self._saved),
+                (self._stop_label, self.stop_when),
+            )
+        ):
+            self._grid.addWidget(label, place, 0)
+            self._grid.addWidget(field, place, 1)
+        self._rows = self._grid.rowCount()
+        self._file_label = self._grid.itemAtPosition(1, 0).widget()
+        self.kind.currentIndexChanged.connect(self._show_kind)
+        self.browse.clicked.connect(self._choose_file)
+        for line in (self.file, self.stop_when):
+            line.textChanged.connect(self.changed)
+        self._show_kind()
+
+    @property
+    def chosen(self) -> str:
+        """The kind of stimulus, ``MULTISTEP`` or ``FROM_FILE``."""
+        return str(self.kind.currentData())
+
+    @property
+    def has(self) -> frozenset[str]:
+        """The names of the options that the kind takes."""
+        if self.chosen == FROM_FILE:
+            return frozenset()
+        if self.chosen == MULTISTEP:
+            return frozenset((*_Steps.model_fields, *IN_FORM))
+        return frozenset(get_stimulus(self.chosen).model_fields)
+
+    def options(self) -> tuple[tuple[str, Any], ...]:
+        """The options of the kind that the form has no field for, SI.
+
+        Raises:
+            UnusableInputError: what was typed does not read as one.
+        """
+        return tuple((name, field.value()) for name, field in self._options.items())
+
+    def values(self) -> dict[str, Any]:
+        """The fields of ``Plan`` that stand here.
+
+        Raises:
+            UnusableInputError: what was typed does not read as an option.
+        """
+        saved = self.file.text().strip()
+        return {
+            "stimulus_kind": self.chosen,
+            "options": self.options(),
+            "stimulus_file": Path(saved) if self.chosen == FROM_FILE and saved else None,
+            "stop_when": tuple(self.stop_when.text().replace(",", " ").split()) if self._stops else (),
+        }
+
+    def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
+        """Choose a kind, with options other than its usual ones."""
+        self.kind.setCurrentIndex(max(0, self.kind.findData(kind)))
+        for name, value in (options or {}).items():
+            self._options[name].set_value(value)
+        self.changed.emit()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """What the tab key visits, in order."""
+        return [self.kind, self.file, self.browse, self.stop_when]
+
+    @property
+    def _stops(self) -> bool:
+        return self.chosen != MULTISTEP
+
+    def _show_kind(self) -> None:
+        while self._grid.count() > 2 * self._rows:
+            item = self._grid.takeAt(self._grid.count() - 1)
+            if item is not None and (widget := item.widget()) is not None:
+                widget.deleteLater()
+        self._options = {}
+        chosen = self.chosen
+        for widget in (self._file_label, self._saved):
+            widget.setVisible(chosen == FROM_FILE)
+        for widget in (self._stop_label, self.stop_when):
+            widget.setVisible(self._stops)
+        if chosen not in (FROM_FILE, Noise.name):
+            model = _Steps if chosen == MULTISTEP else get_stimulus(chosen)
+            for name, info in model.model_fields.items():
+                if name in IN_FORM:
+                    continue
+                field = OptionField(name, info)
+                field.set_value(info.get_default())
+                field.edited.connect(self.changed)
+                label = QLabel(field.label)
+                label.setWordWrap(True)
+                row = self._rows + len(self._options)
+                self._grid.addWidget(label, row, 0)
+                self._grid.addWidget(field, row, 1)
+                self._options[name] = field
+        self.kind_changed.emit()
+        self.changed.emit()
+
+    def _choose_file(self) -> None:
+        dialog = QFileDialog(self, _("Choose a saved stimulus"), self.file.text(), _("Stimuli (*.json);;All files (*)"))
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.file.setText)
+        dialog.open()

@@ -1,0 +1,121 @@
+"""Every stimulus that the command line plays can be chosen in the window, with the same result."""
+
+import json
+
+import numpy as np
+import pytest
+from app.benches import WAIT_MS
+from app.test_window import idle, press
+
+from tissueid.app.plan import FROM_FILE, MULTISTEP
+from tissueid.app.stimulus_form import TITLES
+from tissueid.cli import main
+from tissueid.instrument import SimulatedInstrument
+from tissueid.sessions import read_session
+from tissueid.stimuli import stimulus_names
+
+
+@pytest.fixture
+def form(window):
+    window.ui.form.site.setEditText("material sample")
+    return window.ui.form
+
+
+def run(qtbot, window):
+    """Run the test of the form to its end, and read its session."""
+    form = window.ui.form
+    path = form.folder / "made.h5"
+    form._choose_chosen_path(str(path))
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert path.exists(), window.ui.notice.text.text()
+    return read_session(path)
+
+
+def test_every_kind_is_offered_and_its_usual_options_make_a_plan(form):
+    box = form.stimulus.kind
+    offered = {box.itemData(place) for place in range(box.count())}
+    assert offered == {*stimulus_names(), MULTISTEP, FROM_FILE} == set(TITLES)
+    for name in stimulus_names():
+        form.stimulus.fill(name)
+        plan = form.plan()
+        plan.check()
+        assert plan.prepared(2000.0) is not None
+        assert form.summary.text()
+
+
+def test_fields_of_other_kinds_are_hidden(form):
+    form.fold.setChecked(True)
+    assert form.distribution.isVisible()
+    form.stimulus.fill("quiet")
+    assert not form.distribution.isVisible()
+    assert not form.max_force.isVisible()
+    form.stimulus.fill(FROM_FILE)
+    assert form.stimulus.file.isVisible()
+    assert not form.seconds.isVisible()
+
+
+@pytest.mark.parametrize("kind", ["interchange", "rtig"])
+def test_a_test_of_the_form_plays_what_the_command_line_plays(qtbot, open_window, tmp_path, kind):
+    window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
+    form = window.ui.form
+    form.site.setEditText("bench")
+    form.stimulus.fill(kind)
+    form.seconds.setValue(1.5)
+    form.seed.setValue(7)
+    made = run(qtbot, window)
+    command = ["test", "--device", "simulated://spring?seed=3", "--site", "bench", "--out", str(tmp_path / "cli.h5")]
+    low, high = form.min_force.value(), form.max_force.value()
+    options = ["--stimulus", kind, "--seconds", "1.5", "--seed", "7", "--min-force", str(low), "--max-force", str(high)]
+    assert main([*command, *options, "--no-calibration"]) == 0
+    known = read_session(tmp_path / "cli.h5")
+    ours, theirs = made.test(), known.test()
+    assert ours.kind == theirs.kind
+    assert ours.samples == theirs.samples
+    assert np.array_equal(ours.signals["command"], theirs.signals["command"])
+
+
+def test_a_saved_stimulus_a_stop_rule_and_steps(qtbot, open_window, tmp_path):
+    window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
+    form = window.ui.form
+    form.site.setEditText("bench")
+    saved = tmp_path / "ramp.json"
+    assert (
+        main(["stimulus", "slow_ramp", "--seconds", "2", "--min-force", "0.5", "--max-force", "6", "--out", str(saved)])
+        == 0
+    )
+    assert json.loads(saved.read_text())["format"] == "tissueid-stimulus"
+    form.stimulus.fill(FROM_FILE)
+    form.stimulus.file.setText(str(saved))
+    assert run(qtbot, window).test().kind == "slow_ramp"
+
+    (tmp_path / "made.h5").unlink()
+    form.stimulus.fill("noise")
+    form.seconds.setValue(6.0)
+    form.stimulus.stop_when.setText("stiffness=0.2")
+    stopped = run(qtbot, window).test()
+    assert stopped.status == "completed"
+    assert stopped.samples < 5.5 * 2000
+
+    (tmp_path / "made.h5").unlink()
+    form.stimulus.fill(MULTISTEP, {"steps": 2, "depth_min_m": 1e-3, "depth_max_m": 3e-3, "target": 0.001})
+    form.seconds.setValue(1.5)
+    steps = run(qtbot, window)
+    assert [test.notes["multistep"] for test in steps.tests] == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (FROM_FILE, lambda form: None),
+        ("noise", lambda form: form.stimulus.stop_when.setText("colour=0.1")),
+        (MULTISTEP, lambda form: form.stimulus._options["depth_min_m"].set_value(0.02)),
+    ],
+)
+def test_what_cannot_be_played_is_said_before_an_instrument_is_touched(qtbot, window, form, bench, kind, change):
+    form.stimulus.fill(kind)
+    change(form)
+    press(qtbot, window.ui.start)
+    assert not window.busy
+    assert window.ui.notice.isVisible()
+    assert bench.opened == []
