@@ -74,18 +74,17 @@ class StimulusForm(QWidget):
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self.file, 1)
         row.addWidget(self.browse)
-        self._stop_label = QLabel(_("Stop when known to"))
+        self._file_label, self._stop_label = QLabel(_("File")), QLabel(_("Stop when known to"))
         for place, (label, field) in enumerate(
             (
                 (QLabel(_("Stimulus")), self.kind),
-                (QLabel(_("File")), self._saved),
+                (self._file_label, self._saved),
                 (self._stop_label, self.stop_when),
             )
         ):
             self._grid.addWidget(label, place, 0)
             self._grid.addWidget(field, place, 1)
         self._rows = self._grid.rowCount()
-        self._file_label = self._grid.itemAtPosition(1, 0).widget()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
         for line in (self.file, self.stop_when):
