@@ -49,6 +49,6 @@ class Bench:
         self.opened = []
 
     def open(self, url):
-        instrument = SimulatedInstrument("forearm", seed=3)
+        instrument = SimulatedInstrument("baseline", seed=3)
         self.opened.append(instrument)
         return instrument
