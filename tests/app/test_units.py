@@ -252,7 +252,7 @@ def test_fitted_figures_of_an_effect_change_with_the_units(qtbot):
     tab = WhichTab()
     qtbot.addWidget(tab)
     fitted = (Fitted("Backlash", Estimate(0.0012, 0.0001), "m"), Fitted("Friction", Estimate(0.25, None), "N"))
-    tab._rivals = (Rival("Backlash", "mechanics", True, 0.9, "90 %", "", "a step", "mend it", fitted),)
+    tab._rivals = (Rival("Backlash", "mechanics", True, 0.9, "90 %", "95 %", "", "a step", "mend it", fitted),)
     tab.table.fill([(("Backlash", "", "90 %", "90 %"), 0.9, True)])
     tab.table.selectRow(0)
     assert tab.figures.text().splitlines()[1:] == ["Backlash: 1.20 ± 0.10 mm", "Friction: 0.25 N"]
