@@ -11,12 +11,11 @@ import pytest
 
 import tissueid
 from tissueid.acquisition.quality import setting
-from tissueid.app.core_diagnosis import MEANINGS
-from tissueid.app.core_effects import REMEDIES, SIGNATURES, TITLES
-from tissueid.app.core_words import CALIBRATION, ERRORS, GAP, GATE, VERDICT, said_by_core
-from tissueid.app.language import speak
 from tissueid.app.words import for_window, in_words
 from tissueid.calibration.in_force import NOT_CALIBRATED
+from tissueid.core_words import CALIBRATION, ERRORS, GAP, GATE, VERDICT, said_by_core
+from tissueid.core_words.diagnosis import MEANINGS
+from tissueid.core_words.effects import REMEDIES, SIGNATURES, TITLES
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Ranked
 from tissueid.gap.next_experiment import NextExperiment, odds
@@ -27,6 +26,7 @@ from tissueid.identification.family import Family
 from tissueid.identification.recommendation import Choice, Standing
 from tissueid.identification.validation.paired import Difference
 from tissueid.instrument.answers import describe_faults
+from tissueid.language import speak
 from tissueid.records import Record
 from tissueid.reports.verdict import ENDED_EARLY
 from tissueid.twin.catalogue import all_effects

@@ -7,10 +7,10 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QAbstractSpinBox
 
-from tissueid.app.language import speak
 from tissueid.app.theme import DARK
 from tissueid.app.views.start.rows import Rows
 from tissueid.instrument import Found
+from tissueid.language import speak
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

@@ -9,25 +9,25 @@ import pytest
 from PySide6.QtCore import QLocale, QSettings
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QLabel
 
-from tissueid.app import language
+from tissueid import language
 from tissueid.app.help_panel import FOLDER
-from tissueid.app.language import _, plural, speak
 from tissueid.app.language_choice import chosen
 from tissueid.app.views.start.view import WHAT_ROLES_DO
+from tissueid.language import _, plural, speak
 
-APP = Path(language.__file__).parent
+SOURCE = Path(language.__file__).parent
 LOOKS_UP = {"_": 1, "marked": 1, "plural": 2}
 
 
 def literals():
     """Every text that the code looks up, with the files that do."""
     found = {}
-    for path in sorted(APP.rglob("*.py")):
+    for path in sorted(SOURCE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in LOOKS_UP:
                 for text in node.args[: LOOKS_UP[node.func.id]]:
                     if isinstance(text, ast.Constant):
-                        found.setdefault(text.value, set()).add(path.relative_to(APP).as_posix())
+                        found.setdefault(text.value, set()).add(path.relative_to(SOURCE).as_posix())
     return found
 
 
@@ -75,7 +75,7 @@ def test_a_mnemonic_stays_a_mnemonic_and_nothing_is_empty(german):
 
 def test_nothing_called_underscore_hides_the_lookup():
     """A loop or a parameter called ``_`` would shadow it in the whole function."""
-    for path in sorted(APP.rglob("*.py")):
+    for path in sorted(SOURCE.rglob("*.py")):
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(function, ast.FunctionDef):
                 own = set(ast.walk(function))

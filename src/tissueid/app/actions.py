@@ -11,9 +11,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QAbstractButton, QScrollArea, QStackedWidget, QTabWidget, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.layout import MEASURE
 from tissueid.app.panels import HELP_KEY, LOG_KEY
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

@@ -11,7 +11,6 @@ from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.calibration_state import calibration_state
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.language import _, marked
 from tissueid.app.live_calibration import LiveCalibration
 from tissueid.audit import Trail
 from tissueid.calibration import StaticPlan, calibrate_static, write_calibration
@@ -26,6 +25,7 @@ from tissueid.calibration.sweep_file import as_calibration
 from tissueid.calibration.words import notes_of
 from tissueid.errors import CancelledError
 from tissueid.instrument import Instrument
+from tissueid.language import _, marked
 
 BRING_WORDS = marked("Move the spring so that the probe stands at {position:.1f} mm, and let go. It goes on by itself.")
 STANDS_WORDS = marked("The probe stands at {position:.1f} mm.")

@@ -22,7 +22,6 @@ from PySide6.QtWidgets import (
 from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
-from tissueid.app.language import _, marked
 from tissueid.app.live import Array
 from tissueid.app.number_field import NumberField
 from tissueid.app.plotting import PlotCard
@@ -31,6 +30,7 @@ from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.words import verdict_of
+from tissueid.language import _, marked
 
 _KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from tissueid.app.language import marked
 from tissueid.app.words import for_window, sentence
 from tissueid.calibration.in_force import in_words, warnings_of
 from tissueid.device import DeviceDescription
+from tissueid.language import marked
 
 UNKNOWN = marked("Calibration: not known yet")
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject
 
 from tissueid.app.conversation import CalibrationOutcome, CalibrationPlan, Conversation, Kind
-from tissueid.app.language import _
 from tissueid.app.layout import MEASURE
 from tissueid.app.live_calibration import LiveCalibration
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.calibration.store import made_folder
 from tissueid.errors import TissueIDError
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

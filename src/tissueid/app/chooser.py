@@ -9,10 +9,10 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.language import _
 from tissueid.app.plan import DEFAULT_URL
 from tissueid.instrument import Found
 from tissueid.instrument.discovery import IN_PROCESS
+from tissueid.language import _
 
 
 class InstrumentChooser(QWidget):

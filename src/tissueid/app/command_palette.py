@@ -9,7 +9,7 @@ from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFrame, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
 from tissueid.app.actions import PALETTE_KEY, Action, declare
-from tissueid.app.language import _
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.number_field import NumberField
 from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
+from tissueid.language import _, marked
 
 _USUAL_SPRING_N_PER_M = 200.0
 CONFIGURATION_NAMES = {

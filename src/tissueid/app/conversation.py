@@ -9,9 +9,9 @@ from typing import Literal
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.language import _
 from tissueid.calibration.file import Calibration
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 
 Kind = Literal["static", "sweep"]
 _WAIT_S = 0.1

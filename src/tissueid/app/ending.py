@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.app.language import _
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.measuring import Outcome

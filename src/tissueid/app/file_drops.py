@@ -10,10 +10,10 @@ from PySide6.QtCore import QObject
 from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
-from tissueid.app.language import _, plural
 from tissueid.app.place_to_save import free_place
 from tissueid.app.words import for_window, sentence
 from tissueid.audit import Trail
+from tissueid.language import _, plural
 from tissueid.whole_file import private_folder
 from tissueid.wording import clean
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.app.language import _
+from tissueid.language import _
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session
 from tissueid.sessions.quality import Quality

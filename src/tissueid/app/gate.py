@@ -8,11 +8,11 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.app.views.clinician.sitting import Sitting
 from tissueid.app.words import for_window
+from tissueid.language import _, marked
 from tissueid.sessions.quality import Quality, Verdict
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLa
 
 from tissueid.acquisition.placing import PLACE_S
 from tissueid.acquisition.playing import Phase
-from tissueid.app.language import _, marked
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
+from tissueid.language import _, marked
 
 IDLE = marked("Place the probe on the skin and hold the reference surface firmly. Then start the test.")
 CALIBRATION_IDLE = marked(

@@ -8,8 +8,8 @@ from typing import Any
 from PySide6.QtCore import QUrl
 from PySide6.QtWidgets import QDockWidget, QTextBrowser, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked, spoken
 from tissueid.app.theme import Theme
+from tissueid.language import _, marked, spoken
 
 FOLDER = Path(__file__).with_name("help")
 MISSING = marked("There is no help for this page.")

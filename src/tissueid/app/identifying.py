@@ -9,13 +9,13 @@ import numpy as np
 
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
-from tissueid.app.language import _, marked
 from tissueid.app.words import for_window, in_words, sentence
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Mask
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.language import _, marked
 from tissueid.reports.configured import surface_of
 from tissueid.reports.verdict import judge, visited
 from tissueid.sessions import Session, Test

@@ -26,10 +26,10 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.configuring import CONFIGURATION_NAMES
-from tissueid.app.language import _, marked
 from tissueid.app.words import in_words
 from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.language import _, marked
 from tissueid.sessions import KINDS
 from tissueid.sessions.imports import (
     ROLES,

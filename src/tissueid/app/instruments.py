@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
-from tissueid.app.language import _, plural
 from tissueid.instrument import RESEARCH, Found, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
+from tissueid.language import _, plural
 
 
 @dataclass(frozen=True)

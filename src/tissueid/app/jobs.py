@@ -7,8 +7,8 @@ from typing import Any
 
 from PySide6.QtCore import QObject, QThread, Signal
 
-from tissueid.app.language import _
 from tissueid.app.words import in_words
+from tissueid.language import _
 
 
 class Job(QThread):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QLibraryInfo, QLocale, QSettings, QTranslator
 
-from tissueid.app.language import ENGLISH, LANGUAGES, spoken
+from tissueid.language import ENGLISH, LANGUAGES, spoken
 
 SETTING = "language"
 """Under which the choice is kept."""

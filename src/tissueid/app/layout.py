@@ -28,7 +28,6 @@ from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
 from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
-from tissueid.app.language import _, marked
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.notice import Notice, NoticeLine
 from tissueid.app.rail import Rail
@@ -39,6 +38,7 @@ from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
 from tissueid.audit import Role
+from tissueid.language import _, marked
 
 SMALLEST = 800, 400
 """Least size of the window: a screen of 1280x720 at 150 % (853x480), less its task bar and a title bar, pixels."""

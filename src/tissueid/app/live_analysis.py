@@ -9,7 +9,6 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.live import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
@@ -18,6 +17,7 @@ from tissueid.app.units import said
 from tissueid.app.words import sentence
 from tissueid.device import SIMULATED_LINE
 from tissueid.instrument.discovery import IN_PROCESS
+from tissueid.language import _, marked
 from tissueid.wording import MISSING, named_unit
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _
 from tissueid.app.words import in_words
+from tissueid.language import _
 from tissueid.whole_file import write_private
 from tissueid.wording import clean
 

@@ -22,7 +22,6 @@ from tissueid.app.errands import judge_and_find
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
 from tissueid.app.findings import Findings, find, whose
 from tissueid.app.jobs import Jobs
-from tissueid.app.language import _, speak
 from tissueid.app.language_choice import chosen
 from tissueid.app.layout import MEASURE, Layout
 from tissueid.app.live import LiveSignals
@@ -42,6 +41,7 @@ from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words
 from tissueid.audit import Role, Trail
 from tissueid.errors import TissueIDError
+from tissueid.language import _, speak
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
 from tissueid.whole_file import private_folder

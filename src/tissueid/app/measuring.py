@@ -26,7 +26,6 @@ from tissueid.acquisition.live import LiveIdentification
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.emergency import NO_ANSWER, EmergencyStop
 from tissueid.app.instruments import greatest_force_n
-from tissueid.app.language import _
 from tissueid.app.live import LiveSignals
 from tissueid.app.pacing import PacedInstrument, Wait
 from tissueid.app.plan import MULTISTEP, Plan
@@ -38,6 +37,7 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument
 from tissueid.instrument.answers import describe_faults
+from tissueid.language import _
 from tissueid.sessions import Session, Subject, Test
 from tissueid.stimuli import Stimulus
 from tissueid.wire import Fault

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from PySide6.QtCore import QObject
 
 from tissueid.app.file_drops import pass_drops_on
-from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.remembered import put_back, remember, remembered_page
 from tissueid.app.theme import Theme, palette_of
@@ -23,6 +22,7 @@ from tissueid.app.views.start.view import StartView
 from tissueid.app.views.view import Desk, View
 from tissueid.app.waiting import tell_why
 from tissueid.audit import Role
+from tissueid.language import _, marked
 from tissueid.wording import clean
 
 if TYPE_CHECKING:

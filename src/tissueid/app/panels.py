@@ -10,9 +10,9 @@ from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QApplication, QDockWidget, QToolButton, QWidget
 
 from tissueid.app.help_panel import HelpPanel
-from tissueid.app.language import _
 from tissueid.app.log_panel import LogPanel
 from tissueid.app.theme import Theme
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

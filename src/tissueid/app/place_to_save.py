@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 
 from tissueid.acquisition import journal_path
-from tissueid.app.language import _
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 
 SUFFIX = ".h5"
 

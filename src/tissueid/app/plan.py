@@ -11,11 +11,11 @@ from platformdirs import user_documents_path
 
 from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice, playable, playable_file
 from tissueid.acquisition.multistep import MultistepTest
-from tissueid.app.language import _
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.identification.online.stopping import StopRule
 from tissueid.instrument import PROFILES, Limits
+from tissueid.language import _
 from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind, get_stimulus
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.redesign import DepthDesign

@@ -15,9 +15,9 @@ from PySide6.QtGui import QFont
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.axis import QuickAxis
-from tissueid.app.language import _
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_label
+from tissueid.language import _
 
 Array = NDArray[np.float64]
 

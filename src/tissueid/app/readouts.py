@@ -5,8 +5,8 @@ from __future__ import annotations
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.safety import Safety
+from tissueid.language import _, marked
 from tissueid.wording import MISSING, fixed
 
 _EVERY = 8

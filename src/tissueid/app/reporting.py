@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject
 
 from tissueid.app.errands import write_report_beside
-from tissueid.app.language import _, marked
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

@@ -19,7 +19,6 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.elided import ElidedLabel
 from tissueid.app.findings import Curves, Findings, Number, whose
-from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
@@ -28,6 +27,7 @@ from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.app.words import for_window
 from tissueid.device import SIMULATED_LINE
+from tissueid.language import _, marked
 from tissueid.sessions import Test
 from tissueid.wording import local_time, zone_offset
 

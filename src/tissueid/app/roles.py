@@ -6,8 +6,8 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QWidget
 
 from tissueid.app.labelled import in_a_row
-from tissueid.app.language import _, marked
 from tissueid.audit import ROLES, Role
+from tissueid.language import _, marked
 
 ROLE_NAMES: dict[Role, str] = {
     "clinician": marked("Clinician"),

@@ -10,11 +10,11 @@ from PySide6.QtCore import QObject
 
 from tissueid.app.errands import Recovery, recover_all, unfinished
 from tissueid.app.instruments import Survey, survey
-from tissueid.app.language import _, plural
 from tissueid.app.layout import MEASURE
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
+from tissueid.language import _, plural
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

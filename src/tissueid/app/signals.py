@@ -8,7 +8,6 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from tissueid.acquisition.choice import PRELOAD_S
 from tissueid.acquisition.placing import PLACE_S
-from tissueid.app.language import _, marked
 from tissueid.app.live import Array, Glance, decimated
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
@@ -16,6 +15,7 @@ from tissueid.app.safety import Region, linear_region
 from tissueid.app.theme import Theme
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
+from tissueid.language import _, marked
 from tissueid.sessions import Test
 
 MM = 1e3

@@ -9,9 +9,9 @@ from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.plan import FROM_FILE, MULTISTEP
 from tissueid.app.views.researcher.fields import OptionField
+from tissueid.language import _, marked
 from tissueid.stimuli import get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
 

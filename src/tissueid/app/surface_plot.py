@@ -21,11 +21,11 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.surface_geometry import HALF_HEIGHT, Array, Mesh, Pose, drawing_order, mesh_of, ticks
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.drawn import Image
+from tissueid.language import _, marked
 from tissueid.wording import number
 
 _LEVELS, _SHADES = 64, 16

@@ -6,9 +6,9 @@ import traceback
 
 from platformdirs import user_log_path
 
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _, marked
+from tissueid.core_words import said_by_core
 from tissueid.errors import TissueIDError
+from tissueid.language import _, marked
 from tissueid.whole_file import private_folder, write_private
 
 QUANTITIES = (marked("Mass"), marked("Damping"), marked("Stiffness"))

@@ -13,7 +13,6 @@ from gap_records import recorded
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, QLineEdit, QTableWidget
 
-from tissueid.app.language import speak, spoken
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.choosing import EffectChoice
 from tissueid.app.views.gap.proposal import Proposal
@@ -22,6 +21,7 @@ from tissueid.audit import AuditLog, last_lines
 from tissueid.gap.next_experiment import NextExperiment
 from tissueid.gap.search import Work
 from tissueid.instrument.twin_file import read_twin
+from tissueid.language import speak, spoken
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
 

@@ -15,8 +15,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.clinician.body import HEIGHT, SPOTS, WIDTH, Side, Spot, outline
+from tissueid.language import _, marked
 
 _POINT = 24
 """Pixels that a point takes: large enough for a finger."""

@@ -11,7 +11,6 @@ from PySide6.QtCore import QObject
 
 from tissueid.acquisition.playing import Phase
 from tissueid.app.findings import Findings
-from tissueid.app.language import _, plural
 from tissueid.app.layout import MEASURE
 from tissueid.app.live import Glance
 from tissueid.app.plan import Plan
@@ -25,6 +24,7 @@ from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Stan
 from tissueid.app.views.clinician.watcher import Watcher
 from tissueid.audit import Trail
 from tissueid.device import DeviceDescription
+from tissueid.language import _, plural
 from tissueid.sessions import Test
 from tissueid.sessions.accepted import AcceptedResult
 

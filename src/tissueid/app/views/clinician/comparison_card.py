@@ -6,11 +6,11 @@ import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
+from tissueid.language import _, marked
 from tissueid.wording import named_unit, people_unit
 
 _ROW = 17

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.playing import Phase
-from tissueid.app.language import marked
 from tissueid.app.live import Glance
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
+from tissueid.language import marked
 
 MARGIN_M = 1.0e-3
 """So near an end of the stroke the probe counts as being there, as where a test places it."""

@@ -6,8 +6,8 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QAccessible, QAccessibleEvent
 from PySide6.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.clinician.contact import Contact
+from tissueid.language import _
 
 
 class ContactLamp(QWidget):

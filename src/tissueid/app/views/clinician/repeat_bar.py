@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QLabel, QPushButton, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting import NORM, Sitting
+from tissueid.language import _, marked
 
 _COLOURS = {"good": "good", "look": "check", "repeat": "poor", None: "muted"}
 _WORDS = {

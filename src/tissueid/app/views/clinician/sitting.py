@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.app.language import _, marked
 from tissueid.app.plan import Plan
+from tissueid.language import _, marked
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.accepted import AcceptedResult, AcceptedTest, AcceptedValue

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, QTimer
 
 from tissueid.app.calibration_state import calibration_state
-from tissueid.app.language import _, marked
 from tissueid.app.layout import MEASURE
 from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.views.clinician.watching import Sight, Watched, watch
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from tissueid.app.main_window import MainWindow

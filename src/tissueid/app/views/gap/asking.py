@@ -22,9 +22,9 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.buttons import BigButton
-from tissueid.app.language import _, marked, spoken
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.gap.diagnosing import Asked, numbers_of_tests
+from tissueid.language import _, marked, spoken
 from tissueid.wording import clean
 
 NOMINAL = marked("Nominal twin")

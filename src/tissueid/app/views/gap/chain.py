@@ -9,9 +9,9 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QKeyEvent, QPainter, QPainterPath, QPaintEvent, QPen, QPolygonF, QResizeEvent
 from PySide6.QtWidgets import QAbstractButton, QButtonGroup, QSizePolicy, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import LIGHT, Theme, faint
 from tissueid.app.views.gap.words import STAGE_TITLES
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from tissueid.twin.effect import Stage

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QCheckBox, QDialog, QDialogButtonBox, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.gap.labels import plain_label
+from tissueid.language import _
 
 
 class EffectChoice(QDialog):

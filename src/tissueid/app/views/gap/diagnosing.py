@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissueid.app.language import ENGLISH, _, marked, speak
 from tissueid.app.views.gap.apart import Step, done_apart
 from tissueid.errors import UnusableInputError
+from tissueid.language import ENGLISH, _, marked, speak
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.story import Story

@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.gap.diagnosing import Result
 from tissueid.app.views.gap.words import STAGE_TITLES, VERDICT_WORDS
+from tissueid.language import _
 from tissueid.wording import clean
 
 _WIDTH, _LEAST_WIDTH = 196, 120

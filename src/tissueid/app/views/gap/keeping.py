@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tissueid.app.language import _
 from tissueid.app.place_to_save import free_place
 from tissueid.app.views.gap.apart import Step, done_apart
 from tissueid.app.views.gap.diagnosing import Asked, Result
 from tissueid.audit import Trail
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.sessions import read_session
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.bars import BarTable
 from tissueid.app.views.gap.labels import plain_label
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.proposal import Proposal

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from itertools import count, pairwise
 from typing import Any
 
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _
 from tissueid.app.words import sentence
+from tissueid.core_words import said_by_core
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.menu import menu
 from tissueid.gap.next_experiment import odds
+from tissueid.language import _
 from tissueid.sessions import Session
 from tissueid.wording import clean
 

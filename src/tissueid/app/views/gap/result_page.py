@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.chain import Chain
@@ -17,6 +16,7 @@ from tissueid.app.views.gap.next_tab import NextTab
 from tissueid.app.views.gap.where_tab import WhereTab
 from tissueid.app.views.gap.which_tab import WhichTab
 from tissueid.app.views.gap.words import STAGE_TITLES
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.story import Story

@@ -9,11 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _
 from tissueid.app.views.gap.overlay import Overlay, overlays_of
 from tissueid.app.views.gap.proposal import Proposal, proposal_of
 from tissueid.app.words import for_window, sentence
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.evidence import MARGIN
@@ -28,6 +27,7 @@ from tissueid.gap.statement import (
     percent,
     sentences_of,
 )
+from tissueid.language import _
 from tissueid.records import Estimate
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects

@@ -20,7 +20,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.asking import Asking
 from tissueid.app.views.gap.choosing import EffectChoice
@@ -39,6 +38,7 @@ from tissueid.app.views.view import Desk, View
 from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
+from tissueid.language import _, marked
 
 _WELCOME = marked(
     "A simulation of the same test never equals the recording. Choose a session and run: this page says whether the "

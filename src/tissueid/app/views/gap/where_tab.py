@@ -8,9 +8,9 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QGridLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.story import ProfileStory, SpectrumStory, Story

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.gap.bars import BarTable
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.app.views.gap.words import STAGE_TITLES
+from tissueid.language import _, marked
 from tissueid.wording import plus_minus, with_unit
 
 if TYPE_CHECKING:

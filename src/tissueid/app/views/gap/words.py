@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.app.language import marked
+from tissueid.language import marked
 
 if TYPE_CHECKING:
     from tissueid.twin.effect import Stage

@@ -21,7 +21,6 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.elided import ElidedLabel
-from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.arranging import arrange
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
@@ -43,6 +42,7 @@ from tissueid.app.views.view import Desk
 from tissueid.app.waiting import tell_why
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
+from tissueid.language import _, plural
 from tissueid.options import reason
 
 _STEPS = 1000

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QSplitter, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
+from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.views.researcher.analysis import AnalysisPanel

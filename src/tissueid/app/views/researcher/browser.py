@@ -11,7 +11,6 @@ from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, plural
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import ErrandStrip
@@ -23,6 +22,7 @@ from tissueid.app.views.researcher.session_filter import SessionFilter
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_tree import SessionTree
 from tissueid.app.views.view import Desk
+from tissueid.language import _, plural
 from tissueid.wording import clean, grouped
 
 _FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"

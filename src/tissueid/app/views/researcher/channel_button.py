@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QMenu, QPushButton, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.plot_stack import MOST_PLOTS
 from tissueid.app.views.researcher.reading import Channel
+from tissueid.language import _
 
 _FIRST = ("force", "position", "voltage", "input", "output", "current")
 """What is drawn before anybody chose, the first three of them that are there."""

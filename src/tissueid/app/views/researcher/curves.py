@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Drawn, Line, Panel
 from tissueid.app.views.researcher.images import images_of
 from tissueid.app.views.researcher.model_output import model_output
@@ -23,6 +22,7 @@ from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
 from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import _
 from tissueid.records import Record
 from tissueid.wording import people_unit
 

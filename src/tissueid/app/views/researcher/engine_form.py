@@ -21,12 +21,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _
 from tissueid.app.views.researcher.fields import OptionField
 from tissueid.app.words import sentence
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
+from tissueid.language import _
 from tissueid.wording import engine_label
 
 INPUTS = ("force", "current", "voltage", "command")

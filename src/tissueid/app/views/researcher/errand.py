@@ -8,8 +8,8 @@ from PySide6.QtCore import QSize, QTimer
 from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
 from tissueid.app.elided import ElidedLabel
-from tissueid.app.language import _
 from tissueid.errors import CancelledError
+from tissueid.language import _
 
 _LOOK_MS = 60
 _STEPS = 1000

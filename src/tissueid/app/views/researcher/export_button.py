@@ -9,11 +9,11 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import ErrandStrip
 from tissueid.app.views.researcher.exporting import EXPORTS, Export
 from tissueid.app.views.view import Desk
+from tissueid.language import _
 
 
 class ExportButton(QPushButton):

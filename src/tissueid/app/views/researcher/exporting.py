@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.language import _, marked
 from tissueid.sessions import read_session_head, read_test
 from tissueid.sessions.imports import export_session
 

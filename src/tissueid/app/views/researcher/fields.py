@@ -15,9 +15,9 @@ from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.wording import named_unit, people_unit
 
 _DECIMALS = 15

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tissueid.app.language import _
 from tissueid.app.theme import LIGHT
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.labels import labels_apart
 from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.language import _
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.figure import Figure

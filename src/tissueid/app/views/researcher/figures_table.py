@@ -8,13 +8,13 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.labels import labels_apart
 from tissueid.app.views.researcher.reading import Channel, Loaded
 from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.language import _
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, plus_minus
 

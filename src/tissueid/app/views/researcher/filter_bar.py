@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.index import Entry
 from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.language import _, marked
 from tissueid.wording import clean
 
 _NAMES = (marked("Subject"), marked("Site"), marked("Kind"))

@@ -9,8 +9,8 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.language import _
 from tissueid.wording import clean
 
 _LONGEST = 70

@@ -17,10 +17,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.history import MOST_ENTRIES, Entry
 from tissueid.app.views.researcher.task import Task
 from tissueid.identification import engine_names, get_engine
+from tissueid.language import _, marked
 from tissueid.wording import clean, engine_label, plain_text
 
 _COLUMNS = (

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Image
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import _
 from tissueid.wording import people_unit
 
 _MS = 1e3

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import time_of
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.language import _
 from tissueid.sessions import TestOutline, read_outline
 from tissueid.sessions.quality import quality_of
 from tissueid.wording import clean

@@ -13,13 +13,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.drawn import Drawn
 from tissueid.app.views.researcher.looks import PANELS
 from tissueid.app.views.researcher.outcome import Outcome, Stamp, stamp_of
 from tissueid.app.views.researcher.task import MOST_TESTS, Name, TestRef, Text, Value
 from tissueid.identification import FitReport
+from tissueid.language import _
 from tissueid.records import Estimate
 from tissueid.whole_file import open_regular, private_folder, whole_file
 

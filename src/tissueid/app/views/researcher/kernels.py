@@ -10,13 +10,13 @@ from PySide6.QtCore import QRectF
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QStackedWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.surface_plot import SurfacePlot
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.drawn import Image
 from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.language import _, marked
 
 _MISSING = marked("No result has a kernel to show: run Volterra, Depth or Direction.")
 

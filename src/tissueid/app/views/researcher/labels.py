@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
+from tissueid.language import _
 from tissueid.wording import clean
 
 _LONGEST = 60

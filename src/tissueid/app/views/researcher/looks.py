@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from tissueid.app.language import marked
 from tissueid.app.views.researcher.drawn import Panel
+from tissueid.language import marked
 
 KERNELS = marked("Kernel image")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.app.language import _
 from tissueid.app.views.researcher.drawn import Array, Line
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.wording import people_unit
 
 _COLUMNS = 3000

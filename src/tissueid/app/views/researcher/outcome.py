@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from tissueid.analysis import Analysis
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.curves import drawn
 from tissueid.app.views.researcher.drawn import Drawn
 from tissueid.app.views.researcher.labels import labels_apart, short_label
 from tissueid.identification import FitReport
+from tissueid.language import _
 from tissueid.wording import engine_label
 
 _NOTHING = Drawn({}, {}, (), {})

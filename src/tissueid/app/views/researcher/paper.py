@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tissueid.app.language import _
 from tissueid.app.theme import LIGHT
 from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.drawn import Array, Image, Line, Panel
@@ -17,6 +16,7 @@ from tissueid.app.views.researcher.looks import OUTPUT, PANELS, PICTURES, Look
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.views.researcher.population import DATE, DISTRIBUTION, Population
 from tissueid.app.views.researcher.results_table import SERIES
+from tissueid.language import _
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.axes import Axes

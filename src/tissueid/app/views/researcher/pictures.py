@@ -12,7 +12,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.drawn import Line, Panel
@@ -21,6 +20,7 @@ from tissueid.app.views.researcher.looks import KERNELS, OUTPUT, PANELS, PICTURE
 from tissueid.app.views.researcher.outcome import Outcome, keys_of
 from tissueid.app.views.researcher.paper import KernelFigure, PictureFigure
 from tissueid.app.views.researcher.results_table import SERIES
+from tissueid.language import _
 from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)

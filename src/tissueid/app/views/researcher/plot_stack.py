@@ -11,11 +11,11 @@ from PySide6.QtCore import QEvent, QObject, QPoint, Qt, QTimer, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded
+from tissueid.language import _
 from tissueid.wording import fixed, people_unit
 
 MOST_PLOTS = 6

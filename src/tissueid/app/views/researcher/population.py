@@ -11,9 +11,9 @@ from datetime import datetime
 import numpy as np
 from scipy.stats import t as student
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.drawn import Array
 from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.language import _, marked
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, axis_label, clean, engine_label, named_unit, people_unit
 

@@ -14,7 +14,6 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.elided import ElidedLabel
-from tissueid.app.language import _, marked, plural
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_si
@@ -35,6 +34,7 @@ from tissueid.app.views.researcher.population import (
 )
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.language import _, marked, plural
 from tissueid.records import Estimate
 from tissueid.wording import axis_label, grouped, named_unit, people_unit, plus_minus, with_unit
 

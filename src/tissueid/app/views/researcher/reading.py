@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.errand import Errand
 from tissueid.app.views.researcher.track import Track
 from tissueid.app.words import in_words
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.language import _
 from tissueid.sessions import read_test
 from tissueid.wording import clean
 

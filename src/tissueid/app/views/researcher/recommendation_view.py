@@ -21,10 +21,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.results_table import in_two_lines
 from tissueid.app.views.researcher.verdict import COLUMNS, Verdict
 from tissueid.identification import engine_names
+from tissueid.language import _, marked
 from tissueid.wording import engine_label
 
 _ROW = 22

@@ -17,11 +17,11 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor, QFont, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.outcome import Outcome
 from tissueid.app.words import for_window
+from tissueid.language import _, marked
 from tissueid.wording import (
     MISSING,
     axis_label,

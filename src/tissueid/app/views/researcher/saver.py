@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Protocol
 from PySide6.QtCore import QObject, Qt
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.saving import FIGURES, free_name, write_figure, write_table
 from tissueid.app.views.view import Desk
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
-from tissueid.app.language import _, marked
 from tissueid.errors import UnusableInputError
+from tissueid.language import _, marked
 from tissueid.whole_file import whole_file
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn

@@ -10,10 +10,10 @@ from pathlib import Path
 from PySide6.QtCore import QAbstractItemModel, QModelIndex, QObject, QPersistentModelIndex, Qt
 from PySide6.QtGui import QColor
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.index import VERDICTS, Entry, TestEntry
 from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.language import _, marked
 from tissueid.wording import MISSING, clean
 
 COLUMNS = (

@@ -6,9 +6,9 @@ from PySide6.QtCore import QModelIndex, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from PySide6.QtWidgets import QAbstractItemView, QTreeView, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.views.researcher.session_filter import SessionFilter
 from tissueid.app.views.researcher.session_model import CONFIGURATION, DURATION, FILE, KIND, TESTS
+from tissueid.language import _
 
 _FOLDED = (FILE, CONFIGURATION, KIND, DURATION, TESTS)
 """Columns that are hidden where there is no room, in this order."""

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.channel_button import ChannelButton
 from tissueid.app.views.researcher.chosen import Chosen
@@ -28,6 +27,7 @@ from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded, R
 from tissueid.app.views.researcher.saver import Saver
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.view import Desk
+from tissueid.language import _, marked
 from tissueid.wording import fixed, grouped
 
 _SIGNALS = "research/signals"

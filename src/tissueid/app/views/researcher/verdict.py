@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tissueid.analysis import EngineComparison
-from tissueid.app.core_words import said_by_core
-from tissueid.app.language import _, marked
 from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.words import sentence
+from tissueid.core_words import said_by_core
 from tissueid.identification.recommendation import Standing
+from tissueid.language import _, marked
 from tissueid.wording import MISSING, clean, engine_label, fixed, grouped
 
 

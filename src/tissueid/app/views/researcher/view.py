@@ -7,7 +7,6 @@ from pathlib import Path
 from PySide6.QtCore import QByteArray, QTimer
 from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis import AnalysisPanel
 from tissueid.app.views.researcher.browser import Browser
@@ -15,6 +14,7 @@ from tissueid.app.views.researcher.errand import ErrandStrip
 from tissueid.app.views.researcher.export_button import ExportButton
 from tissueid.app.views.researcher.signals import SignalsPanel
 from tissueid.app.views.view import Desk, View
+from tissueid.language import _
 
 _SPLIT, _TAB = "research/split", "research/tab"
 _WIDTHS = (400, 600)

@@ -6,8 +6,8 @@ from PySide6.QtCore import QSettings, Signal
 from PySide6.QtWidgets import QComboBox, QWidget
 
 from tissueid.app.labelled import in_a_row
-from tissueid.app.language import LANGUAGES, _, spoken
 from tissueid.app.language_choice import SETTING
+from tissueid.language import LANGUAGES, _, spoken
 
 
 class LanguageChooser(QWidget):

@@ -10,10 +10,10 @@ from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.errands import unfinished
-from tissueid.app.language import _, marked
 from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.language import _, marked
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import Quality, quality_of

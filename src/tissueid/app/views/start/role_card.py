@@ -7,10 +7,10 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.buttons import BigButton
-from tissueid.app.language import _
 from tissueid.app.roles import ROLE_NAMES
 from tissueid.app.theme import Theme
 from tissueid.audit import Role
+from tissueid.language import _
 
 
 class RoleCard(BigButton):

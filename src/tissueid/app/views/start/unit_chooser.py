@@ -6,9 +6,9 @@ from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QComboBox, QWidget
 
 from tissueid.app.labelled import in_a_row
-from tissueid.app.language import _, marked
 from tissueid.app.unit_choice import SETTING, show_everywhere
 from tissueid.app.units import SYSTEMS, System, in_force, use
+from tissueid.language import _, marked
 
 NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
 

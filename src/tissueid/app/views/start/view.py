@@ -23,7 +23,6 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.language import _, marked, plural
 from tissueid.app.layout import RESEARCH_USE
 from tissueid.app.theme import Theme
 from tissueid.app.views.start.language_chooser import LanguageChooser
@@ -35,6 +34,7 @@ from tissueid.app.views.start.unit_chooser import UnitChooser
 from tissueid.app.views.start.whereabouts import whereabouts
 from tissueid.app.views.view import Desk, View
 from tissueid.audit import Role
+from tissueid.language import _, marked, plural
 from tissueid.wording import clean
 
 WHAT_ROLES_DO: dict[Role, str] = {

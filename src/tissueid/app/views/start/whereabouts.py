@@ -5,11 +5,11 @@ from __future__ import annotations
 from platformdirs import user_log_path
 from PySide6.QtCore import QSettings
 
-from tissueid.app.language import _
 from tissueid.app.surroundings import Surroundings
 from tissueid.app.words import in_words
 from tissueid.calibration.store import calibration_folder, own_folder
 from tissueid.errors import TissueIDError
+from tissueid.language import _
 
 
 def whereabouts(around: Surroundings, settings: QSettings) -> list[tuple[str, str]]:

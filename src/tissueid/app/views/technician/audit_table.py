@@ -10,7 +10,6 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import moment
@@ -20,6 +19,7 @@ from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
 from tissueid.app.views.view import Desk
 from tissueid.audit import ROLES, Line, Verification, verify
 from tissueid.errors import UnusableInputError
+from tissueid.language import _, marked
 from tissueid.wording import clean, grouped
 
 _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")

@@ -10,7 +10,6 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
@@ -22,6 +21,7 @@ from tissueid.app.views.view import Desk
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.device import DeviceDescription
+from tissueid.language import _, marked
 from tissueid.wording import clean
 
 _HINT = marked(

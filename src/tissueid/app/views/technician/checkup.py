@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
-from tissueid.app.language import _, marked
 from tissueid.app.views.technician.events import Event, read_events
 from tissueid.app.views.technician.log_reading import LogPage, read_log
 from tissueid.app.words import sentence
@@ -19,6 +18,7 @@ from tissueid.errors import CancelledError, TissueIDError
 from tissueid.instrument import PROFILES, Instrument, Limits, SerialInstrument
 from tissueid.instrument.answers import describe_faults
 from tissueid.instrument.thermal import PLAUSIBLE_C
+from tissueid.language import _, marked
 from tissueid.sessions import read_outline, read_test
 from tissueid.wording import fixed, grouped
 

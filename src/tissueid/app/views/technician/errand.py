@@ -8,9 +8,9 @@ from typing import Any
 
 from PySide6.QtCore import QObject, Signal
 
-from tissueid.app.language import _
 from tissueid.app.views.view import Desk
 from tissueid.errors import CancelledError
+from tissueid.language import _
 
 Cancelled = Callable[[], None]
 

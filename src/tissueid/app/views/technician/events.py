@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tissueid.app.language import _, marked
 from tissueid.app.views.technician.log_reading import LogPage
 from tissueid.app.words import sentence
 from tissueid.audit import Line
 from tissueid.errors import TissueIDError
 from tissueid.instrument.answers import describe_faults
+from tissueid.language import _, marked
 from tissueid.sessions import read_outline
 from tissueid.wire import Fault
 from tissueid.wording import clean, plain_text

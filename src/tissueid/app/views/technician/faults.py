@@ -8,7 +8,6 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import newest_first
 from tissueid.app.views.technician.errand import Errands
@@ -17,6 +16,7 @@ from tissueid.app.views.technician.log_reading import read_log
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
 from tissueid.app.views.view import Desk
+from tissueid.language import _, marked
 from tissueid.wording import clean, grouped
 
 _CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")

@@ -8,7 +8,6 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import figure, unit_of
@@ -19,6 +18,7 @@ from tissueid.app.views.technician.lamps import Lamps
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
 from tissueid.app.views.view import Desk
 from tissueid.calibration.file import Calibration
+from tissueid.language import _
 from tissueid.wording import clean, fixed, grouped, number
 
 _MOST_REASONS = 5

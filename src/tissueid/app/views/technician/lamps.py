@@ -6,8 +6,8 @@ from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen
 from PySide6.QtWidgets import QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme, faint
+from tissueid.language import _, marked
 
 _LEVELS = ("poor", "check", "good")
 _WORDS = {"poor": marked("red"), "check": marked("yellow"), "good": marked("green"), "": marked("dark")}

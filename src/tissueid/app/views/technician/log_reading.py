@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissueid.app.language import _, plural
 from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
+from tissueid.language import _, plural
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean, grouped, plain_text
 

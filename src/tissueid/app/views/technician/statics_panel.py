@@ -9,7 +9,6 @@ import numpy as np
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_figures import figure_of
-from tissueid.app.language import _
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
@@ -18,6 +17,7 @@ from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, Trend, residuals, trend
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.words import label_of, notes_of, readable, verdict_of
+from tissueid.language import _
 from tissueid.wording import clean, people_unit
 
 _PREFERRED = "force_constant_n_per_a"

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from tissueid.app.language import _, marked
 from tissueid.app.words import sentence
 from tissueid.calibration.in_force import put_in_force
 from tissueid.calibration.judging import age_of, judged
 from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
+from tissueid.language import _, marked
 from tissueid.wording import MISSING, clean
 
 HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("In force"), marked("File"))

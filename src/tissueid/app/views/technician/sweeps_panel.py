@@ -11,7 +11,6 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from tissueid.app.calibration_figures import figure_of
-from tissueid.app.language import _, marked
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import figure, shown_si, unit_of
@@ -27,6 +26,7 @@ from tissueid.calibration.comparison import (
 )
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.words import label_of
+from tissueid.language import _, marked
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, clean, fixed, people_unit, plus_minus
 

@@ -8,7 +8,6 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
-from tissueid.app.language import _, marked
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.audit_table import AuditTab
 from tissueid.app.views.technician.calibrations import CalibrationsTab
@@ -17,6 +16,7 @@ from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
 from tissueid.app.views.technician.tab import Tab
 from tissueid.app.views.view import Desk, View
+from tissueid.language import _, marked
 
 _TAB = "instrument/tab"
 _TITLES = (marked("Health"), marked("Calibrations"), marked("Faults and events"), marked("Audit log"))

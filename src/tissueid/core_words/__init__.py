@@ -1,7 +1,7 @@
-"""Sentences of the core that people read most, with named places for what changes: how the window says them.
+"""Sentences of the core that people read most, with named places for what changes: how window and reports say them.
 
 The core says everything in English, for files, logs and the shell. Here a sentence is known again by its template and
-said by the catalogue's; one that is not known stays as it is. Nothing here knows Qt.
+said by the catalogue's; one that is not known stays as it is.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 import functools
 import re
 
-from tissueid.app.core_diagnosis import FINDINGS, MEANINGS, MENU, NEXT, PLACES, REMARKS, SPANS
-from tissueid.app.core_effects import TITLES
-from tissueid.app.core_recommendation import ADVICE
-from tissueid.app.language import ENGLISH, _, marked, spoken
+from tissueid.core_words.diagnosis import FINDINGS, MEANINGS, MENU, NEXT, PLACES, REMARKS, SPANS
+from tissueid.core_words.effects import TITLES
+from tissueid.core_words.recommendation import ADVICE
+from tissueid.language import ENGLISH, _, marked, spoken
 
 GATE = (
     marked("The test {how} after {seconds} s of its stimulus: {why}."),

@@ -1,8 +1,8 @@
-"""The language of the window: English texts are looked up when they are shown, in one readable catalogue a language.
+"""The language of the window and of the reports that it writes: English texts are looked up when they are used.
 
-English is what the code says; ``languages/CODE.toml`` has English = translation, grouped by page. A text without a
-translation stays English. What is kept or exchanged (sites, notes, file names, the audit log) is never translated, and
-numbers keep their decimal point. Nothing here knows Qt.
+English is what the code says, and what the command line speaks; ``languages/CODE.toml`` has English = translation,
+grouped by page. A text without a translation stays English. What is kept or exchanged (sites, notes, file names, the
+audit log) is never translated, and numbers keep their decimal point.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tissueid.app.language import marked
+from tissueid.language import marked
 
 ADVICE = (
     marked("None of these descriptions holds; the least bad is {name}: {score}. Check the signals."),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tissueid.app.language import marked
+from tissueid.language import marked
 
 FINDINGS = (
     marked("the position comes in steps of {size} um"),
