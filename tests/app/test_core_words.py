@@ -11,9 +11,9 @@ import pytest
 
 import tissueid
 from tissueid.acquisition.quality import setting
-from tissueid.app.words import for_window, in_words
+from tissueid.app.words import in_words
 from tissueid.calibration.in_force import NOT_CALIBRATED
-from tissueid.core_words import CALIBRATION, ERRORS, GAP, GATE, VERDICT, said_by_core
+from tissueid.core_words import CALIBRATION, ERRORS, GAP, GATE, VERDICT, for_window, said_by_core
 from tissueid.core_words.diagnosis import MEANINGS
 from tissueid.core_words.effects import REMEDIES, SIGNATURES, TITLES
 from tissueid.errors import UnusableInputError

@@ -22,7 +22,7 @@ from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.contact import Contact
 from tissueid.app.waiting import tell_why
-from tissueid.app.words import for_window
+from tissueid.core_words import for_window
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.limits import PROFILES
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 
-from tissueid.app.words import for_window, sentence
+from tissueid.app.words import sentence
 from tissueid.calibration.in_force import in_words, warnings_of
+from tissueid.core_words import for_window
 from tissueid.device import DeviceDescription
 from tissueid.language import marked
 

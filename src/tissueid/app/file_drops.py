@@ -11,8 +11,9 @@ from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
 from tissueid.app.place_to_save import free_place
-from tissueid.app.words import for_window, sentence
+from tissueid.app.words import sentence
 from tissueid.audit import Trail
+from tissueid.core_words import for_window
 from tissueid.language import _, plural
 from tissueid.whole_file import private_folder
 from tissueid.wording import clean

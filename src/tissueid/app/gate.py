@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushBut
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.views.clinician.repeat_bar import RepeatBar
 from tissueid.app.views.clinician.sitting import Sitting
-from tissueid.app.words import for_window
+from tissueid.core_words import for_window
 from tissueid.language import _, marked
 from tissueid.sessions.quality import Quality, Verdict
 

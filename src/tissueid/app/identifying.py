@@ -9,7 +9,8 @@ import numpy as np
 
 from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
-from tissueid.app.words import for_window, in_words, sentence
+from tissueid.app.words import in_words, sentence
+from tissueid.core_words import for_window
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Mask
 from tissueid.identification.engines.lms import LmsModel

@@ -25,7 +25,7 @@ from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.summary import SittingSummary
-from tissueid.app.words import for_window
+from tissueid.core_words import for_window
 from tissueid.device import SIMULATED_LINE
 from tissueid.language import _, marked
 from tissueid.sessions import Test

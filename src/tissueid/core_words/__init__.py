@@ -253,6 +253,35 @@ GAP = (
     marked("the surroundings"),
 )
 """What a diagnosis says first."""
+SAID_FOR_SHELL = (
+    (
+        "Run 'tissueid calibrate static', and 'tissueid calibrate sweep' where its date has passed.",
+        marked("Calibrate on the page Instrument: static, and the sweep where its date has passed."),
+    ),
+    (
+        "Run 'tissueid calibrate static' before the next test.",
+        marked("Calibrate on the page Instrument before the next test."),
+    ),
+    (
+        "Run 'tissueid calibrate static' before measurements that are to be compared.",
+        marked("Calibrate on the page Instrument before measurements that are to be compared."),
+    ),
+    (
+        "Check that the coil is connected, then run 'tissueid calibrate static'.",
+        marked("Check that the coil is connected, then calibrate on the page Instrument."),
+    ),
+    (
+        "there is no static calibration: run 'tissueid calibrate static'",
+        marked("there is no static calibration: calibrate on the page Instrument"),
+    ),
+    (
+        "the linear region is not known: run 'tissueid calibrate sweep'",
+        marked("the linear region is not known: do a sweep on the page Instrument"),
+    ),
+    ("run 'tissueid calibrate static'", marked("calibrate on the page Instrument")),
+    ("run 'tissueid calibrate sweep'", marked("do a sweep on the page Instrument")),
+)
+"""What the core advises to somebody at a shell, longest first, and what is to be done instead in the window."""
 _FIELD = re.compile(r"\{(\w+)\}")
 _LONGEST = 2000
 """Letters of a text that is looked at; what is longer is no sentence of the core."""
@@ -280,6 +309,25 @@ def said_by_core(text: str) -> str:
         said = _(_DEEDS[text])
         return said[:1].upper() + said[1:]
     return _by_templates(text, _patterns())
+
+
+def for_window(text: str) -> str:
+    """What the core says, without commands: what it is and what to do about it in the window, in its language."""
+    text = said_by_core(text)
+    for shell, window in SAID_FOR_SHELL:
+        if "'tissueid calibrate" not in text:
+            break
+        text = text.replace(shell, _(window)).replace(_capital(shell), _capital(_(window)))
+    return text
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def for_report(text: str) -> str:
+    """Return what the core says in the language of a report: in English as it is, with its commands."""
+    return text if spoken() == ENGLISH else for_window(text)
 
 
 def _by_templates(text: str, known: tuple[tuple[str, re.Pattern[str]], ...]) -> str:

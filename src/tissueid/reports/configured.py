@@ -9,9 +9,12 @@ from dataclasses import replace
 
 from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth, travel_word
+from tissueid.language import _, marked
 from tissueid.reports.blocks import Picture
 from tissueid.sessions import Test
 
+CONFIGURATIONS = (marked("indentation"), marked("extension"), marked("surface"))
+"""Names of configurations, as a session has them."""
 _DEPTH = re.compile(r"\b([Dd])epth(s?)\b")
 
 
@@ -38,4 +41,6 @@ def in_words_of(test: Test, pictures: Iterable[Picture]) -> tuple[Picture, ...]:
 def spring_line(analyses: Iterable[Analysis]) -> str:
     """That an external spring was subtracted, and which; empty where there was none."""
     spring = max((analysis.external_spring_n_per_m for analysis in analyses), default=0.0)
-    return f"The external spring of {spring:g} N/m is subtracted from every stiffness." if spring else ""
+    if not spring:
+        return ""
+    return _("The external spring of {spring:g} N/m is subtracted from every stiffness.").format(spring=spring)

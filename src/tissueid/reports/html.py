@@ -13,13 +13,14 @@ from markupsafe import Markup
 from tissueid.analysis import Analysis
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
+from tissueid.language import _, marked
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
 from tissueid.sessions import Session
 from tissueid.whole_file import whole_file
 from tissueid.wording import clean
 
-RESEARCH_LINE = "Research use only. Not a medical device; not for diagnosis or treatment."
+RESEARCH_LINE = marked("Research use only. Not a medical device; not for diagnosis or treatment.")
 
 
 def report_html(
@@ -51,9 +52,9 @@ def report_html(
     number, engines = tests[0]
     main = session.test(number)
     return template("report.html.j2").render(
-        title=title or (main.site[:1].upper() + main.site[1:]) or "Tissue measurement",
-        research_line=RESEARCH_LINE,
-        simulated_line=SIMULATED_LINE,
+        title=title or (main.site[:1].upper() + main.site[1:]) or _("Tissue measurement"),
+        research_line=_(RESEARCH_LINE),
+        simulated_line=_(SIMULATED_LINE),
         session=session,
         date=readable_date(session.created),
         main=pages[0],

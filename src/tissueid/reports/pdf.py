@@ -15,16 +15,18 @@ from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
 from tissueid.calibration.in_force import in_words
+from tissueid.core_words import for_report, said_by_core
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.language import _
 from tissueid.reports.configured import surface_of
 from tissueid.reports.diagnostics import held_out_prediction
 from tissueid.reports.html import RESEARCH_LINE
 from tissueid.reports.style import BLUE, GREEN, INK, LOST, MUTED, ORANGE, drawing, frequency_axis, log_axis
-from tissueid.reports.tables import readable_date
+from tissueid.reports.tables import readable_date, said_status
 from tissueid.reports.validation_figures import readable_stretch
 from tissueid.reports.verdict import judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
@@ -68,7 +70,7 @@ def write_pdf(
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     if not analyses:
-        raise UnusableInputError("there is nothing to report: no test was analysed")
+        raise UnusableInputError(_("there is nothing to report: no test was analysed"))
     written = io.BytesIO()
     with warnings.catch_warnings():
         # Letters that the font lacks stand as boxes; the numbers are what matters.
@@ -106,13 +108,13 @@ def _write(
         metadata={
             "CreationDate": None,
             "Producer": None,
-            "Title": "TissueID report",
-            "Subject": f"Session {session.session_id}",
+            "Title": _("TissueID report"),
+            "Subject": _("Session {name}").format(name=session.session_id),
         },
     ) as pages:
         for number, page in enumerate(paper.pages, 1):
-            page.text(_LEFT / _WIDTH, 0.45 / _HEIGHT, RESEARCH_LINE, fontsize=8.0, color=MUTED, fontweight="bold")
-            count = f"TissueID · page {number} of {len(paper.pages)}"
+            page.text(_LEFT / _WIDTH, 0.45 / _HEIGHT, _(RESEARCH_LINE), fontsize=8.0, color=MUTED, fontweight="bold")
+            count = _("TissueID · page {number} of {count}").format(number=number, count=len(paper.pages))
             page.text(_RIGHT / _WIDTH, 0.45 / _HEIGHT, count, fontsize=8.0, color=MUTED, ha="right")
             pages.savefig(page)
 
@@ -179,34 +181,40 @@ class _Paper:
 
 def _heading(paper: _Paper, session: Session, test: Test) -> None:
     site = test.site[:1].upper() + test.site[1:]
-    paper.line(_short(site, 55) or "Tissue measurement", size=17.0, bold=True)
+    paper.line(_short(site, 55) or _("Tissue measurement"), size=17.0, bold=True)
     paper.y -= 0.06
     device = session.instrument
-    configuration = f"{test.configuration}, {test.samples / test.sample_rate_hz:.1f} s at {test.sample_rate_hz:g} Hz"
+    told = _("number {number}, {status}; {configuration}, {seconds:.1f} s at {rate:g} Hz").format(
+        number=test.number,
+        status=said_status(test.status),
+        configuration=said_by_core(test.configuration),
+        seconds=test.samples / test.sample_rate_hz,
+        rate=test.sample_rate_hz,
+    )
     facts = (
-        ("Subject", session.subject.pseudonym),
-        ("Date", readable_date(session.created)),
-        ("Instrument", f"{device.model}, {device.serial_number}"),
-        ("Calibration", in_words(device)),
-        ("Test", f"number {test.number}, {test.status}; {configuration}"),
-        ("Session", session.session_id),
+        (_("Subject"), session.subject.pseudonym),
+        (_("Date"), readable_date(session.created)),
+        (_("Instrument"), f"{device.model}, {device.serial_number}"),
+        (_("Calibration"), for_report(in_words(device))),
+        (_("Test"), told),
+        (_("Session"), session.session_id),
     )
     for name, value in facts:
         paper.line(name, colour=MUTED)
         paper.text(_LEFT + 0.95, _short(value, 86))
     if device.simulated:
-        paper.line(SIMULATED_LINE, bold=True)
+        paper.line(_(SIMULATED_LINE), bold=True)
     paper.rule()
 
 
 def _verdict(paper: _Paper, test: Test, analyses: Analyses) -> None:
     verdict = judge(test, analyses)
-    paper.line(verdict.headline, size=13.0, colour=_COLOURS[verdict.level], bold=True)
-    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(reason), _ACROSS)]
+    paper.line(_(verdict.headline), size=13.0, colour=_COLOURS[verdict.level], bold=True)
+    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(for_report(reason)), _ACROSS)]
     for line in lines[:_MOST_REASONS]:
         paper.line(line)
     if len(lines) > _MOST_REASONS:
-        paper.line("… The HTML report has all of it.", colour=MUTED)
+        paper.line(_("… The HTML report has all of it."), colour=MUTED)
 
 
 def _numbers(paper: _Paper, test: Test, analyses: Analyses) -> None:
@@ -216,9 +224,9 @@ def _numbers(paper: _Paper, test: Test, analyses: Analyses) -> None:
         rows.append((found.label, f"{value} {found.unit}".strip(), found.note))
     if not rows:
         return
-    paper.table("This test", ("", "Value ± standard deviation", ""), rows)
+    paper.table(_("This test"), ("", _("Value ± standard deviation"), ""), rows)
     if where := visited(analyses, surface_of(test)):
-        for line in textwrap.wrap(clean(where), _ACROSS):
+        for line in textwrap.wrap(clean(said_by_core(where)), _ACROSS):
             paper.line(line, size=8.0, colour=MUTED)
 
 
@@ -241,10 +249,10 @@ def _figures(paper: _Paper, analyses: Analyses) -> None:
     top = paper.y - 0.4
     width, height = 2.85, (min(_FIGURES, paper.y - _BOTTOM) - 1.6) / 2
     draws: tuple[tuple[str, Callable[[Axes, Analyses], None]], ...] = (
-        ("Impulse response", _impulse),
-        ("Magnitude of the compliance", _magnitude),
-        ("Static nonlinearity", _nonlinearity),
-        ("Unseen motion", _prediction),
+        (_("Impulse response"), _impulse),
+        (_("Magnitude of the compliance"), _magnitude),
+        (_("Static nonlinearity"), _nonlinearity),
+        (_("Unseen motion"), _prediction),
     )
     for place, (name, draw) in enumerate(draws):
         x = _LEFT + 0.45 + (place % 2) * (width + 0.7)
@@ -255,21 +263,21 @@ def _figures(paper: _Paper, analyses: Analyses) -> None:
             draw(axes, analyses)
         except UnusableInputError as error:
             axes.set_axis_off()
-            axes.text(0.0, 0.5, textwrap.fill(str(error), 44), color=MUTED, transform=axes.transAxes)
+            axes.text(0.0, 0.5, textwrap.fill(said_by_core(str(error)), 44), color=MUTED, transform=axes.transAxes)
     paper.y = _BOTTOM
 
 
 def _impulse(axes: Axes, analyses: Analyses) -> None:
     model = analyses["lms"].model if "lms" in analyses else None
     if not isinstance(model, LmsModel):
-        raise UnusableInputError("no impulse response could be estimated")
+        raise UnusableInputError(_("no impulse response could be estimated"))
     lag_ms, response, std = 1e3 * model.lag_s, 1e3 * model.impulse_response, 1e3 * model.impulse_response_std
     fine_s = np.linspace(0.0, float(model.lag_s[-1]), 300)
     fitted = 1e3 * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
     axes.fill_between(lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0)
-    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=3.0, label="measured ± 1 s.d.")
-    axes.plot(1e3 * fine_s, fitted, color=ORANGE, label="second order")
-    axes.set_xlabel("Lag (ms)")
+    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=3.0, label=_("measured ± 1 s.d."))
+    axes.plot(1e3 * fine_s, fitted, color=ORANGE, label=_("second order"))
+    axes.set_xlabel(_("Lag (ms)"))
     axes.set_ylabel("mm/(N·s)")
     axes.legend(loc="upper right")
 
@@ -277,12 +285,12 @@ def _impulse(axes: Axes, analyses: Analyses) -> None:
 def _magnitude(axes: Axes, analyses: Analyses) -> None:
     model = analyses["spectral"].model if "spectral" in analyses else None
     if not isinstance(model, SpectralModel):
-        raise UnusableInputError("no transfer function could be estimated")
+        raise UnusableInputError(_("no transfer function could be estimated"))
     spectra = model.spectra
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
     shown &= spectra.magnitude > 0.0
     if shown.sum() < 3:
-        raise UnusableInputError("the input has power at fewer than three frequencies")
+        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
     frequency = spectra.frequency_hz[shown]
     axes.plot(frequency, 1e3 * spectra.magnitude[shown], color=BLUE, linestyle="none", marker=".", markersize=3.0)
     fine = np.geomspace(frequency[0], frequency[-1], 300)
@@ -295,12 +303,12 @@ def _magnitude(axes: Axes, analyses: Analyses) -> None:
 def _nonlinearity(axes: Axes, analyses: Analyses) -> None:
     analysis = analyses.get("wiener")
     if analysis is None or not isinstance(analysis.model, WienerModel):
-        raise UnusableInputError("no static nonlinearity could be estimated")
+        raise UnusableInputError(_("no static nonlinearity could be estimated"))
     record = analysis.record[analysis.fit_part]
     inner = analysis.model.linear_output(record.input)
     known = np.isfinite(inner) & np.isfinite(record.output)
     if known.sum() < 2:
-        raise UnusableInputError("no sample lies where the Wiener model can be run")
+        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
     inner, measured = inner[known], record.output[known]
     some = slice(None, None, max(1, inner.size // _MOST_DOTS))
     unit, scale = people_unit(record.output_unit)
@@ -315,20 +323,20 @@ def _nonlinearity(axes: Axes, analyses: Analyses) -> None:
         alpha=0.5,
     )
     axes.plot(fine, scale * analysis.model.nonlinearity(fine), color=ORANGE)
-    axes.set_xlabel("Force after the linear stage (N)")
-    axes.set_ylabel(f"Position ({unit})")
+    axes.set_xlabel(_("Force after the linear stage (N)"))
+    axes.set_ylabel(_("Position ({unit})").format(unit=unit))
 
 
 def _prediction(axes: Axes, analyses: Analyses) -> None:
     name = "wiener" if "wiener" in analyses else linear_engine(analyses)
     if name is None:
-        raise UnusableInputError("no model could be run on motion that it had not seen")
+        raise UnusableInputError(_("no model could be run on motion that it had not seen"))
     found = held_out_prediction(engine_label(name), analyses[name])
     part = readable_stretch(found, 0.4)
     unit, scale = people_unit(found.output_unit)
     time_s = found.time_s[part] - found.time_s[part][0]
-    axes.plot(time_s, scale * found.measured[part], color=BLUE, linewidth=2.6, alpha=0.5, label="measured")
-    axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label="predicted")
-    axes.set_xlabel("Time (s)")
-    axes.set_ylabel(f"Position ({unit})")
+    axes.plot(time_s, scale * found.measured[part], color=BLUE, linewidth=2.6, alpha=0.5, label=_("measured"))
+    axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label=_("predicted"))
+    axes.set_xlabel(_("Time (s)"))
+    axes.set_ylabel(_("Position ({unit})").format(unit=unit))
     axes.legend(loc="upper right", ncols=2)

@@ -20,6 +20,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from tissueid.language import _
 from tissueid.wording import clean, superscript
 
 INK = "#24292f"
@@ -152,9 +153,9 @@ def frequency_axis(axes: Axes, low: float, high: float) -> None:
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlabel("Frequency (Hz)")
+    axes.set_xlabel(_("Frequency (Hz)"))
 
 
 def log_axis(axes: Axes) -> None:
@@ -163,7 +164,7 @@ def log_axis(axes: Axes) -> None:
     low, high = axes.get_ylim()
     few = high / low < 1e3
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=8))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power_label(value, plain=few)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _place: _power_label(value, plain=few)))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_minor_locator(NullLocator())
 

@@ -15,6 +15,7 @@ from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.identification.base import FitReport
+from tissueid.language import _, marked
 from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
 from tissueid.reports.signal_figures import lost_samples
@@ -77,6 +78,22 @@ class Comparison:
 UNCERTAIN_DEVIATIONS = 2.0
 """A parameter within so many standard deviations of zero is called uncertain."""
 
+MONTHS = (
+    marked("January"),
+    marked("February"),
+    marked("March"),
+    marked("April"),
+    marked("May"),
+    marked("June"),
+    marked("July"),
+    marked("August"),
+    marked("September"),
+    marked("October"),
+    marked("November"),
+    marked("December"),
+)
+STATUSES = (marked("completed"), marked("aborted"), marked("recovered"))
+"""How a test can have ended, as a session file has it."""
 _TOLD_ELSEWHERE = ("events", "quality", "samples_lost", "stimulus_report")
 """Notes of a test that have a row of their own, or are data for programs."""
 
@@ -181,8 +198,16 @@ def readable_date(created: str) -> str:
     try:
         moment = local_time(created) or datetime.fromisoformat(created)
     except ValueError:
-        return created or "date not recorded"
-    return f"{moment.day} {moment:%B %Y, %H:%M} {zone_offset(moment) if moment.tzinfo else ''}".rstrip()
+        return created or _("date not recorded")
+    said = _("{day} {month} {year}, {time}").format(
+        day=moment.day, month=_(MONTHS[moment.month - 1]), year=moment.year, time=f"{moment:%H:%M}"
+    )
+    return f"{said} {zone_offset(moment) if moment.tzinfo else ''}".rstrip()
+
+
+def said_status(status: str) -> str:
+    """Return how a test ended, in the language of the report."""
+    return _(status)
 
 
 def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> tuple[Table, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.language import _
 from tissueid.reports.configured import surface_of
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
@@ -71,10 +72,10 @@ class KeyNumber:
 def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
     """Judge a test by facts: how it ended, what was lost, how models do on data that they have not seen."""
     doubts = _doubts(test, analyses)
-    level: Level = max((level for level, _ in doubts), key=_SEVERITY.index, default="good")
+    level: Level = max((level for level, _reason in doubts), key=_SEVERITY.index, default="good")
     imported = level == "poor" and "source_format" in test.notes
     headline = FROM_ELSEWHERE if imported else HEADLINES[_VERDICTS[level]]
-    return Verdict(level, headline, tuple(dict.fromkeys(reason for _, reason in doubts)))
+    return Verdict(level, headline, tuple(dict.fromkeys(reason for _level, reason in doubts)))
 
 
 def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
@@ -203,23 +204,23 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
             label, si_unit = named_unit(name)
             unit, scale = people_unit(si_unit)
             value, std, power = estimate(parameters[name], scale)
-            note = "" if std else "without an estimate of its uncertainty"
+            note = "" if std else _("without an estimate of its uncertainty")
             if name == "stiffness_n_per_m" and (spring := analyses[source].external_spring_n_per_m):
-                note = f"external spring of {spring:g} N/m subtracted"
+                note = _("external spring of {spring:g} N/m subtracted").format(spring=spring)
             if name == "natural_frequency_rad_per_s" and ratio is not None:
-                note = f"damping ratio {fixed(ratio.value, 2)}"
-            numbers.append(KeyNumber(label, value, std, f"{power} {unit}".strip(), note))
-    for label, engine in (("linear", linear), ("nonlinear", wiener)):
+                note = _("damping ratio {value}").format(value=fixed(ratio.value, 2))
+            numbers.append(KeyNumber(_(label), value, std, f"{power} {unit}".strip(), note))
+    for label, engine in ((_("Motion explained, linear"), linear), (_("Motion explained, nonlinear"), wiener)):
         if engine is None:
             continue
         report = analyses[engine].model.report
         numbers.append(
             KeyNumber(
-                f"Motion explained, {label}",
+                label,
                 fixed(report.vaf_validation_percent, 1),
                 "",
                 "%" if report.vaf_validation_percent is not None else "",
-                f"of the check part; {fixed(report.vaf_percent, 1)} % of the rest",
+                _("of the check part; {percent} % of the rest").format(percent=fixed(report.vaf_percent, 1)),
             )
         )
     return tuple(numbers)

@@ -9,10 +9,11 @@ from tissueid.app.findings import Findings
 from tissueid.app.place_to_save import free_place
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
+from tissueid.language import _, marked
 from tissueid.records import Estimate
 from tissueid.wording import MISSING, named_unit, people_unit, plus_minus
 
-THIS = "This:"
+THIS = marked("This:")
 """What stands before the label of the sitting of the shown test: what follows may be cut off, this not."""
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
@@ -30,16 +31,18 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
     further: list[Table] = []
     if len(comparison.sightings) > 1:
         names = [named_unit(name) for name in QUANTITIES]
-        columns = ("Sitting", *(f"{name} ({people_unit(unit)[0]})" for name, unit in names))
+        columns = (_("Sitting"), *(f"{_(name)} ({people_unit(unit)[0]})" for name, unit in names))
         lines = []
         for one in comparison.sightings:
             texts = [
                 _text(one.values.get(name), people_unit(unit)[1])
                 for name, (_, unit) in zip(QUANTITIES, names, strict=True)
             ]
-            lines.append((f"{THIS} {one.label}" if one.this else one.label, *texts))
-        heading = "The subject's other sites and sittings"
-        further.append((f"{heading} († another instrument)" if comparison.remark else heading, columns, lines))
+            lines.append((f"{_(THIS)} {one.label}" if one.this else one.label, *texts))
+        heading = _("The subject's other sites and sittings")
+        if comparison.remark:
+            heading = _("The subject's other sites and sittings († another instrument)")
+        further.append((heading, columns, lines))
     result = None if standing is None else _result(standing)
     write_pdf(path, findings.session, findings.test, findings.analyses, result=result, further=further)
     return path
@@ -48,7 +51,7 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
 def _result(standing: Standing) -> tuple[Table, tuple[str, ...]]:
     """What stands as the result, as a table, and the lines below it."""
     repeated = any(value.count > 1 for value in standing.values.values())
-    heads = HEADS if repeated else ("", VALUE_HEAD)
+    heads = [_(head) if head else "" for head in (HEADS if repeated else ("", VALUE_HEAD))]
     rows = [row[: len(heads)] for row in standing.rows().values()]
     return (standing.heading, heads, rows), tuple(filter(None, [standing.tests, standing.remark]))
 

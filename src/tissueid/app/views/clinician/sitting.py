@@ -202,7 +202,7 @@ class Standing:
             unit, scale = unit_for(si_unit)
             relative = 100.0 * said.std / abs(said.mean) if said.std and said.mean else None
             rows[quantity] = (
-                name,
+                _(name),
                 f"{plus_minus(Estimate(said.mean, said.std), scale)} {unit}",
                 MISSING if relative is None else f"{fixed(relative, 1)} %",
                 f"{number(scale * said.repeatability, 2)} {unit}" if said.repeatability else MISSING,

@@ -134,7 +134,7 @@ class _GapBars(QWidget):
         if after is not None:
             self._rows.append((_("After"), after, "measured"))
         self._rows.append((_("Noise alone"), noise, "check"))
-        told = ", ".join(f"{name.lower()} {_percent(share)}" for name, share, _ in self._rows)
+        told = ", ".join(f"{name} {_percent(share)}" for name, share, _level in self._rows)
         self.setAccessibleName(_("Gap: {told}").format(told=told))
         self.updateGeometry()
         self.update()

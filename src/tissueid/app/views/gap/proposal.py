@@ -60,7 +60,7 @@ def _by_hand(title: str) -> str:
         "By hand: {title}. The form on the page Measure has no such test: have it recorded from the command line, "
         "which the answer for scripts (Export JSON…) gives, or with the instrument's own program. Then diagnose that "
         "session."
-    ).format(title=f"{title[:1].lower()}{title[1:]}")
+    ).format(title=title)
 
 
 def _fields(command_line: str, session: Session) -> dict[str, Any]:

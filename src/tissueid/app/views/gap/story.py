@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tissueid.app.views.gap.overlay import Overlay, overlays_of
 from tissueid.app.views.gap.proposal import Proposal, proposal_of
-from tissueid.app.words import for_window, sentence
-from tissueid.core_words import said_by_core
+from tissueid.app.words import sentence
+from tissueid.core_words import for_window, said_by_core
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
 from tissueid.gap.evidence import MARGIN

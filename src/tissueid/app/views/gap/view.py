@@ -262,7 +262,7 @@ class GapView(View):
             _(
                 "Prepared: {title}, {low:.1f} to {high:.1f} N as far as the limits allow. Check "
                 "the instrument and the site, then start the test."
-            ).format(title=f"{step.title[:1].lower()}{step.title[1:]}", low=low, high=high),
+            ).format(title=step.title, low=low, high=high),
         )
 
     # -- files that are dropped -----------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ class FilterBar(QWidget):
         choices = QHBoxLayout()
         choices.setSpacing(6)
         for choice, name, anything in zip(self.choices, _NAMES, _ANY, strict=True):
-            choice.setAccessibleName(_("Filter by {column}").format(column=_(name).lower()))
+            choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(4)
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)

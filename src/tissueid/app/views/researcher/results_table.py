@@ -20,7 +20,7 @@ from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidge
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.outcome import Outcome
-from tissueid.app.words import for_window
+from tissueid.core_words import for_window
 from tissueid.language import _, marked
 from tissueid.wording import (
     MISSING,

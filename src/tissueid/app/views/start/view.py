@@ -369,4 +369,4 @@ def _calibration(state: CalibrationState) -> str:
     said = _(state.words)
     for word in ("Calibration", _("Calibration")):
         said = said.removeprefix(f"{word}: ")
-    return said.capitalize()
+    return said[:1].upper() + said[1:]

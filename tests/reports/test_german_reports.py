@@ -1,0 +1,60 @@
+"""Reports in German: nothing that is a text in the English report is left in English."""
+
+import re
+
+import pytest
+from matplotlib.backends.backend_pdf import PdfPages
+from matplotlib.text import Text
+
+from tissueid.language import speak
+from tissueid.reports.pdf import write_pdf
+
+SAME = {"Position (mm)", "Test", "Name"}
+"""Texts that are the same in both languages."""
+
+
+@pytest.fixture(autouse=True)
+def english_again():
+    yield
+    speak("en")
+
+
+def in_both(texts, same):
+    """Texts with a word in them that the English and the German report share, but for names and units."""
+    english, german = ({" ".join(text.split()) for text in one} for one in texts)
+    assert len(english) > 20
+    return {text for text in english & german if re.search(r"[A-Za-z]{3}", text)} - same
+
+
+def in_each_language(make):
+    """What a report says in English and in German."""
+    said = []
+    for code in ("en", "de"):
+        speak(code)
+        said.append(make())
+    return said
+
+
+@pytest.fixture
+def paper(monkeypatch, tmp_path):
+    """Write the PDF of a test and return every text on its pages."""
+
+    def write(session, test, analyses):
+        texts = []
+        monkeypatch.setattr(
+            PdfPages, "savefig", lambda _pages, page: texts.extend(found.get_text() for found in page.findobj(Text))
+        )
+        write_pdf(tmp_path / "report.pdf", session, test, analyses)
+        return texts
+
+    return write
+
+
+def test_the_paper_says_nothing_in_english(session, analyses, paper):
+    test = session.test(1)
+    device = session.instrument
+    known = {session.subject.pseudonym, session.session_id, f"{device.model}, {device.serial_number}"}
+    known |= {test.site[:1].upper() + test.site[1:]}
+    said = in_each_language(lambda: paper(session, test, analyses[1]))
+    assert in_both(said, SAME | known) == set()
+    assert {"Person", "Betrag der Nachgiebigkeit", "Impulsantwort", "Verzögerung (ms)"} <= set(said[1])
