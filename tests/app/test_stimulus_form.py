@@ -104,6 +104,32 @@ def test_a_saved_stimulus_a_stop_rule_and_steps(qtbot, open_window, tmp_path):
     assert [test.notes["multistep"] for test in steps.tests] == [1.0, 2.0]
 
 
+def test_what_is_under_the_probe_is_the_kind_of_the_test(qtbot, open_window):
+    window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
+    form = window.ui.form
+    form.fill({"site": "bench", "under_probe": "spring", "seconds": 0.5})
+    assert run(qtbot, window).test().kind == "spring"
+    form.stimulus.fill(MULTISTEP)
+    assert form.under_probe.isHidden()
+    assert form.plan().under_probe == ""
+
+
+def test_in_free_air_no_surface_is_sought(qtbot, open_window, tmp_path):
+    window = open_window(opener=lambda _: SimulatedInstrument("spring", seed=3))
+    form = window.ui.form
+    form.fill({"site": "bench", "under_probe": "free_air", "seconds": 0.5})
+    press(qtbot, window.ui.start)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert "lay the instrument level" in window.ui.notice.text.text()
+    assert not list(tmp_path.glob("*.h5"))
+
+
+def test_filling_a_kind_restores_its_usual_options(form):
+    form.stimulus.fill("step_hold", {"rise_s": 0.5})
+    form.stimulus.fill("step_hold")
+    assert dict(form.plan().options)["rise_s"] == 0.01
+
+
 @pytest.mark.parametrize(
     ("kind", "change"),
     [

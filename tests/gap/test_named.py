@@ -13,7 +13,8 @@ from tissueid.gap.named import believing, file_of
 from tissueid.gap.observing import observe
 from tissueid.gap.scoring import judged
 from tissueid.instrument import open_instrument
-from tissueid.instrument.twin_file import MOST_BYTES, read_twin, write_twin
+from tissueid.instrument.twin_file import read_twin, write_twin
+from tissueid.instrument.twin_list import MOST_BYTES
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
 from tissueid.twin.figures import Instrument, Tissue

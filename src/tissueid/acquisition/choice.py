@@ -12,6 +12,8 @@ from tissueid.stimuli.base import OpenLoopKind, Stimulus, StimulusKind, guided, 
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.stimuli.kinds.noise import Noise
 
+FIXTURES = ("spring", "free_air")
+"""What may be under the probe in place of tissue: kinds of test, as a session has them."""
 PRELOAD_S = 0.5
 """Thesis 7.1.1: the mean load is held this long to acclimate the tissue."""
 

@@ -27,7 +27,7 @@ from PySide6.QtWidgets import (
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.number_field import NumberField
-from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, SITES, Plan, dated_path, longest_stimulus_s
+from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, MULTISTEP, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.app.pseudonym import reads_like_name
 from tissueid.app.stimulus_form import StimulusForm
 from tissueid.instrument import PROFILES
@@ -45,6 +45,11 @@ _CALLED = {
 _LIKE_NAME = marked(
     "This looks like a person's name. Better a pseudonym, such as P-001: files and reports keep what stands here."
 )
+_UNDER_PROBE = {
+    "": marked("Tissue or sample"),
+    "spring": marked("Calibration spring"),
+    "free_air": marked("Nothing: free air"),
+}
 _USUAL_FORCE_N = Plan.max_force_n
 
 _SHORTEST_S = 0.5
@@ -170,6 +175,7 @@ class PlanForm(QWidget):
             seconds=self.seconds.settled,
             seed=self.seed.value(),
             lower_force=not self._own_force,
+            under_probe="" if self.under_probe.isHidden() else self.under_probe.currentData(),
             **self.stimulus.values(),
         )
 
@@ -209,6 +215,7 @@ class PlanForm(QWidget):
             "seconds": self.seconds.setValue,
             "seed": self.seed.setValue,
             "stimulus_kind": self.stimulus.fill,
+            "under_probe": lambda name: self.under_probe.setCurrentIndex(self.under_probe.findData(name)),
         }
         for name, value in values.items():
             fields[name](value)
@@ -242,6 +249,9 @@ class PlanForm(QWidget):
         self.seed = QSpinBox()
         self.seed.setRange(0, _MOST_SEED)
         self.seed.setValue(1)
+        self.under_probe = QComboBox()
+        for name, title in _UNDER_PROBE.items():
+            self.under_probe.addItem(_(title), name)
         self.stimulus = StimulusForm()
         self.settings = QWidget()
         inside = QVBoxLayout(self.settings)
@@ -258,6 +268,7 @@ class PlanForm(QWidget):
             (_("Hi&ghest force"), self.max_force),
             (_("Dur&ation"), self.seconds),
             (_("Seed"), self.seed),
+            (_("Under the probe"), self.under_probe),
         )
         for row, (name, field) in enumerate(rows):
             label = QLabel(name)
@@ -273,7 +284,9 @@ class PlanForm(QWidget):
             group.addWidget(widget)
         layout.addLayout(group)
         self.fold.toggled.connect(self._unfold)
-        self.distribution.currentIndexChanged.connect(self._summarise)
+        for choice in (self.distribution, self.under_probe):
+            choice.currentIndexChanged.connect(self._summarise)
+        self.under_probe.currentIndexChanged.connect(self.changed)
         self.stimulus.changed.connect(self._summarise)
         self.stimulus.changed.connect(self.changed)
         self.stimulus.kind_changed.connect(self._show_options)
@@ -310,6 +323,7 @@ class PlanForm(QWidget):
             self.max_force: "force_max_n" in has,
             self.seconds: "seconds" in has,
             self.seed: "seed" in has,
+            self.under_probe: self.stimulus.chosen != MULTISTEP,
         }
         for label, field in self._rows:
             for widget in (label, field):
@@ -321,9 +335,9 @@ class PlanForm(QWidget):
             low, high, seconds = self.min_force.value(), self.max_force.value(), self.seconds.value()
             words = _("{title}, {low:g} to {high:g} N").format(title=title, low=low, high=high)
             words = words if "force_max_n" in has else title
-            self.summary.setText(f"{words}, {seconds:g} s" if "seconds" in has else words)
+            self._show_summary(f"{words}, {seconds:g} s" if "seconds" in has else words)
             return
-        self.summary.setText(
+        self._show_summary(
             _("{distribution} noise, {low:g} to {high:g} N, {seconds:g} s, seed {seed}").format(
                 distribution=self.distribution.currentText(),
                 low=self.min_force.value(),
@@ -331,6 +345,13 @@ class PlanForm(QWidget):
                 seconds=self.seconds.value(),
                 seed=self.seed.value(),
             )
+        )
+
+    def _show_summary(self, words: str) -> None:
+        under = "" if self.under_probe.isHidden() else self.under_probe.currentText()
+        under = under if self.under_probe.currentData() else ""
+        self.summary.setText(
+            _("{words}; under the probe: {under}").format(words=words, under=under) if under else words
         )
 
     def _look_at_subject(self, text: str) -> None:

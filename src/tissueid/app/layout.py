@@ -152,7 +152,14 @@ class Layout:
             self.form.min_force,
             self.form.max_force,
         ]
-        order += [self.form.seconds, self.form.seed, self.form.path, self.form.browse, self.guidance.lamp.watch]
+        order += [
+            self.form.seconds,
+            self.form.seed,
+            self.form.under_probe,
+            self.form.path,
+            self.form.browse,
+            self.guidance.lamp.watch,
+        ]
         order += [self.guidance.lamp.arm, self.start, self.stop]
         order += [self.role.choice, self.open, self.report, self.notice.offer, self.notice.dismiss]
         order += [self.gate.more, self.gate.judge_now, self.gate.run_again]

@@ -23,6 +23,7 @@ from tissueid.acquisition import (
 from tissueid.acquisition.choice import test_kind
 from tissueid.acquisition.guided import check_test, place
 from tissueid.acquisition.live import LiveIdentification
+from tissueid.acquisition.placing import place_in_air
 from tissueid.acquisition.waiting import meanwhile
 from tissueid.app.emergency import NO_ANSWER, EmergencyStop
 from tissueid.app.instruments import greatest_force_n
@@ -124,7 +125,11 @@ def measure(
                     identification.feed(progress.samples)
                     identification.step()
 
-            placement = place(instrument, limits, progress=show, cancelled=stop.check)
+            placement = (
+                place_in_air(instrument, stop.check)
+                if plan.under_probe == "free_air"
+                else place(instrument, limits, progress=show, cancelled=stop.check)
+            )
             live.placed(placement.surface_m)
             if isinstance(run.test, GuidedTest):
                 assert identification is not None
@@ -197,7 +202,9 @@ def _prepared(plan: Plan, device: DeviceDescription, limits: Limits) -> _Prepare
         check_multistep(steps, device)
         return _Prepared(steps, plan.total_s)
     stimulus = plan.prepared(device.sample_rate_hz)
-    test = GuidedTest(stimulus, plan.site, test_kind(stimulus), plan.set_up(), limits, notes=plan.notes)
+    test = GuidedTest(
+        stimulus, plan.site, plan.under_probe or test_kind(stimulus), plan.set_up(), limits, notes=plan.notes
+    )
     check_test(test, device)
     seconds = stimulus.seconds if isinstance(stimulus, Stimulus) else plan.total_s
     return _Prepared(test, seconds)

@@ -58,7 +58,7 @@ class Plan(NoiseChoice):
     ``stimulus_kind`` is a kind of stimulus, ``FROM_FILE`` for the one saved in ``stimulus_file``, or ``MULTISTEP``: as
     many tests as the option ``steps`` says, each designed by those before to spread evenly over the depths.
     ``options`` are those of the kind that have no field here, by name. ``stop_when`` are targets as ``StopRule`` reads
-    them.
+    them. ``under_probe`` is one of ``FIXTURES``, or empty for tissue or a sample.
     """
 
     url: str
@@ -74,6 +74,7 @@ class Plan(NoiseChoice):
     options: tuple[tuple[str, Any], ...] = ()
     stimulus_file: Path | None = None
     stop_when: tuple[str, ...] = ()
+    under_probe: str = ""
     sitting: str = ""
     repeat: int = 0
 

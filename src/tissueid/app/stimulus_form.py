@@ -130,6 +130,7 @@ class StimulusForm(QWidget):
     def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
         """Choose a kind, with options other than its usual ones."""
         self.kind.setCurrentIndex(max(0, self.kind.findData(kind)))
+        self._show_kind()
         for name, value in (options or {}).items():
             self._options[name].set_value(value)
         self.changed.emit()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tissueid.acquisition.choice import FIXTURES
 from tissueid.cli.output import check_json
 from tissueid.cli.stimulus_options import CommonOptions
 from tissueid.configuration import Configuration
@@ -15,8 +16,6 @@ from tissueid.stimuli.kinds.noise import Noise
 
 MAX_TEXT = 200
 LEAST_DEPTH_RANGE_M = 1e-4
-FIXTURES = ("spring", "free_air")
-"""What may be under the probe in place of tissue: kinds of test, as a session has them."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,8 @@ from typing import Any
 
 from tissueid.cli.output import check_json, people_read, table, write_json
 from tissueid.errors import UnusableInputError
-from tissueid.instrument.twin_file import SUFFIX, TwinFile, read_twin
+from tissueid.instrument.twin_file import TwinFile, read_twin
+from tissueid.instrument.twin_list import SUFFIX
 from tissueid.wording import MISSING, number
 
 _PLAY = "simulated://"

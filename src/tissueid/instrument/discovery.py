@@ -19,6 +19,7 @@ from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
 from tissueid.instrument.tissues import TISSUES
+from tissueid.instrument.twin_list import SUFFIX
 from tissueid.wording import clean
 
 IN_PROCESS = "simulated://"
@@ -67,7 +68,7 @@ def _simulation(url: str) -> Instrument:
     """
     # The twin is compiled code, which takes longer to import than all the rest of the instruments.
     from tissueid.instrument.simulated import SimulatedInstrument
-    from tissueid.instrument.twin_file import SUFFIX, read_twin
+    from tissueid.instrument.twin_file import read_twin
 
     shown = clean(url)[:_SHOWN]
     try:

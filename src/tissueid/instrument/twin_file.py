@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.instrument.twin_list import FORMAT, MOST_BYTES, SUFFIX, twin_model
 from tissueid.options import reason
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
@@ -22,9 +23,6 @@ from tissueid.twin.simulation import Acting, values_by_name
 from tissueid.untrusted import toml_table
 from tissueid.whole_file import whole_file
 
-FORMAT: Literal["tissueid-twin"] = "tissueid-twin"
-SUFFIX = ".toml"
-MOST_BYTES = 256 * 1024
 MOST_NAMED = MOST_EFFECTS
 
 _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
@@ -263,7 +261,7 @@ def device_of(content: TwinFile) -> DeviceDescription:
     """The device that a twin believes in."""
     figures = content.instrument
     return DeviceDescription(
-        model=f"twin {content.name}, version {content.version}",
+        model=twin_model(content.name, content.version),
         coil_resistance_ohm=figures["resistance_ohm"],
         coil_inductance_h=figures["inductance_h"],
         force_constant_n_per_a=figures["force_constant_n_per_a"],

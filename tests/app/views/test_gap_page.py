@@ -15,15 +15,21 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 
 from tissueid.app.views.gap import diagnosing
 from tissueid.app.views.gap.choosing import EffectChoice
-from tissueid.app.views.gap.proposal import Proposal
+from tissueid.app.views.gap.proposal import Proposal, session_url
 from tissueid.app.views.gap.story import story_of
 from tissueid.audit import AuditLog, last_lines
-from tissueid.gap.next_experiment import NextExperiment
+from tissueid.device import DeviceDescription
+from tissueid.gap.menu import menu
+from tissueid.gap.next_experiment import NextExperiment, command_line
 from tissueid.gap.search import Work
-from tissueid.instrument.twin_file import read_twin
+from tissueid.instrument import open_instrument
+from tissueid.instrument.twin_file import Source, content_of, device_of, read_twin, write_twin
+from tissueid.instrument.twin_list import twins_in
 from tissueid.language import speak, spoken
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
+from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.named import NamedTwin
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -393,7 +399,56 @@ def test_no_shell_command_stands_on_the_page(diagnosed, friction, kind):
     page.result.show_story(story_of(diagnosing.replace(found, next_experiment=step), read_session(friction)))
     said = " ".join(label.text() for label in page.result.findChildren(QLabel))
     assert not {"tissueid", "nats", "--device", *FEW} & set(said.split())
-    assert page.result.next.prepare.isVisibleTo(page.result.next) == (kind == "deeper")
+    assert page.result.next.prepare.isVisibleTo(page.result.next)
+
+
+PREPARED = {
+    "quiet": ("quiet", "", 1.5),
+    "slow_ramp": ("slow_ramp", "", 4.5),
+    "step_hold": ("step_hold", "", 4.0),
+    "spring": ("noise", "spring", None),
+    "free_air": ("noise", "free_air", 0.6),
+    "smaller_amplitude": ("noise", "", None),
+    "deeper": ("noise", "", None),
+}
+
+
+@pytest.mark.parametrize("kind", PREPARED)
+def test_every_test_of_the_menu_is_prepared_on_the_form(qtbot, diagnosed, friction, kind):
+    window, page = diagnosed()
+    found = page.history.result.diagnosis
+    chosen = next(item for item in menu(found.observed) if item.kind == kind)
+    line = command_line(found.observed, chosen)
+    step = NextExperiment(kind, "Because.", FEW, 0.9, 1.8, {kind: 0.9}, line)
+    story = story_of(diagnosing.replace(found, next_experiment=step), read_session(friction))
+    page.history.add(diagnosing.replace(page.history.result, story=story))
+    page.result.tabs.setCurrentIndex(3)
+    stimulus, under, seconds = PREPARED[kind]
+    assert page.result.next.put.isVisible() == bool(under)
+    form = window.ui.form
+    form.under_probe.setCurrentIndex(1)
+    press(qtbot, page.result.next.prepare)
+    assert window.ui.page == "measure"
+    plan = form.plan()
+    assert (plan.stimulus_kind, plan.under_probe) == (stimulus, under)
+    assert seconds is None or plan.seconds == pytest.approx(seconds)
+    assert form.subject.text() == ("" if under else read_session(friction).subject.pseudonym)
+    assert {"spring": "calibration spring", "free_air": "free air"}.get(kind, plan.site) == plan.site
+    assert ("under the probe" in form.summary.text()) == bool(under)
+    assert "the instrument of the session: desktop indenter" in window.ui.notice.text.text()
+    assert plan.prepared(2000.0) is not None
+
+
+def test_the_simulated_twin_of_a_session_is_found_by_the_name_it_states(tmp_path):
+    content = content_of(NamedTwin("bench", 1, Instrument(), Tissue(), (), 2000.0), Source(), "", "")
+    write_twin(tmp_path / "bench 1.toml", content)
+    (tmp_path / "settings.toml").write_text("name = 'bench'\nversion = 1\n")
+    (tmp_path / "broken.toml").write_text("[")
+    url = session_url(device_of(content), None, [tmp_path / "none", tmp_path])
+    assert open_instrument(url).device.model == device_of(content).model
+    assert session_url(device_of(content), tmp_path / "bench 1.toml", []) == url
+    assert session_url(DeviceDescription(), None, [tmp_path]) == ""
+    assert list(twins_in(tmp_path)) == [url]
 
 
 def test_a_test_that_the_form_cannot_do_is_done_by_hand(diagnosed):

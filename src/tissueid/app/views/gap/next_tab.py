@@ -32,6 +32,7 @@ class NextTab(QWidget):
         super().__init__(parent)
         self.title = plain_label("headline")
         self.why = plain_label()
+        self.put = plain_label()
         self.by_hand = plain_label()
         self.prepare = QPushButton(_("Prepare this test"))
         self.prepare.setToolTip(_("Fill in the form of the guided test; nothing moves before you start it there"))
@@ -53,6 +54,8 @@ class NextTab(QWidget):
         step = story.proposal
         self.title.setText(_("Nothing to measure") if step is None else step.title)
         self.why.setText(_(_NONE[story.verdict]) if step is None else step.why)
+        self.put.setText("" if step is None else step.put)
+        self.put.setVisible(bool(self.put.text()))
         self.by_hand.setText("" if step is None else step.by_hand)
         self.by_hand.setVisible(bool(self.by_hand.text()))
         self.prepare.setVisible(step is not None and step.fields is not None)
@@ -79,7 +82,7 @@ class NextTab(QWidget):
         column = QVBoxLayout(card)
         column.setContentsMargins(12, 8, 12, 10)
         column.setSpacing(8)
-        for label in (self.title, self.why, self.by_hand):
+        for label in (self.title, self.why, self.put, self.by_hand):
             column.addWidget(label)
         buttons = QHBoxLayout()
         buttons.addWidget(self.prepare)

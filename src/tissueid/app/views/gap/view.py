@@ -33,6 +33,7 @@ from tissueid.app.views.gap.keeping import (
     why_not_accepted,
 )
 from tissueid.app.views.gap.labels import plain_label
+from tissueid.app.views.gap.proposal import prepared_words, session_url
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.views.view import Desk, View
 from tissueid.app.waiting import tell_why
@@ -254,16 +255,15 @@ class GapView(View):
     def _prepare(self) -> None:
         result = self.history.result
         step = None if result is None else result.story.proposal
-        if step is None or step.fields is None or self._testing:
+        if result is None or step is None or step.fields is None or self._testing:
             return
-        low, high = step.fields.get("min_force_n", 0.0), step.fields.get("max_force_n", 0.0)
-        self.desk.prepare_test(
-            step.fields,
-            _(
-                "Prepared: {title}, {low:.1f} to {high:.1f} N as far as the limits allow. Check "
-                "the instrument and the site, then start the test."
-            ).format(title=step.title, low=low, high=high),
-        )
+        fields = dict(step.fields)
+        device = result.diagnosis.observed.instrument
+        folders = [self.desk.around.folder, result.asked.session.parent]
+        url = session_url(device, result.asked.twin, folders)
+        if url:
+            fields["url"] = url
+        self.desk.prepare_test(fields, prepared_words(step, device, url))
 
     # -- files that are dropped -----------------------------------------------------------------------------------
 
