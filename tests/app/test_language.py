@@ -92,10 +92,10 @@ def test_a_lookup_falls_back_and_knows_one_from_many():
     speak("de")
     assert _("Stiffness") == "Steifigkeit"
     assert _("no such text") == "no such text"
-    one = plural("One instrument answers", "{count} instruments answer", 1)
-    assert one.format(count=1) == "Ein Gerät antwortet"
-    many = plural("One instrument answers", "{count} instruments answer", 3)
-    assert many.format(count=3) == "3 Geräte antworten"
+    one = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 1)
+    assert one.format(count=1, names="A") == "Ein Gerät antwortet (A)"
+    many = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 3)
+    assert many.format(count=3, names="A") == "3 Geräte antworten (A)"
     speak("en")
     assert _("Stiffness") == "Stiffness"
 

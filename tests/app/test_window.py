@@ -11,8 +11,9 @@ from support import connect
 
 from tissueid.acquisition import SessionRecorder, journal_path
 from tissueid.app.gate import UNJUDGED
+from tissueid.app.instruments import Survey
 from tissueid.app.layout import RESEARCH_USE
-from tissueid.instrument import Run, SimulatedInstrument
+from tissueid.instrument import Found, Run, SimulatedInstrument
 from tissueid.sessions import read_session, write_session
 from tissueid.sessions.quality import NOTE, quality_of
 from tissueid.wire import Flag
@@ -411,6 +412,38 @@ def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
     assert chooser.url == "socket://localhost:1234"
     chooser.choice.setCurrentText("/dev/ttyACM7")
     assert chooser.about.text() == "Ready: desktop indenter, TEST-7."
+
+
+def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_window, tmp_path):
+    known = Found("/dev/ttyACM7", "n/a", None, name="serial port")
+    window = open_window(finder=lambda **_: [known, *found(probe=False)[1:]])
+    chooser = window.ui.form.instrument
+    shown = [chooser.choice.itemData(place, Qt.ItemDataRole.AccessibleTextRole) for place in range(2)]
+    assert shown == ["serial port: /dev/ttyACM7", "simulation in this process: simulated://forearm"]
+    chooser.choice.setCurrentText("/dev/ttyACM7")
+    assert chooser.url == "/dev/ttyACM7"
+    assert chooser.about.text() == "serial port: not asked yet; “Find” asks whether it is ready."
+    (tmp_path / "settings.toml").write_text("name = 'no twin'")
+    (tmp_path / "my twin.toml").write_text("format = 'tissueid-twin'\nname = 'bench'\nversion = 2\n")
+    window.pages.show("start")
+    window.pages.show("measure")
+    url = f"simulated://{tmp_path}/my%20twin.toml"
+    assert chooser.choice.itemText(chooser.choice.count() - 1) == url
+    assert chooser.url == "/dev/ttyACM7"
+    chooser.choose(url)
+    assert chooser.about.text() == "Ready: twin bench, version 2."
+    (tmp_path / "my twin.toml").unlink()
+    chooser.choose("simulated://forearm")
+    window.pages.show("measure")
+    assert url not in chooser.known
+
+
+def test_finding_says_which_instrument_answers():
+    ready = [Found(f"/dev/{name}", "serial port", True, name=f"indenter, {name}") for name in ("A1", "B2")]
+    simulated = Found("simulated://spring", "simulation in this process", True, name="simulation, spring")
+    assert Survey([ready[0], simulated]).words.startswith("One instrument answers (indenter, A1); ")
+    assert Survey([*ready, simulated]).words.startswith("2 instruments answer (indenter, A1; indenter, B2); ")
+    assert Survey([simulated]).words.startswith("No instrument answers; ")
 
 
 def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, open_window):

@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtCore import QModelIndex, QPersistentModelIndex, Qt, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QStyledItemDelegate,
+    QStyleOptionViewItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.plan import DEFAULT_URL
 from tissueid.instrument import Found
 from tissueid.instrument.discovery import IN_PROCESS
-from tissueid.language import _
+from tissueid.instrument.twin_list import is_twin_url
+from tissueid.language import _, marked
+from tissueid.wording import clean
+
+_SHOWN = Qt.ItemDataRole.UserRole
+"""What the open list shows of an instrument: its name and address. The line that is typed into has the address."""
+_WIDEST, _MARGIN = 640, 40
+_TWIN = marked("twin of a diagnosis, in this program")
+
+
+def _name(item: Found) -> str:
+    """Return what to call an instrument where people choose."""
+    return _(item.name or item.what)
+
+
+class _Names(QStyledItemDelegate):
+    """Draws the names of instruments in the open list."""
+
+    def initStyleOption(self, option: QStyleOptionViewItem, index: QModelIndex | QPersistentModelIndex) -> None:  # noqa: N802
+        """Take the name and the address as the text."""
+        super().initStyleOption(option, index)
+        option.text = str(index.data(_SHOWN) or "")  # type: ignore[attr-defined]
 
 
 class InstrumentChooser(QWidget):
@@ -58,6 +88,9 @@ class InstrumentChooser(QWidget):
         layout.addLayout(row)
         layout.addWidget(self.about)
         layout.addWidget(self.calibration)
+        self._names = _Names(self)
+        self.choice.setItemDelegate(self._names)
+        self.choice.view().setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.choice.currentTextChanged.connect(self._describe)
 
     @property
@@ -79,10 +112,26 @@ class InstrumentChooser(QWidget):
         self._doubted &= {item.url for item in found if item.answers is None}
         self.choice.blockSignals(True)
         self.choice.clear()
-        self.choice.addItems(list(self._found))
+        for place, (url, item) in enumerate(self._found.items()):
+            self.choice.addItem(url)
+            shown = clean(f"{_name(item)}: {url}")
+            self.choice.setItemData(place, shown, _SHOWN)
+            self.choice.setItemData(place, shown, Qt.ItemDataRole.AccessibleTextRole)
+            self.choice.setItemData(place, shown, Qt.ItemDataRole.ToolTipRole)
+        letters = self.choice.fontMetrics()
+        texts = [str(self.choice.itemData(place, _SHOWN)) for place in range(self.choice.count())]
+        widths = [letters.horizontalAdvance(text) for text in texts]
+        self.choice.view().setMinimumWidth(min(max(widths, default=0) + _MARGIN, _WIDEST))
         self.choice.blockSignals(False)
         self.choose(kept)
         self._describe()
+
+    def offer_twins(self, models: Mapping[str, str]) -> None:
+        """List the twins of a folder, their models by address, in place of those listed before."""
+        own = [item for url, item in self._found.items() if not is_twin_url(url)]
+        twins = [Found(url, _TWIN, True, model, model) for url, model in models.items()]
+        if list(self._found.values()) != [*own, *twins]:
+            self.offer([*own, *twins])
 
     def tell_calibration(self, url: str, state: CalibrationState) -> None:
         """It is known now how the instrument at an address is calibrated."""
@@ -119,9 +168,9 @@ class InstrumentChooser(QWidget):
         if item.answers:
             return f"{_('Ready')}: {_(item.detail or item.what)}."
         if url in self._doubted:
-            return _("{what}: it failed the last time; “Find” asks it anew.").format(what=_(item.what))
+            return _("{what}: it failed the last time; “Find” asks it anew.").format(what=_name(item))
         if item.answers is None:
-            return _("{what}: not asked whether it is ready.").format(what=_(item.what))
+            return _("{what}: not asked yet; “Find” asks whether it is ready.").format(what=_name(item))
         return f"{_('Does not answer')}: {_(item.detail or item.what)}."
 
     def _describe(self) -> None:

@@ -10,6 +10,9 @@ from tissueid.app.calibration_state import CalibrationState, calibration_state
 from tissueid.instrument import RESEARCH, Found, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, plural
+from tissueid.wording import clean
+
+_MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -22,10 +25,11 @@ class Survey:
 
     @property
     def words(self) -> str:
-        """How many instruments answer."""
-        answering = sum(item.answers is True and not item.url.startswith(IN_PROCESS) for item in self.found)
-        some = plural("One instrument answers", "{count} instruments answer", answering).format(count=answering)
-        what = some if answering else _("No instrument answers")
+        """How many instruments answer, and which."""
+        answering = [item for item in self.found if item.answers is True and not item.url.startswith(IN_PROCESS)]
+        names = "; ".join(clean(item.name or item.what) for item in answering[:_MOST_NAMED])
+        some = plural("One instrument answers ({names})", "{count} instruments answer ({names})", len(answering))
+        what = some.format(count=len(answering), names=names) if answering else _("No instrument answers")
         return _("{what}; simulations in this program can always be chosen.").format(what=what)
 
 

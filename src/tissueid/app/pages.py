@@ -117,6 +117,8 @@ class Pages(QObject):
         for view in self.views:
             if view.name == name:
                 view.enter()
+        if name == MEASURE:
+            self._window.searching.list_twins()
         self._window.ui.show_page(name)
         self._window.panels.help.show_page(name)
 

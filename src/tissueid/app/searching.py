@@ -14,6 +14,7 @@ from tissueid.app.layout import MEASURE
 from tissueid.app.words import in_words
 from tissueid.audit import Trail
 from tissueid.errors import TissueIDError
+from tissueid.instrument.twin_list import twins_in
 from tissueid.language import _, plural
 
 if TYPE_CHECKING:
@@ -47,9 +48,15 @@ class Searching(QObject):
             self._chooser.offer(self._window.around.finder(probe=False))
         except (TissueIDError, OSError) as error:
             self._finding_failed(in_words(error))
+        self.list_twins()
+
+    def list_twins(self) -> None:
+        """Offer the twins that lie where sessions are saved, and where diagnoses save them."""
+        self._chooser.offer_twins(twins_in(self._window.around.folder))
 
     def _found(self, found: Survey) -> None:
         self._chooser.offer(found.found)
+        self.list_twins()
         for url, state in found.calibrations.items():
             self._chooser.tell_calibration(url, state)
         for url, force_n in found.forces_n.items():

@@ -23,6 +23,11 @@ def twin_url(path: Path) -> str:
     return _SCHEME + quote(str(path.absolute()))
 
 
+def is_twin_url(url: str) -> bool:
+    """Return whether an address is that of a simulated twin of a file."""
+    return url.startswith(_SCHEME) and url.partition("?")[0].endswith(SUFFIX)
+
+
 def twin_model(name: str, version: int) -> str:
     """Return the model that the simulation of a twin states, and its sessions with it."""
     return f"twin {name}, version {version}"

@@ -10,6 +10,7 @@ from app.views.technician_pages import CALIBRATIONS, HEALTH, PLACES, choose, col
 from PySide6.QtCore import QPoint, Qt
 from support import connect
 
+from tissueid.app.views.technician.faults import gather
 from tissueid.calibration import write_calibration
 from tissueid.errors import LinkLostError
 from tissueid.sessions import read_session, write_session
@@ -145,9 +146,32 @@ def test_the_newest_test_and_a_fault_of_it_are_told_without_asking(qtbot, page, 
     view = page()
     assert view.health.link.facts["Newest test"].endswith("aborted")
     assert view.health.link.facts["– its samples"].endswith(" lost")
+    instrument = f"{session.instrument.model}, {session.instrument.serial_number}"
+    assert view.health.link.facts["– its instrument"] == instrument
     press(qtbot, view.health.ask)
     rest(qtbot, view)
     assert "ended with a fault" in view.health.reasons.toolTip()
+    asked = view.health.checkup.nominal
+    assert (asked.model, asked.serial_number) != (session.instrument.model, session.instrument.serial_number)
+    assert view.health.link.facts["– its instrument"] == f"another one: {instrument}"
+
+
+@pytest.mark.parametrize(
+    ("reason", "kind", "level"),
+    [
+        ("Stopped by key; the coil is released.", "Stopped", ""),
+        ("stopped in the window; the coil is released", "Stopped", ""),
+        ("the window was closed; the coil is released", "Broken off", "check"),
+    ],
+)
+def test_a_stop_by_a_person_is_no_fault_where_only_the_session_tells_of_it(tmp_path, saved, reason, kind, level):
+    session = read_session(saved)
+    test = dataclasses.replace(session.tests[0], status="aborted", notes={"reason": reason})
+    folder = tmp_path / "stopped"
+    folder.mkdir()
+    write_session(folder / "stopped.h5", dataclasses.replace(session, tests=(test,)))
+    (event,) = gather(folder, tmp_path / "no.log", lambda: None).found
+    assert (event.kind, event.level) == (kind, level)
 
 
 # -- calibrations ---------------------------------------------------------------------------------------------

@@ -79,6 +79,8 @@ class LastTest:
     lost: int
     late_blocks: int
     held_samples: int
+    model: str = ""
+    serial_number: str = ""
 
 
 @dataclass(frozen=True)
@@ -289,7 +291,18 @@ def _last_test(files: list[Path], cancelled: Cancelled) -> LastTest | None:
         columns = [values for name, values in test.signals.items() if name in ("position", "current")]
         missing = int(np.any([np.isnan(values) for values in columns], axis=0).sum()) if columns else 0
         late, held = (test.notes.get(name, 0.0) for name in ("late_blocks", "held_samples"))
-        return LastTest(path, outline.head.created, test.status, test.samples, missing, _count(late), _count(held))
+        device = outline.head.instrument
+        return LastTest(
+            path,
+            outline.head.created,
+            test.status,
+            test.samples,
+            missing,
+            _count(late),
+            _count(held),
+            device.model,
+            device.serial_number,
+        )
     return None
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from tissueid.app.emergency import BY_BUTTON, BY_KEY
 from tissueid.app.views.technician.log_reading import LogPage
 from tissueid.app.words import sentence
 from tissueid.audit import Line
@@ -43,6 +44,8 @@ _LOGGED = {
     "calibration.stopped": STOPPED,
 }
 _ENDS_OF_TESTS = ("test.fault", "test.aborted", "test.stopped")
+_BY_A_PERSON = (BY_BUTTON, BY_KEY)
+"""How the reason of a test begins that a person stopped."""
 _BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
 _BY_KIND = {
     STOPPED: marked("Nothing to mend: a person stopped it. What was recorded is kept."),
@@ -164,6 +167,8 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         kind = _BY_STATUS[test.status]
         if kind is BROKEN and "released the coil" in reason:
             kind = FAULT
+        elif kind is BROKEN and reason.casefold().startswith(_BY_A_PERSON):
+            kind = STOPPED
         site = f", {clean(test.site)[:60]}" if test.site else ""
         subject = _("Test {number}{site}").format(number=test.number, site=site)
         yield (

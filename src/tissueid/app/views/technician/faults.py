@@ -134,7 +134,7 @@ class FaultsTab(Tab):
         ]
         self.model.show_rows(found)
         total = sum(event.kind != COMPLETED for event in self.events.found)
-        said = _("{shown} shown; {concerns} of {count} are not completions.").format(
+        said = _("{shown} shown; {concerns} of {count} events are something other than a completed test.").format(
             shown=grouped(len(found)), concerns=grouped(total), count=grouped(len(self.events.found))
         )
         self.count.setText(" ".join([said, *(clean(line) for line in self.events.remarks)]))

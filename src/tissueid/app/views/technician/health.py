@@ -44,7 +44,10 @@ class HealthTab(Tab):
         self.state = FactsCard(_("Calibration in force"))
         self.link = FactsCard(_("Cable and samples"))
         self.trend = PlotCard(
-            _("Force constant by date"), _("Days from today"), "N/A", key={_("static"): "measured", _("sweep"): "model"}
+            _("Force constant by date"),
+            _("Days from today"),
+            _("N per A"),
+            key={_("static"): "measured", _("sweep"): "model"},
         )
         self._static = self.trend.dots("measured", 7)
         self._sweep = self.trend.dots("model", 7)
@@ -235,7 +238,7 @@ def _calibration(checkup: Checkup | None, known: Background) -> dict[str, str]:
     for name, label in (("static", _("Static")), ("sweep", _("Sweep"))):
         if held.get(f"{name}_file"):
             facts[label] = f"{clean(str(held[f'{name}_file']))[:60]}, {clean(str(held.get(f'{name}_date', '')))[:10]}"
-    facts[_("Force constant")] = f"{number(device.force_constant_n_per_a)} N/A"
+    facts[_("Force constant")] = _("{value} N per A").format(value=number(device.force_constant_n_per_a))
     facts[_("Resistance")] = f"{number(device.coil_resistance_ohm)} Ω"
     mass = unit_of("mass")
     facts[_("Moving mass")] = f"{number(mass.factor * device.moving_mass_kg)} {mass.symbol}"
@@ -257,6 +260,10 @@ def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
         return facts | {_("Newest test"): _("none in the folder of sessions")}
     share = f" ({fixed(100.0 * last.lost / last.samples, 2)} %)" if last.samples and last.lost else ""
     facts[_("Newest test")] = f"{moment(last.created)} UTC, {last.status}"
+    asked = None if checkup is None else (checkup.nominal.model, checkup.nominal.serial_number)
+    other = asked is not None and (last.model, last.serial_number) != asked
+    name = clean(", ".join(filter(None, (last.model, last.serial_number))))[:80]
+    facts[_("– its instrument")] = _("another one: {name}").format(name=name) if other else name
     facts[_("– its samples")] = _("{samples}, {lost} lost{share}").format(
         samples=grouped(last.samples), lost=grouped(last.lost), share=share
     )

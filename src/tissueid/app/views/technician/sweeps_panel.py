@@ -34,7 +34,7 @@ MOST = 4
 """So many sweeps can be told apart by their colours."""
 ROLES = ("measured", "model", "good", "poor")
 _CARDS = (
-    ("force_constant", marked("Force constant"), "N/A", 1.0),
+    ("force_constant", marked("Force constant"), marked("N per A"), 1.0),
     ("mass", marked("Mass M"), "g", 1e3),
     ("damping", marked("Damping B"), "N·s/m", 1.0),
     ("stiffness", marked("Stiffness K"), "N/m", 1.0),
@@ -53,7 +53,7 @@ class AlongCard(PlotCard):
     """One figure along the stroke of several sweeps, over their linear regions."""
 
     def __init__(self, name: str, title: str, unit: str, scale: float, parent: QWidget | None = None) -> None:
-        super().__init__(_(title), _("Position (mm)"), unit, parent=parent)
+        super().__init__(_(title), _("Position (mm)"), _(unit), parent=parent)
         self._name, self._scale = name, scale
         self._dotted = name != "force_constant"
         self._regions = [self.band(role, alpha=22) for role in ROLES]
