@@ -7,6 +7,7 @@ import re
 from datetime import datetime
 from typing import Any
 
+from tissueid.language import _
 from tissueid.records import Estimate
 
 MISSING = "—"
@@ -115,7 +116,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return MISSING
     if value == 0.0:
         return "0"
-    mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+    mantissa, _mark, power = f"{value:.{digits - 1}e}".partition("e")
     exponent = int(power)
     if not -4 <= exponent < 7:
         return f"{_signed(_trimmed(mantissa))} × 10{superscript(exponent)}"
@@ -179,8 +180,8 @@ def named_unit(name: str) -> tuple[str, str]:
 
 
 def axis_label(name: str, unit: str) -> str:
-    """What a quantity is called, with the unit that people read in brackets, if it has one."""
-    label = named_unit(name)[0]
+    """What a quantity is called in the language in force, with the unit that people read in brackets, if it has one."""
+    label = _(named_unit(name)[0])
     label = label if len(label) <= _LONGEST_LABEL else label[:_LONGEST_LABEL] + "…"
     return f"{label} ({unit})" if unit else label
 
@@ -194,7 +195,7 @@ def named_value(name: str, value: Any, depth: int = 0) -> tuple[str, str]:
             text = plain_text(value)
         else:
             text = number(value * scale, 6) if abs(value) < _LARGEST_INTEGER else plain_text(value)
-        return label, text if text == MISSING else with_unit(text, shown)
+        return label, text if text == MISSING else with_unit(text, _(shown))
     return named_unit(name)[0], plain_text(value, depth)
 
 

@@ -1,6 +1,7 @@
 """The window in German: every text that the code says has its translation, and the pages show it."""
 
 import ast
+import re
 import string
 import tomllib
 from pathlib import Path
@@ -16,6 +17,7 @@ from tissueid.app.views.start.view import WHAT_ROLES_DO
 from tissueid.language import _, plural, speak
 
 SOURCE = Path(language.__file__).parent
+IN_TEMPLATES = re.compile(r'\b_\("([^"]*)"\)')
 LOOKS_UP = {"_": 1, "marked": 1, "plural": 2}
 
 
@@ -28,6 +30,9 @@ def literals():
                 for text in node.args[: LOOKS_UP[node.func.id]]:
                     if isinstance(text, ast.Constant):
                         found.setdefault(text.value, set()).add(path.relative_to(SOURCE).as_posix())
+    for path in sorted(SOURCE.rglob("*.j2")):
+        for text in IN_TEMPLATES.findall(path.read_text(encoding="utf-8")):
+            found.setdefault(text, set()).add(path.name)
     return found
 
 

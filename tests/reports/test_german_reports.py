@@ -5,11 +5,13 @@ import re
 import pytest
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.text import Text
+from reports.page_check import checked
 
 from tissueid.language import speak
+from tissueid.reports.html import report_html
 from tissueid.reports.pdf import write_pdf
 
-SAME = {"Position (mm)", "Test", "Name"}
+SAME = {"Position (mm)", "Phase (°)", "Test", "Test 2", "Status", "LMS", "Spectral", "Wiener", "AICc", "toeplitz", "hann"}
 """Texts that are the same in both languages."""
 
 
@@ -58,3 +60,20 @@ def test_the_paper_says_nothing_in_english(session, analyses, paper):
     said = in_each_language(lambda: paper(session, test, analyses[1]))
     assert in_both(said, SAME | known) == set()
     assert {"Person", "Betrag der Nachgiebigkeit", "Impulsantwort", "Verzögerung (ms)"} <= set(said[1])
+
+
+def shown(source):
+    """What a person reads on a page, piece by piece: text nodes, and what a screen reader says."""
+    page = checked(source)
+    return [*page.text.splitlines(), *(str(said.get("aria-label", "")) for _tag, said in page.tags)]
+
+
+def test_the_page_of_a_test_says_nothing_in_english(session, analyses):
+    device = session.instrument
+    said = in_each_language(lambda: shown(report_html(session, analyses)))
+    site = session.test(1).site
+    known = {session.subject.pseudonym, session.session_id, f"{device.model}, {device.serial_number}", site}
+    title = site[:1].upper() + site[1:]
+    known |= {title, f"{title} – TissueID", session.software, device.model, device.serial_number}
+    assert in_both(said, SAME | known) == set()
+    assert '<html lang="de">' in report_html(session, analyses)

@@ -155,6 +155,7 @@ VERDICT = (
     marked("mass, damping, stiffness"),
     marked("Averages over {low} to {high} mm of position, which is {above} to {below} mm below the surface."),
     marked("Averages over {low} to {high} mm of position."),
+    marked("the last {percent} % of test {number}"),
 )
 """What the verdict of a test gives as its reasons, and over what its numbers are averages."""
 CALIBRATION = (

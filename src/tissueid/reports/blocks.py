@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.reports.style import to_svg
 
 
@@ -56,10 +58,10 @@ def picture(key: str, heading: str, alt: str, make: Callable[[], tuple[Figure, s
     try:
         figure, caption = make()
     except UnusableInputError as error:
-        return absent(key, heading, str(error), wide=wide)
+        return absent(key, heading, said_by_core(str(error)), wide=wide)
     return Picture(key, heading, alt, caption, figure, "", wide)
 
 
 def absent(key: str, heading: str, reason: str, *, wide: bool = True) -> Picture:
     """What stands in place of a figure: a reason without a full stop."""
-    return Picture(key, heading, "", "", None, f"Left out: {reason}.", wide)
+    return Picture(key, heading, "", "", None, _("Left out: {reason}.").format(reason=reason), wide)

@@ -11,9 +11,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from tissueid.analysis import Analysis
+from tissueid.core_words import for_report
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.language import _, marked
+from tissueid.language import _, marked, spoken
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
 from tissueid.sessions import Session
@@ -103,6 +104,7 @@ def template(name: str) -> Template:
         finalize=_without_control_characters,
     )
     environment.filters["svg"] = Markup
+    environment.globals |= {"_": _, "for_report": for_report, "language": spoken}
     return environment.get_template(name)
 
 

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from tissueid.analysis import REPORT_ENGINES, Analysis
+from tissueid.core_words import for_report, said_by_core
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.language import _, marked
 from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.configured import in_words_of, spring_line, surface_of
@@ -20,6 +22,8 @@ from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, lin
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality, quality_of
 from tissueid.wording import engine_label
+
+_NOT_RUN = marked("the {engine} engine was not run on this test")
 
 
 @dataclass(frozen=True)
@@ -59,20 +63,30 @@ def test_page(
         number=number,
         key=key,
         site=test.site,
-        kind=test.kind.replace("_", " "),
-        configuration=test.configuration,
-        verdict=judge(test, analyses),
+        kind=_(test.kind.replace("_", " ")),
+        configuration=_(test.configuration),
+        verdict=_said(judge(test, analyses)),
         key_numbers=key_numbers(analyses),
-        visited=" ".join(filter(None, [visited(analyses, surface_of(test)), spring_line(analyses.values())])),
+        visited=" ".join(
+            filter(None, [said_by_core(visited(analyses, surface_of(test))), spring_line(analyses.values())])
+        ),
         quality=quality,
         groups=groups,
         parameters=parameter_table(analyses),
         scores=score_table(analyses),
         warnings=(
             *_warnings(analyses),
-            *(f"{engine_label(name)} could not use it: {why}" for name, why in refused.items()),
+            *(
+                _("{engine} could not use it: {why}").format(engine=engine_label(name), why=said_by_core(why))
+                for name, why in refused.items()
+            ),
         ),
     )
+
+
+def _said(verdict: Verdict) -> Verdict:
+    """Return a verdict in the language of the page."""
+    return Verdict(verdict.level, _(verdict.headline), tuple(for_report(reason) for reason in verdict.reasons))
 
 
 def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
@@ -82,7 +96,7 @@ def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
         for text in dict.fromkeys(analysis.model.report.warnings):
             said.setdefault(text, []).append(engine_label(name))
     for text, names in said.items():
-        yield f"{', '.join(names)}: {text}"
+        yield f"{', '.join(names)}: {said_by_core(text)}"
 
 
 def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> list[Prediction]:
@@ -102,18 +116,18 @@ def _full_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
         _group(
             material,
             f"{key}-recorded",
-            "What was recorded",
+            _("What was recorded"),
             _signals(material, key),
             _power(material, key),
             *_of_engines(material, key, "record"),
             _distributions(material, key),
         ),
-        _group(material, f"{key}-linear", "Linear description", *_of_engines(material, key, "linear")),
-        _group(material, f"{key}-nonlinear", "Nonlinear description", *_of_engines(material, key, "nonlinear")),
+        _group(material, f"{key}-linear", _("Linear description"), *_of_engines(material, key, "linear")),
+        _group(material, f"{key}-nonlinear", _("Nonlinear description"), *_of_engines(material, key, "nonlinear")),
         _group(
             material,
             f"{key}-unseen",
-            "Against unseen data",
+            _("Against unseen data"),
             _prediction(material, key),
             _scatter(material, key),
             _residuals(material, key),
@@ -145,9 +159,10 @@ def _of_engines(material: Material, key: str, group: Group, *, short: bool = Fal
         there = any(isinstance(a.model, one.model) for a in material.analyses.values())
         if one.group == group and one.standard and not there and (one.short or not short):
             why = material.refused.get(one.standard)
-            reason = f"the {one.standard} engine {f'could not use it: {why}' if why else 'was not run on this test'}"
-            places.append((one.place, absent(f"{key}-{one.key}", one.heading, reason, wide=one.wide)))
-    for _, drawn in sorted(places, key=lambda item: item[0]):
+            reason = _("the {engine} engine could not use it: {why}") if why else _NOT_RUN
+            reason = _(reason).format(engine=one.standard, why=said_by_core(why or ""))
+            places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), reason, wide=one.wide)))
+    for _place, drawn in sorted(places, key=lambda item: item[0]):
         yield drawn
 
 
@@ -165,7 +180,9 @@ def _power(material: Material, key: str) -> Picture:
 def _distributions(material: Material, key: str) -> Picture:
     analysis = material.any
     if analysis is None:
-        return absent(f"{key}-distributions", "Distributions of input and output", "no engine was run on this test")
+        return absent(
+            f"{key}-distributions", _("Distributions of input and output"), _("no engine was run on this test")
+        )
     return distributions_picture(analysis.record, key)
 
 
@@ -175,8 +192,8 @@ def _distributions(material: Material, key: str) -> Picture:
 def _prediction(material: Material, key: str) -> Picture:
     return picture(
         f"{key}-prediction",
-        "Measured and predicted",
-        "Measured output as dots with the simulations of the models as lines, and the residuals below.",
+        _("Measured and predicted"),
+        _("Measured output as dots with the simulations of the models as lines, and the residuals below."),
         lambda: (prediction_figure(material.predictions), captions.prediction(material.analyses)),
     )
 
@@ -184,8 +201,8 @@ def _prediction(material: Material, key: str) -> Picture:
 def _scatter(material: Material, key: str) -> Picture:
     return picture(
         f"{key}-scatter",
-        "Measured against predicted",
-        "Clouds of measured against predicted output for each model, with the diagonal of perfect agreement.",
+        _("Measured against predicted"),
+        _("Clouds of measured against predicted output for each model, with the diagonal of perfect agreement."),
         lambda: (scatter_figure(material.predictions), captions.scatter(material.predictions)),
     )
 
@@ -193,7 +210,7 @@ def _scatter(material: Material, key: str) -> Picture:
 def _residuals(material: Material, key: str) -> Picture:
     return picture(
         f"{key}-residuals",
-        "What the models leave over",
-        "Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % bands.",
-        lambda: (residuals_figure(material.predictions), captions.RESIDUALS),
+        _("What the models leave over"),
+        _("Left: autocorrelation of the residuals. Right: their correlation with the input. Both with 95 % bands."),
+        lambda: (residuals_figure(material.predictions), _(captions.RESIDUALS)),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.language import _
 from tissueid.records import Record
 from tissueid.reports import captions
 from tissueid.reports.blocks import Picture, picture
@@ -14,8 +15,8 @@ def signals_picture(test: Test, held_out_s: tuple[float, float] | None, key: str
     """The signals over time."""
     return picture(
         f"{key}-signals",
-        "Signals",
-        "Line plots over time of coil voltage, coil force and probe position, with the preload shaded.",
+        _("Signals"),
+        _("Line plots over time of coil voltage, coil force and probe position, with the preload shaded."),
         lambda: (signals_figure(test, held_out_s), captions.signals(test)),
     )
 
@@ -24,8 +25,8 @@ def power_picture(test: Test, spectra: SpectralModel | None, key: str) -> Pictur
     """The power spectra."""
     return picture(
         f"{key}-power",
-        "Power spectra",
-        "Power spectral densities of voltage, force and position against frequency, both axes logarithmic.",
+        _("Power spectra"),
+        _("Power spectral densities of voltage, force and position against frequency, both axes logarithmic."),
         lambda: (power_figure(test), captions.power(spectra)),
         wide=False,
     )
@@ -35,7 +36,9 @@ def distributions_picture(record: Record, key: str) -> Picture:
     """The distributions of input and output."""
     return picture(
         f"{key}-distributions",
-        "Distributions of input and output",
-        f"Histograms of {record.input_name} and {record.output_name}, each with a Gaussian curve.",
+        _("Distributions of input and output"),
+        _("Histograms of {input} and {output}, each with a Gaussian curve.").format(
+            input=_(record.input_name), output=_(record.output_name)
+        ),
         lambda: (distributions_figure(record), captions.distributions(record)),
     )

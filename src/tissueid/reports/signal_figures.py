@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Array, power_spectrum, runs, thin
 from tissueid.reports.style import (
@@ -66,29 +67,29 @@ def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) ->
     load = [name for name in ("force", "current") if has_samples(test, name)][:1]
     panels = [names for names in (drive, load, ["position"] if has_samples(test, "position") else []) if names]
     if not panels:
-        raise UnusableInputError("no voltage, current, force or position was received")
+        raise UnusableInputError(_("no voltage, current, force or position was received"))
     figure = new_figure(FULL_WIDTH, 0.7 + 1.45 * len(panels))
     time_s = np.arange(test.samples) / test.sample_rate_hz
     every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, names in zip(every, panels, strict=True):
         _signal_panel(axes, test, names, time_s)
     if np.isfinite(test.surface_position_m) and panels[-1] == ["position"]:
-        words = "surface of the tissue" if has_depth(test.configuration) else "where it began"
+        words = _("surface of the tissue") if has_depth(test.configuration) else _("where it began")
         _mark_surface(every[-1], 1e3 * test.surface_position_m, words)
     _mark_times(list(every), test, held_out_s)
     every[-1].set_xlim(0.0, test.samples / test.sample_rate_hz)
-    every[-1].set_xlabel("Time (s)")
+    every[-1].set_xlabel(_("Time (s)"))
     figure.align_ylabels()
     return figure
 
 
 def _signal_panel(axes: Axes, test: Test, names: list[str], time_s: Array) -> None:
     unit, scale = people_unit(SIGNAL_UNITS[names[0]])
-    labels = {"command": "asked for", "voltage": "measured across the coil"}
+    labels = {"command": _("asked for"), "voltage": _("measured across the coil")}
     for name in names:
         thinned = thin(time_s, scale * test.signals[name])
         axes.plot(*thinned, color=_COLOURS.get(name, MUTED), linewidth=0.7, label=labels.get(name))
-    axes.set_ylabel(f"{'Voltage' if names[0] == 'command' else names[0].capitalize()} ({unit})")
+    axes.set_ylabel(axis_label("voltage" if names[0] == "command" else names[0], unit))
     if len(names) > 1:
         low, high = axes.get_ylim()
         axes.set_ylim(low - 0.2 * (high - low), high)
@@ -124,10 +125,10 @@ def _mark_times(every: list[Axes], test: Test, held_out_s: tuple[float, float] |
         "fontsize": 8.5,
     }
     if preload > 0.04 * seconds:
-        top.annotate("preload", (0.0, 1.0), (0, 3), **above)
+        top.annotate(_("preload"), (0.0, 1.0), (0, 3), **above)
     if held_out_s is not None:
-        top.annotate("fitted", (preload, 1.0), (0, 3), **above)
-        top.annotate("held out", (held_out_s[0], 1.0), (0, 3), **above)
+        top.annotate(_("fitted"), (preload, 1.0), (0, 3), **above)
+        top.annotate(_("held out"), (held_out_s[0], 1.0), (0, 3), **above)
     stretches = runs(lost_samples(test))
     if len(stretches) > _MOST_LOST_RUNS:
         joined = np.array_split(np.array(stretches), _MOST_LOST_RUNS)
@@ -139,7 +140,11 @@ def _mark_times(every: list[Axes], test: Test, held_out_s: tuple[float, float] |
             )
     if stretches:
         top.annotate(
-            "■ not received", (1.0, 1.0), (0, 3), ha="right", **(above | {"xycoords": "axes fraction", "color": LOST})
+            _("■ not received"),
+            (1.0, 1.0),
+            (0, 3),
+            ha="right",
+            **(above | {"xycoords": "axes fraction", "color": LOST}),
         )
 
 
@@ -164,14 +169,14 @@ def power_figure(test: Test) -> Figure:
         frequency_hz, density = (values[1:] for values in found)
         drawn = density > 0.0
         axes.plot(
-            frequency_hz[drawn], density[drawn], color=_COLOURS[name], linestyle=dash, label=f"{name} ({unit}²/Hz)"
+            frequency_hz[drawn], density[drawn], color=_COLOURS[name], linestyle=dash, label=f"{_(name)} ({unit}²/Hz)"
         )
         low, high = min(low, float(frequency_hz[0])), max(high, float(frequency_hz[-1]))
     if not high > 0.0:
-        raise UnusableInputError("the test is too short, or too full of gaps, for a power spectrum")
+        raise UnusableInputError(_("the test is too short, or too full of gaps, for a power spectrum"))
     frequency_axis(axes, low, high)
     log_axis(axes)
-    axes.set_ylabel("Power spectral density")
+    axes.set_ylabel(_("Power spectral density"))
     axes.legend(loc="lower left")
     return figure
 
@@ -193,14 +198,14 @@ def distributions_figure(record: Record) -> Figure:
         values = scale * values[np.isfinite(values)]
         spread = float(np.std(values)) if values.size else 0.0
         if values.size < 20 or not spread > 1e-9 * float(np.max(np.abs(values))):
-            raise UnusableInputError(f"the {name} has too few samples, or does not vary")
+            raise UnusableInputError(_("the {name} has too few samples, or does not vary").format(name=_(name)))
         bins = int(np.clip(np.sqrt(values.size), 8, 60))
         axes.hist(values, bins=bins, density=True, color=_COLOURS.get(name, MUTED), alpha=0.4, histtype="stepfilled")
         grid = np.linspace(values.min(), values.max(), 200)
         gaussian = np.exp(-0.5 * ((grid - values.mean()) / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-        axes.plot(grid, gaussian, color=INK, linewidth=1.0, linestyle=DASHES[1], label="Gaussian")
+        axes.plot(grid, gaussian, color=INK, linewidth=1.0, linestyle=DASHES[1], label=_("Gaussian"))
         axes.set_xlabel(axis_label(name, unit))
-        axes.set_ylabel(f"Density (1/{unit})" if unit else "Density")
+        axes.set_ylabel(_("Density (1/{unit})").format(unit=unit) if unit else _("Density"))
         axes.set_ylim(bottom=0.0)
     figure.axes[0].legend(loc="upper left")
     return figure

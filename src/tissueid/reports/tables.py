@@ -13,6 +13,7 @@ import numpy as np
 from tissueid import __version__
 from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth
+from tissueid.core_words import said_by_core
 from tissueid.device import DeviceDescription
 from tissueid.identification.base import FitReport
 from tissueid.language import _, marked
@@ -75,6 +76,11 @@ class Comparison:
     rows: tuple[ComparisonRow, ...]
 
 
+_PLUS_MINUS = marked(
+    "± is one standard deviation; a value without it has no estimate of its uncertainty, and one that is no larger "
+    "than two of them is called uncertain: it cannot be told from zero. LMS and Spectral share "
+    "one second-order fit to the record: their mass, damping and stiffness are one answer, not two."
+)
 UNCERTAIN_DEVIATIONS = 2.0
 """A parameter within so many standard deviations of zero is called uncertain."""
 
@@ -111,15 +117,12 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
             _told(parameters[name], scale) if name in parameters else MISSING
             for parameters in (a.model.report.reportable_parameters for a in analyses.values())
         ]
-        rows.append((label, unit, *cells))
+        rows.append((_(label), unit, *cells))
     return Table(
-        "Parameters",
-        ("Quantity", "Unit", *map(engine_label, analyses)),
+        _("Parameters"),
+        (_("Quantity"), _("Unit"), *map(engine_label, analyses)),
         tuple(rows),
-        "± is one standard deviation; a value without it has no estimate of its uncertainty, and one that is no larger "
-        "than two of them is called uncertain: it cannot be told from zero. LMS and Spectral share "
-        "one second-order fit to the record: their mass, damping and stiffness are one answer, not two. "
-        + spring_line(analyses.values()),
+        " ".join([_(_PLUS_MINUS), spring_line(analyses.values())]).rstrip(),
     )
 
 
@@ -127,37 +130,39 @@ def _told(found: Estimate, scale: float) -> str:
     """A parameter with its deviation; where that leaves open whether it is there at all, it says so."""
     text = plus_minus(found, scale)
     uncertain = found.std is not None and abs(found.value) <= UNCERTAIN_DEVIATIONS * found.std
-    return f"{text}, uncertain" if uncertain else text
+    return _("{value}, uncertain").format(value=text) if uncertain else text
 
 
 def score_table(analyses: Mapping[str, Analysis]) -> Table:
     """How well each engine does, in sample and held out, and at what cost."""
     reports = [(name, a.model.report) for name, a in analyses.items()]
-    scheduled = any(report.vaf_scheduled_percent is not None for _, report in reports)
-    head = ["Engine", "VAF, fitted (%)", "VAF, held out (%)"]
-    head += ["VAF, held out, scheduled (%)"] if scheduled else []
-    head += ["AICc", "Parameters", "Samples fitted", "Seconds"]
+    scheduled = any(report.vaf_scheduled_percent is not None for _name, report in reports)
+    head = [_("Engine"), _("VAF, fitted (%)"), _("VAF, held out (%)")]
+    head += [_("VAF, held out, scheduled (%)")] if scheduled else []
+    head += ["AICc", _("Parameters"), _("Samples fitted"), _("Seconds")]
     rows = []
     for name, report in reports:
         cells = [engine_label(name), fixed(report.vaf_percent, 2), held_out_cell(report)]
         cells += [fixed(report.vaf_scheduled_percent, 2)] if scheduled else []
         cells += [grouped(report.aicc), grouped(report.n_parameters), grouped(report.n_samples)]
         rows.append((*cells, fixed(report.seconds, 3)))
-    held_out = next((a.validated_on for a in analyses.values()), "")
+    held_out = next((said_by_core(a.validated_on) for a in analyses.values()), "")
     return Table(
-        "Model scores",
+        _("Model scores"),
         tuple(head),
         tuple(rows),
-        f"Held out: {held_out}. VAF is the variance accounted for by a simulation that sees the input alone. Among "
-        "models fitted to the same samples the lowest AICc is the best. An engine whose held-out VAF is not above zero "
-        "at the 5 % level predicts nothing, and its parameters are left out.",
+        _(
+            "Held out: {held_out}. VAF is the variance accounted for by a simulation that sees the input alone. Among "
+            "models fitted to the same samples the lowest AICc is the best. An engine whose held-out VAF is not above "
+            "zero at the 5 % level predicts nothing, and its parameters are left out."
+        ).format(held_out=held_out),
     )
 
 
 def held_out_cell(report: FitReport, decimals: int = 2) -> str:
     """The held-out VAF in percent, marked where the fit predicts nothing."""
     text = fixed(report.vaf_validation_percent, decimals)
-    return f"{text}, predicts nothing" if report.predicts_nothing else text
+    return _("{score}, predicts nothing").format(score=text) if report.predicts_nothing else text
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -213,31 +218,33 @@ def said_status(status: str) -> str:
 def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> tuple[Table, ...]:
     """Everything that it takes to make the test and its analysis again."""
     sitting: list[Row] = [
-        ("Session", session.session_id or MISSING),
-        ("Recorded", readable_date(session.created)),
-        ("Recorded with", session.software or MISSING),
-        ("Analysed with", f"tissueid {__version__}"),
-        ("Subject", session.subject.pseudonym or MISSING),
-        *(named_value(name, value) for name, value in session.subject.demographics.items()),
+        (_("Session"), session.session_id or MISSING),
+        (_("Recorded"), readable_date(session.created)),
+        (_("Recorded with"), session.software or MISSING),
+        (_("Analysed with"), f"tissueid {__version__}"),
+        (_("Subject"), session.subject.pseudonym or MISSING),
+        *(_named(name, value) for name, value in session.subject.demographics.items()),
     ]
     tables = [
-        Table("Session", (), tuple(sitting)),
-        Table("Test", (), _test_rows(test)),
-        Table("Stimulus", (), _named_rows(test.stimulus, "The session does not describe the stimulus.")),
-        Table("Instrument", (), _instrument_rows(session.instrument)),
+        Table(_("Session"), (), tuple(sitting)),
+        Table(_("Test"), (), _test_rows(test)),
+        Table(_("Stimulus"), (), _named_rows(test.stimulus, _("The session does not describe the stimulus."))),
+        Table(_("Instrument"), (), _instrument_rows(session.instrument)),
         Table(
-            "Calibration in force",
+            _("Calibration in force"),
             (),
-            _named_rows(_readable_dates(session.instrument.calibration), "None recorded: nominal figures were used."),
+            _named_rows(
+                _readable_dates(session.instrument.calibration), _("None recorded: nominal figures were used.")
+            ),
         ),
     ]
     for name, analysis in analyses.items():
         report = analysis.model.report
-        rows: list[Row] = [("Held out", analysis.validated_on)]
+        rows: list[Row] = [(_("Held out"), said_by_core(analysis.validated_on))]
         options = {option: value for option, value in report.options.items() if (option, value) != _NO_SURFACE}
-        rows += [named_value(option, value) for option, value in options.items()]
-        rows += [named_value(detail, value) for detail, value in report.details.items()]
-        tables.append(Table(f"Engine: {engine_label(name)}", (), tuple(rows)))
+        rows += [_named(option, value) for option, value in options.items()]
+        rows += [_named(detail, value) for detail, value in report.details.items()]
+        tables.append(Table(_("Engine: {name}").format(name=engine_label(name)), (), tuple(rows)))
     return tuple(tables)
 
 
@@ -248,17 +255,23 @@ def _readable_dates(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _named_rows(settings: Mapping[str, Any], otherwise: str) -> tuple[Row, ...]:
     rows: dict[str, str] = {}
     _flatten(settings, rows, "")
-    return tuple(rows.items()) or (("Settings", otherwise),)
+    return tuple(rows.items()) or ((_("Settings"), otherwise),)
 
 
 def _flatten(settings: Mapping[str, Any], rows: dict[str, str], parent: str) -> None:
     """Settings inside settings, as far as two levels down, get rows of their own; a name used twice is told apart."""
     for name, value in settings.items():
         if isinstance(value, dict) and value and parent.count(":") < 2:
-            _flatten(value, rows, f"{parent}{named_unit(str(name))[0]}: ")
+            _flatten(value, rows, f"{parent}{_(named_unit(str(name))[0])}: ")
             continue
-        label, text = named_value(str(name), value)
-        rows[f"{parent}{label[:1].lower()}{label[1:]}" if label in rows else label] = text
+        label, text = _named(str(name), value)
+        rows[f"{parent}{label}" if label in rows else label] = text
+
+
+def _named(name: str, value: Any) -> tuple[str, str]:
+    """Return a named setting of any kind as label and text, both in the language of the report where it has them."""
+    label, text = named_value(name, value)
+    return _(label), _(text)
 
 
 def _instrument_rows(device: DeviceDescription) -> tuple[Row, ...]:
@@ -266,7 +279,7 @@ def _instrument_rows(device: DeviceDescription) -> tuple[Row, ...]:
     for item in fields(device):
         value = getattr(device, item.name)
         if item.name != "calibration" and value != "":
-            rows.append(named_value(item.name, value))
+            rows.append(_named(item.name, value))
     return tuple(rows)
 
 
@@ -275,25 +288,28 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
     force = test.signals.get("force", np.zeros(0))
     force = force[np.isfinite(force)]
     surface = test.surface_position_m
-    first = "Surface of the tissue" if has_depth(test.configuration) else "Where it began"
+    length_s = test.samples / test.sample_rate_hz
+    repeated = _("no other test") if test.repeat_of is None else _("test {number}")
+    first = _("Surface of the tissue") if has_depth(test.configuration) else _("Where it began")
     rows: list[Row] = [
-        ("Number", str(test.number)),
-        ("Kind", plain_text(test.kind).replace("_", " ")),
-        ("Configuration", plain_text(test.configuration)),
-        ("Site", plain_text(test.site)),
-        ("Status", test.status),
-        ("Sample rate", with_unit(number(test.sample_rate_hz), "Hz")),
-        ("Length", f"{number(test.samples / test.sample_rate_hz)} s, {test.samples} samples"),
-        ("Preload", with_unit(number(test.preload_s), "s") if test.preload_s else "none"),
-        (first, with_unit(fixed(1e3 * surface, 2), "mm") if np.isfinite(surface) else "not recorded"),
-        ("Seed of the stimulus", str(test.seed)),
-        ("Repeats the command of", "no other test" if test.repeat_of is None else f"test {test.repeat_of}"),
+        (_("Number"), str(test.number)),
+        (_("Kind"), _(plain_text(test.kind).replace("_", " "))),
+        (_("Configuration"), _(plain_text(test.configuration))),
+        (_("Site"), plain_text(test.site)),
+        (_("Status"), said_status(test.status)),
+        (_("Sample rate"), with_unit(number(test.sample_rate_hz), "Hz")),
+        (_("Length"), _("{seconds} s, {samples} samples").format(seconds=number(length_s), samples=test.samples)),
+        (_("Preload"), with_unit(number(test.preload_s), "s") if test.preload_s else _("none")),
+        (first, with_unit(fixed(1e3 * surface, 2), "mm") if np.isfinite(surface) else _("not recorded")),
+        (_("Seed of the stimulus"), str(test.seed)),
+        (_("Repeats the command of"), repeated.format(number=test.repeat_of)),
     ]
     if force.size:
-        rows.append(("Force reached", f"{fixed(float(force.min()), 1)} to {fixed(float(force.max()), 1)} N"))
-    rows.append(("Samples not received", f"{lost} ({100 * lost / test.samples:.2f} %)" if lost else "none"))
-    rows += [named_value(name, value) for name, value in test.notes.items() if name not in _TOLD_ELSEWHERE]
-    rows.append(("Events", "; ".join(_events(test.notes.get("events", ""))) or "none"))
+        low, high = fixed(float(force.min()), 1), fixed(float(force.max()), 1)
+        rows.append((_("Force reached"), _("{low} to {high} N").format(low=low, high=high)))
+    rows.append((_("Samples not received"), f"{lost} ({100 * lost / test.samples:.2f} %)" if lost else _("none")))
+    rows += [_named(name, value) for name, value in test.notes.items() if name not in _TOLD_ELSEWHERE]
+    rows.append((_("Events"), "; ".join(_events(test.notes.get("events", ""))) or _("none")))
     return tuple(rows)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import _
 from tissueid.reports.diagnostics import Prediction, autocorrelation, cross_correlation
 from tissueid.reports.style import (
     DASHES,
@@ -56,7 +57,7 @@ def prediction_figure(predictions: Sequence[Prediction], seconds: float = STRETC
         linestyle="none",
         marker=".",
         markersize=3.0,
-        label="measured",
+        label=_("measured"),
     )
     lower.axhline(0.0, color=MUTED, linewidth=0.8)
     for prediction, colour, dash in zip(predictions, SERIES, DASHES, strict=False):
@@ -64,7 +65,7 @@ def prediction_figure(predictions: Sequence[Prediction], seconds: float = STRETC
         lower.plot(time_s, scale * prediction.residual[stretch], color=colour, linestyle=dash, linewidth=1.0)
     upper.set_ylabel(axis_label(first.output_name, unit))
     lower.set_ylabel(axis_label("residual", unit))
-    lower.set_xlabel("Time (s)")
+    lower.set_xlabel(_("Time (s)"))
     lower.set_xlim(float(time_s[0]), float(time_s[-1]))
     upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=1 + len(predictions), borderaxespad=0.2)
     figure.align_ylabels()
@@ -128,7 +129,7 @@ def residuals_figure(predictions: Sequence[Prediction]) -> Figure:
     for prediction, colour, dash in zip(predictions, SERIES, DASHES, strict=False):
         correlation, band = autocorrelation(prediction.residual, lags)
         if prediction is first:
-            left.axhspan(-band, band, color=SHADE, zorder=0, label="95 % band of white noise")
+            left.axhspan(-band, band, color=SHADE, zorder=0, label=_("95 % band of white noise"))
         left.plot(lag_ms[1:], correlation[1:], color=colour, linestyle=dash, linewidth=1.1, label=prediction.label)
         two_sided, values, half_width = cross_correlation(prediction.input, prediction.residual, lags)
         right.plot(1e3 * two_sided / prediction.sample_rate_hz, values, color=colour, linestyle=dash, linewidth=1.1)
@@ -137,14 +138,14 @@ def residuals_figure(predictions: Sequence[Prediction]) -> Figure:
         limit = max(limit, 1.25 * half_width, 1.1 * float(np.abs(values).max()))
     for axes in (left, right):
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
-    left.set_xlabel("Lag (ms)")
+    left.set_xlabel(_("Lag (ms)"))
     left.set_xlim(0.0, float(lag_ms[-1]))
-    left.set_ylabel("Residual autocorrelation")
+    left.set_ylabel(_("Residual autocorrelation"))
     left.legend(loc="upper right")
-    right.set_xlabel("Lag of the residual behind the input (ms)")
+    right.set_xlabel(_("Lag of the residual behind the input (ms)"))
     right.set_xlim(-float(lag_ms[-1]), float(lag_ms[-1]))
     right.set_ylim(-limit, limit)
-    right.set_ylabel("Input to residual")
+    right.set_ylabel(_("Input to residual"))
     return figure
 
 
@@ -155,9 +156,10 @@ def _comparable(predictions: Sequence[Prediction]) -> Prediction:
         UnusableInputError: there is no prediction, or one has too few samples that were received and simulated.
     """
     if not predictions:
-        raise UnusableInputError("no engine was validated on this test")
+        raise UnusableInputError(_("no engine was validated on this test"))
     for prediction in predictions:
         residual = prediction.residual[np.isfinite(prediction.residual)]
         if residual.size < _LEAST_SAMPLES or not float(np.ptp(residual)) > 0.0:
-            raise UnusableInputError(f"the held-out part has too few samples for {prediction.label} to be judged")
+            words = _("the held-out part has too few samples for {engine} to be judged")
+            raise UnusableInputError(words.format(engine=prediction.label))
     return predictions[0]

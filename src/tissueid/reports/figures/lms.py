@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.identification.engines.lms import LmsModel
+from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
@@ -17,8 +18,8 @@ from tissueid.wording import number
 @figure(
     LmsModel,
     "impulse",
-    "Impulse response",
-    "Impulse response against lag: points with a band of one deviation, and the second-order curve.",
+    marked("Impulse response"),
+    marked("Impulse response against lag: points with a band of one deviation, and the second-order curve."),
     group="linear",
     wide=False,
     place=40,
@@ -38,15 +39,15 @@ def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
     response, std = scale * model.impulse_response, scale * model.impulse_response_std
     axes.axhline(0.0, color=MUTED, linewidth=0.8)
     axes.fill_between(
-        lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0, label="± 1 standard deviation"
+        lag_ms, response - std, response + std, color=BLUE, alpha=0.22, linewidth=0.0, label=_("± 1 standard deviation")
     )
-    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=4.0, label="each lag by itself")
+    axes.plot(lag_ms, response, color=BLUE, linestyle="none", marker=".", markersize=4.0, label=_("each lag by itself"))
     fit_s = np.linspace(0.0, float(model.lag_s[-1]), 400)
     fitted = scale * model.second_order.sign * model.second_order.system.impulse_response(fit_s)
-    axes.plot(1e3 * fit_s, fitted, color=ORANGE, linestyle=DASHES[1], linewidth=1.6, label="second order")
+    axes.plot(1e3 * fit_s, fitted, color=ORANGE, linestyle=DASHES[1], linewidth=1.6, label=_("second order"))
     axes.set_xlim(0.0, float(lag_ms[-1]) or 1.0)
-    axes.set_xlabel("Lag (ms)")
-    axes.set_ylabel(f"Impulse response ({per_unit} per s)")
+    axes.set_xlabel(_("Lag (ms)"))
+    axes.set_ylabel(_("Impulse response ({unit} per s)").format(unit=per_unit))
     axes.legend(loc="upper right")
     return figure
 
@@ -54,8 +55,9 @@ def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
 def _caption(model: LmsModel) -> str:
     """Under the impulse response."""
     memory_ms = 1e3 * model.memory_samples / model.sample_rate_hz
-    return (
-        f"The response rises, and should be over well before the end of the memory of {number(memory_ms, 3)} ms; the "
+    text = _(
+        "The response rises, and should be over well before the end of the memory of {memory} ms; the "
         "points should scatter about the curve within the band. The last lags also carry what comes after the memory. "
-        f"A curve that dips below zero is that of a damping ratio below one. {second_order(model.second_order)}"
-    )
+        "A curve that dips below zero is that of a damping ratio below one."
+    ).format(memory=number(memory_ms, 3))
+    return f"{text} {second_order(model.second_order)}"

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from tissueid.analysis import Analysis
 from tissueid.identification.base import Array, Model
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.language import _
 from tissueid.records import Record
 from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.style import drawing
@@ -95,7 +96,7 @@ class Declared:
         """Draw it, under a key that begins with ``prefix``, or say why not."""
         make = drawing(self.draw)
         key = "-".join(part for part in (prefix, subject.name, self.key) if part)
-        return picture(key, self.heading + suffix, self.alt, lambda: make(subject), wide=self.wide)
+        return picture(key, _(self.heading) + suffix, _(self.alt), lambda: make(subject), wide=self.wide)
 
 
 _declared: dict[tuple[type[Model], str], Declared] = {}

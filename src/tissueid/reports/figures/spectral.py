@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.diagnostics import CONFIDENCE, Array, power_edge
@@ -32,8 +33,8 @@ from tissueid.wording import fixed
 @figure(
     SpectralModel,
     "coherence",
-    "Mean squared coherence",
-    "Coherence between 0 and 1 against frequency, with its significance level as a dashed line.",
+    marked("Mean squared coherence"),
+    marked("Coherence between 0 and 1 against frequency, with its significance level as a dashed line."),
     group="record",
     wide=False,
     place=30,
@@ -47,8 +48,8 @@ def _coherence(subject: Subject[SpectralModel]) -> Drawn:
 @figure(
     SpectralModel,
     "bode",
-    "Bode diagram",
-    "Magnitude and phase of output over input against frequency, measured and as a second-order system.",
+    marked("Bode diagram"),
+    marked("Magnitude and phase of output over input against frequency, measured and as a second-order system."),
     group="linear",
     wide=False,
     place=30,
@@ -77,7 +78,7 @@ def coherence_figure(model: SpectralModel) -> Figure:
     if edge < frequency_hz[-1]:
         axes.axvspan(edge, frequency_hz[-1], color=SHADE, zorder=0)
         axes.annotate(
-            "hardly\nany input",
+            _("hardly\nany input"),
             (frequency_hz[-1], 1.0),
             (-3, 0),
             textcoords="offset points",
@@ -88,10 +89,10 @@ def coherence_figure(model: SpectralModel) -> Figure:
         )
     axes.plot(frequency_hz, spectra.coherence[1:], color=BLUE)
     floor = spectra.coherence_floor
-    axes.axhline(floor, color=ORANGE, linewidth=1.0, linestyle=DASHES[1], label="5 % significance level")
+    axes.axhline(floor, color=ORANGE, linewidth=1.0, linestyle=DASHES[1], label=_("5 % significance level"))
     frequency_axis(axes, float(frequency_hz[0]), float(frequency_hz[-1]))
     axes.set_ylim(0.0, 1.06)
-    axes.set_ylabel("Mean squared coherence")
+    axes.set_ylabel(_("Mean squared coherence"))
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, min(0.7, floor + 0.01)))
     return figure
 
@@ -109,7 +110,7 @@ def bode_figure(model: SpectralModel, record: Record) -> Figure:
     """
     band = excited_band(model)
     if band.sum() < 3:
-        raise UnusableInputError("the input has power at fewer than three frequencies")
+        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
     spectra = model.spectra
     frequency_hz = spectra.frequency_hz[band]
     per_unit, scale = ratio_unit(record)
@@ -128,14 +129,14 @@ def bode_figure(model: SpectralModel, record: Record) -> Figure:
         color=BLUE,
         alpha=0.22,
         linewidth=0.0,
-        label="95 % band",
+        label=_("95 % band"),
     )
-    upper.plot(frequency_hz, magnitude, color=BLUE, marker=".", markersize=3.5, linewidth=0.8, label="measured")
-    upper.plot(fit_hz, np.abs(fitted), color=ORANGE, linestyle=DASHES[1], label="second order")
+    upper.plot(frequency_hz, magnitude, color=BLUE, marker=".", markersize=3.5, linewidth=0.8, label=_("measured"))
+    upper.plot(fit_hz, np.abs(fitted), color=ORANGE, linestyle=DASHES[1], label=_("second order"))
     trusted = np.concatenate([magnitude, np.abs(fitted)])
     upper.set_ylim(0.5 * trusted[trusted > 0.0].min(), 2.0 * trusted.max())
     log_axis(upper)
-    upper.set_ylabel(f"Magnitude ({per_unit})")
+    upper.set_ylabel(_("Magnitude ({unit})").format(unit=per_unit))
     upper.legend(loc="lower left")
 
     phase, fitted_phase = _phase_degrees(response), _phase_degrees(fitted)
@@ -147,7 +148,7 @@ def bode_figure(model: SpectralModel, record: Record) -> Figure:
     both = np.concatenate([phase, fitted_phase])
     lower.set_ylim(45.0 * np.floor(both.min() / 45.0 - 0.2), 45.0 * np.ceil(both.max() / 45.0 + 0.2))
     lower.yaxis.set_major_locator(MultipleLocator(45.0) if np.ptp(both) < 400.0 else MaxNLocator(6))
-    lower.set_ylabel("Phase (°)")
+    lower.set_ylabel(_("Phase (°)"))
     frequency_axis(lower, float(frequency_hz[0]), float(frequency_hz[-1]))
     figure.align_ylabels()
     return figure
@@ -157,20 +158,20 @@ def _coherence_caption(model: SpectralModel) -> str:
     """Under the coherence."""
     band = excited_band(model)
     mean = float(np.mean(model.spectra.coherence[band])) if band.any() else None
-    return (
+    return _(
         "Near one where a linear system explains the motion; lower where nonlinearity, drift or noise takes part. "
-        f"The mean over the excited band is {fixed(mean, 2)}. Unrelated signals exceed the dashed level of "
-        f"{fixed(model.spectra.coherence_floor, 2)} at one frequency in twenty."
-    )
+        "The mean over the excited band is {mean}. Unrelated signals exceed the dashed level of {level} at one "
+        "frequency in twenty."
+    ).format(mean=fixed(mean, 2), level=fixed(model.spectra.coherence_floor, 2))
 
 
 def _bode_caption(model: SpectralModel) -> str:
     """Under the Bode diagram."""
-    return (
+    text = _(
         "Over the band where the input has power. The magnitude should be level up to the natural frequency and then "
-        "fall with the square of the frequency, while the phase goes from 0° towards −180°. "
-        f"{second_order(model.second_order)}"
+        "fall with the square of the frequency, while the phase goes from 0° towards −180°."
     )
+    return f"{text} {second_order(model.second_order)}"
 
 
 def _phase_degrees(response: NDArray[np.complex128]) -> Array:

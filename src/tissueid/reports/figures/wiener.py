@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.wiener import WienerModel
+from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
@@ -31,8 +32,8 @@ _MOST_POINTS = 4000
 @figure(
     WienerModel,
     "nonlinearity",
-    "Static nonlinearity and stiffness",
-    "Left: measured output against predicted linear output with a fitted curve. Right: stiffness by depth.",
+    marked("Static nonlinearity and stiffness"),
+    marked("Left: measured output against predicted linear output with a fitted curve. Right: stiffness by depth."),
     group="nonlinear",
     place=10,
     standard="Wiener",
@@ -47,8 +48,8 @@ def _nonlinearity(subject: Subject[WienerModel]) -> Drawn:
 @figure(
     WienerModel,
     "iterations",
-    "How the Wiener iteration settled",
-    "Left: variance accounted for by pass. Right: each parameter relative to its last value by pass.",
+    marked("How the Wiener iteration settled"),
+    marked("Left: variance accounted for by pass. Right: each parameter relative to its last value by pass."),
     group="nonlinear",
     place=20,
     standard="Wiener",
@@ -77,7 +78,7 @@ def nonlinearity_figure(
     known = np.isfinite(z) & np.isfinite(measured)
     z, measured = z[known], measured[known]
     if z.size < 2:
-        raise UnusableInputError("no sample lies where the Wiener model can be run")
+        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
     in_unit, in_scale = people_unit(record.input_unit)
     out_unit, out_scale = people_unit(record.output_unit)
     figure = new_figure(FULL_WIDTH, 3.7)
@@ -96,10 +97,12 @@ def nonlinearity_figure(
     )
     grid = np.linspace(z.min(), z.max(), 200)
     curve = model.nonlinearity(grid)
-    left.plot(in_scale * grid, out_scale * curve, color=ORANGE, linewidth=2.0, label="fitted nonlinearity")
+    left.plot(in_scale * grid, out_scale * curve, color=ORANGE, linewidth=2.0, label=_("fitted nonlinearity"))
     near = measured.min() - surface_position_m < 0.6 * np.ptp(measured)
     if near and record.output_name == "position":
-        left.axhline(out_scale * surface_position_m, color=MUTED, linestyle=DASHES[2], linewidth=1.2, label="surface")
+        left.axhline(
+            out_scale * surface_position_m, color=MUTED, linestyle=DASHES[2], linewidth=1.2, label=_("surface")
+        )
     left.set_xlabel(axis_label("predicted_linear_output", in_unit))
     left.set_ylabel(axis_label(f"measured_{record.output_name}", out_unit))
     left.legend(loc="lower right")
@@ -113,7 +116,7 @@ def _stiffness_panel(axes: Axes, model: WienerModel, record: Record, ends: Array
     z = np.linspace(max(low, float(ends[0])), min(high, float(ends[1])), 200)
     slope = np.abs(model.nonlinearity.slope(z))
     clear = slope > 1e-3 * slope.max()
-    _, in_scale = people_unit(record.input_unit)
+    in_scale = people_unit(record.input_unit)[1]
     out_unit, out_scale = people_unit(record.output_unit)
     origin = surface_position_m if np.isfinite(surface_position_m) and record.output_name == "position" else 0.0
     depth = out_scale * (model.nonlinearity(z) - origin)
@@ -121,7 +124,8 @@ def _stiffness_panel(axes: Axes, model: WienerModel, record: Record, ends: Array
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel(axis_label("depth_below_the_surface" if origin else record.output_name, out_unit))
     mechanical = (record.input_unit, record.output_unit) == ("N", "m")
-    axes.set_ylabel("Stiffness (N/m)" if mechanical else f"Inverse slope ({record.input_unit}/{record.output_unit})")
+    inverse = _("Inverse slope ({unit})").format(unit=f"{record.input_unit}/{record.output_unit}")
+    axes.set_ylabel(_("Stiffness (N/m)") if mechanical else inverse)
 
 
 @drawing
@@ -133,16 +137,21 @@ def iterations_figure(model: WienerModel) -> Figure:
     """
     history = model.history
     if len(history) < 2:
-        raise UnusableInputError("the iteration made a single pass")
+        raise UnusableInputError(_("the iteration made a single pass"))
     passes = [item.iteration for item in history]
     figure = new_figure(FULL_WIDTH, 2.9)
     left, right = figure.subplots(1, 2)
     for scores, label, colour, dash in (
-        ([item.nonlinear_vaf_percent for item in history], "cascade, against the output", SERIES[1], DASHES[0]),
-        ([item.linear_vaf_percent for item in history], "linear stage, against its own target", SERIES[0], DASHES[1]),
+        ([item.nonlinear_vaf_percent for item in history], _("cascade, against the output"), SERIES[1], DASHES[0]),
+        (
+            [item.linear_vaf_percent for item in history],
+            _("linear stage, against its own target"),
+            SERIES[0],
+            DASHES[1],
+        ),
     ):
         left.plot(passes, scores, color=colour, linestyle=dash, marker="o", markersize=3.5, label=label)
-    left.set_ylabel("VAF (%)")
+    left.set_ylabel(_("VAF (%)"))
     left.margins(y=0.25)
     left.legend(loc="best")
     drawn = 0
@@ -157,46 +166,59 @@ def iterations_figure(model: WienerModel) -> Figure:
             linestyle=DASHES[drawn % len(DASHES)],
             marker="os^DvP"[drawn % 6],
             markersize=3.5,
-            label=named_unit(name)[0],
+            label=_(named_unit(name)[0]),
         )
         drawn += 1
     right.axhline(1.0, color=MUTED, linewidth=0.8)
-    right.set_ylabel("Parameter over its last value")
+    right.set_ylabel(_("Parameter over its last value"))
     if drawn:
         right.legend(loc="best", ncols=2)
     for axes in (left, right):
         axes.axvline(model.chosen, color=MUTED, linewidth=1.0, linestyle=DASHES[2])
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
-        axes.set_xlabel("Pass")
+        axes.set_xlabel(_("Pass"))
     return figure
 
 
 def _nonlinearity_caption(model: WienerModel, record: Record, surface_position_m: float) -> str:
     """Under the static nonlinearity."""
-    text = (
-        "Left: the points should follow one rising curve; their spread about it is what a static curve cannot explain. "
-        "Tissue that stiffens flattens the curve. Right: the stiffness is the inverse of its slope"
-    )
+    text = [
+        _(
+            "Left: the points should follow one rising curve; their spread about it is what a static curve cannot "
+            "explain. Tissue that stiffens flattens the curve."
+        )
+    ]
+    slope = _("Right: the stiffness is the inverse of its slope.")
     z = model.linear_output(record.input)
     z = z[np.isfinite(z)]
     if z.size and (record.input_unit, record.output_unit) == ("N", "m"):
         slopes = model.nonlinearity.slope(np.quantile(z, (0.005, 0.995)))
         if np.all(slopes > 0.0):
             shallow, deep = (number(1.0 / slope, 3) for slope in slopes)
-            text += f", here from {shallow} to {deep} N/m over the depths visited"
+            slope = _(
+                "Right: the stiffness is the inverse of its slope, here from {shallow} to {deep} N/m over the depths "
+                "visited."
+            )
             if slopes[1] > slopes[0]:
-                text += "; tissue does not soften with depth, so look for drift in the signals"
-    text += "."
+                slope = _(
+                    "Right: the stiffness is the inverse of its slope, here from {shallow} to {deep} N/m over the "
+                    "depths visited; tissue does not soften with depth, so look for drift in the signals."
+                )
+            slope = slope.format(shallow=shallow, deep=deep)
+    text.append(slope)
     if np.isfinite(surface_position_m) and record.output_name == "position":
-        text += f" The surface of the tissue is at {fixed(1e3 * surface_position_m, 2)} mm on the actuator."
-    return text
+        surface = _("The surface of the tissue is at {place} mm on the actuator.")
+        text.append(surface.format(place=fixed(1e3 * surface_position_m, 2)))
+    return " ".join(text)
 
 
 def _iterations_caption(model: WienerModel) -> str:
     """Under the history of the Wiener iteration."""
-    refined = ", and then refined jointly" if model.refined else ""
-    return (
-        f"The passes should level off within a few. Pass {model.chosen} (dotted) was kept, by its simulation error"
-        f"{refined}. The linear stage is scored against the output that it was fitted to, which from the second pass "
+    kept = _("Pass {chosen} (dotted) was kept, by its simulation error.")
+    if model.refined:
+        kept = _("Pass {chosen} (dotted) was kept, by its simulation error, and then refined jointly.")
+    scored = _(
+        "The linear stage is scored against the output that it was fitted to, which from the second pass "
         "on is the measured output taken back through the nonlinearity."
     )
+    return " ".join([_("The passes should level off within a few."), kept.format(chosen=model.chosen), scored])
