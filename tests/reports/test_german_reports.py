@@ -11,7 +11,19 @@ from tissueid.language import speak
 from tissueid.reports.html import report_html
 from tissueid.reports.pdf import write_pdf
 
-SAME = {"Position (mm)", "Phase (°)", "Test", "Test 2", "Status", "LMS", "Spectral", "Wiener", "AICc", "toeplitz", "hann"}
+SAME = {
+    "Position (mm)",
+    "Phase (°)",
+    "Test",
+    "Test 2",
+    "Status",
+    "LMS",
+    "Spectral",
+    "Wiener",
+    "AICc",
+    "toeplitz",
+    "hann",
+}
 """Texts that are the same in both languages."""
 
 

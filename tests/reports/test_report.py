@@ -204,7 +204,7 @@ def test_events_of_any_kind_are_shown(session: Session, events: str, shown: str)
 
 def test_stimulus_within_stimulus_is_laid_flat(session: Session) -> None:
     rows = dict(settings_tables(session, session.test(1), {})[2].rows)
-    assert rows == {"Type": "guided", "Preload": "0.3 s", "Stimulus: type": "noise", "Cutoff": "150 Hz"}
+    assert rows == {"Type": "guided", "Preload": "0.3 s", "Stimulus: Type": "noise", "Cutoff": "150 Hz"}
 
 
 def test_force_and_position_alone_are_enough() -> None:
