@@ -118,7 +118,7 @@ def test_a_page_of_it_speaks_of_no_depth(sliding):
     session = read_session(sliding)
     page = report_html(session, {1: analyse_all(session)})
     assert "external spring of 800 N/m" in page
-    assert "Recording: good test" in page
+    assert "Recording: Good test" in page
     text = page[page.index("<main>") :]
     captions = [part.split("</figcaption>")[0] for part in text.split("<figcaption>")[1:]]
     assert captions
