@@ -235,6 +235,7 @@ GAP = (
     marked("The gap is explained: {causes}"),
     marked("The gap is probably explained: {causes}"),
     marked(" or "),
+    marked("{share} % as a single cause"),
     marked("It arises in {stages}, where the causes belong."),
     marked("It arises in {stage}: {percent} % of what noise does not explain."),
     marked(

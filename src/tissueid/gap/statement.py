@@ -111,17 +111,25 @@ def headline_of(found: Diagnosis, say: Translate = str) -> tuple[str, Level]:
         return words.format(stage=stage), "check"
     members = members_of(found)
     doubtful = any(member.doubtful for member in members)
-    causes = "; ".join(_with_odds(member, say) for member in members)
+    causes = "; ".join(_with_odds(member, say, alone=judged_alone(found, member.effect)) for member in members)
     words = "The gap is probably explained: {causes}" if doubtful else "The gap is explained: {causes}"
     return say(words).format(causes=causes), "check" if doubtful else "good"
 
 
-def _with_odds(member: Member, say: Translate) -> str:
-    every = ((member.effect, member.probability), *member.rivals)
-    return say(" or ").join(
-        f"{say(effect_words(name))} ({percent(share)} %)" if np.isfinite(share) else say(effect_words(name))
-        for name, share in every
-    )
+def judged_alone(found: Diagnosis, name: str) -> bool:
+    """Return whether a named effect of a combination has the odds of the ranking of single effects."""
+    return len(found.combination) > 1 and name in found.combination and name not in found.beside
+
+
+def _with_odds(member: Member, say: Translate, *, alone: bool) -> str:
+    words = []
+    for name, share in ((member.effect, member.probability), *member.rivals):
+        odds = f"{percent(share)} %"
+        if alone and name == member.effect:
+            odds = say("{share} % as a single cause").format(share=percent(share))
+        title = say(effect_words(name))
+        words.append(f"{title} ({odds})" if np.isfinite(share) else title)
+    return say(" or ").join(words)
 
 
 def percent(share: float) -> str:

@@ -15,7 +15,7 @@ from tissueid.app.views.gap.story import story_of
 from tissueid.cli.gap_diagnosis import in_words
 from tissueid.gap.diagnosis import Diagnosis, diagnose
 from tissueid.gap.named import believing, twin_of
-from tissueid.gap.statement import LIKELY, headline_of, listed, members_of
+from tissueid.gap.statement import LIKELY, headline_of, judged_alone, listed, members_of
 from tissueid.gap.workers import Alone
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
@@ -119,6 +119,19 @@ def test_every_member_of_a_combination_is_listed_first_with_its_odds():
     assert rows[1].stage == "drive"
     assert found.at_fault == ("mechanics", "drive")
     assert [item.effect for item in rows[2:]] == [RIVAL]
+
+
+def test_odds_of_the_leading_member_of_a_combination_are_said_to_be_those_of_a_single_cause():
+    found = synthetic("pair")
+    assert [judged_alone(found, name) for name in (EFFECT, PARTNER, RIVAL)] == [True, False, False]
+    headline = headline_of(found)[0]
+    leading, partner = headline.split("; ")
+    assert " % as a single cause)" in leading
+    assert partner.endswith("(95 %)")
+    odds = [item.odds for item in story_of(found, recorded(EFFECT, SEED, SAMPLES)).ranking[:2]]
+    assert odds[0].endswith(" % alone")
+    assert odds[1] == "95 %"
+    assert "single cause" not in headline_of(synthetic("sure"))[0]
 
 
 def test_where_nothing_is_named_the_list_is_ordered_by_what_is_closed():

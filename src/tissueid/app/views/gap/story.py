@@ -21,6 +21,7 @@ from tissueid.gap.regions import Profile, Spectrum
 from tissueid.gap.statement import (
     effect_words,
     headline_of,
+    judged_alone,
     listed,
     members_of,
     next_steps_of,
@@ -228,13 +229,18 @@ def _rival(found: Diagnosis, item: Ranked) -> Rival:
         item.stage,
         item.effect in found.combination,
         item.probability,
-        f"{percent(item.probability)} %" if np.isfinite(item.probability) else "",
+        _odds(found, item) if np.isfinite(item.probability) else "",
         closed,
         ", ".join(_cause(name) for name in item.indistinguishable),
         "" if known is None else sentence(said_by_core(known.signature)),
         "" if known is None else sentence(said_by_core(known.remedy)),
         _figures(found, item),
     )
+
+
+def _odds(found: Diagnosis, item: Ranked) -> str:
+    share = percent(item.probability)
+    return _("{share} % alone").format(share=share) if judged_alone(found, item.effect) else f"{share} %"
 
 
 def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
