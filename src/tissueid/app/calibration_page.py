@@ -60,6 +60,7 @@ _ROW = 22
 _LEAST_CURVE = 140
 _NO_POINTS: Array = np.zeros(0)
 _TWO_COLUMNS = 650
+_OPTIONS_IN_A_ROW = 380
 
 
 class CalibrationPage(QWidget):
@@ -85,6 +86,7 @@ class CalibrationPage(QWidget):
         self.done.hide()
         self.headline = QLabel()
         self.headline.setProperty("role", "headline")
+        self.headline.setWordWrap(True)
         self.said = QLabel()
         self.said.setWordWrap(True)
         self.said.setMinimumWidth(1)
@@ -254,11 +256,14 @@ class CalibrationPage(QWidget):
         button = QPushButton(begin)
         button.clicked.connect(lambda: self.begun.emit(kind))
         self.begin[kind] = button
-        options = QHBoxLayout()
+        options = FoldingBox(_OPTIONS_IN_A_ROW)
         if kind == "static":
-            for widget in (self.fixed, self.room_known, self.room):
-                options.addWidget(widget)
-        options.addStretch(1)
+            room = QHBoxLayout()
+            for widget in (self.room_known, self.room):
+                room.addWidget(widget)
+            room.addStretch(1)
+            options.addWidget(self.fixed)
+            options.addLayout(room, 1)
         below = QHBoxLayout()
         below.addWidget(button)
         below.addStretch(1)

@@ -46,7 +46,7 @@ class Guidance(QFrame):
         self._phases = QWidget()
         phases = QHBoxLayout(self._phases)
         phases.setContentsMargins(0, 0, 0, 0)
-        phases.setSpacing(14)
+        phases.setSpacing(8)
         for phase, name in _NAMES.items():
             label = QLabel(_(name))
             label.setProperty("role", "phase")

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.live import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.words import sentence
@@ -44,6 +45,7 @@ _LEAST = 1e-12
 
 _CARD_WIDTH = 214
 """Least width of a plot, pixels: the longest heading fits."""
+_SPACING = 8
 
 _WIDEST_PERCENT = 30.0
 """Half of what the plot of the parameters shows at most, so that its first moments do not squeeze the rest."""
@@ -96,6 +98,8 @@ class LiveAnalysis(QWidget):
         )
         self.simulated = QLabel(_(SIMULATED_LINE))
         self.simulated.setProperty("role", "heading")
+        self.simulated.setWordWrap(True)
+        self.simulated.setMinimumWidth(1)
         self.said = QLabel()
         self.said.setProperty("role", "muted")
         self.said.setWordWrap(True)
@@ -166,22 +170,20 @@ class LiveAnalysis(QWidget):
         row.setSpacing(8)
         for figure in (*self.numbers.values(), self.vaf):
             row.addWidget(figure, 1)
-        plots = QGridLayout()
-        plots.setSpacing(8)
-        for place, card in enumerate(self.cards):
+        for card in self.cards:
             card.setMinimumWidth(_CARD_WIDTH)
-            plots.addWidget(card, place // 2, place % 2)
-        for column in range(2):
-            plots.setColumnStretch(column, 1)
-        for line in range(len(self.cards) // 2):
-            plots.setRowStretch(line, 1)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
         layout.addWidget(numbers)
         layout.addWidget(self.simulated)
         layout.addWidget(self.said)
-        layout.addLayout(plots, 1)
+        for pair in zip(self.cards[::2], self.cards[1::2], strict=True):
+            plots = FoldingBox(2 * _CARD_WIDTH + _SPACING)
+            plots.setSpacing(_SPACING)
+            for card in pair:
+                plots.addWidget(card, 1)
+            layout.addLayout(plots, 1)
 
     def _say(self, text: str) -> None:
         self.said.setText(text)
@@ -264,6 +266,7 @@ class _Figure(QWidget):
         self._text = QLabel(label)
         self._text.setTextFormat(Qt.TextFormat.RichText)
         self._text.setProperty("role", "field")
+        self._text.setWordWrap(True)
         self._value, self._rest = QLabel(), QLabel()
         self._value.setProperty("role", "headline")
         self._rest.setProperty("role", "muted")

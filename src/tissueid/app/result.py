@@ -126,6 +126,8 @@ class ResultPage(QScrollArea):
         self.facts.setProperty("role", "muted")
         self.simulated = QLabel(_(SIMULATED_LINE))
         self.simulated.setProperty("role", "heading")
+        self.simulated.setWordWrap(True)
+        self.simulated.setMinimumWidth(1)
         self.reasons = QLabel()
         self.reasons.setToolTip(_(_METHODS))
         self.test = QComboBox()

@@ -1,10 +1,10 @@
-"""Containers that keep a page usable in a small window: one that scrolls, and one that turns a row into a column."""
+"""Containers that keep a page usable in a small window: they scroll, or turn a row into a column."""
 
 from __future__ import annotations
 
 from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QBoxLayout, QFrame, QScrollArea, QWidget
+from PySide6.QtWidgets import QBoxLayout, QFrame, QScrollArea, QSplitter, QWidget
 
 _LEAST = 80
 """Width and height below which scrolling is no longer practical, pixels."""
@@ -42,6 +42,9 @@ class PageScroll(QScrollArea):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
         """Fit the page again when what it needs has changed."""
         if event.type() == QEvent.Type.LayoutRequest and watched is self.widget():
+            layout = self.widget().layout()
+            if layout is not None:
+                layout.activate()  # until then it answers with the heights from before the change
             self._fit()
         return super().eventFilter(watched, event)
 
@@ -83,6 +86,7 @@ class FoldingBox(QBoxLayout):
         wanted = QBoxLayout.Direction.LeftToRight if row else QBoxLayout.Direction.TopToBottom
         if wanted != self.direction():
             self.setDirection(wanted)
+            self.update()  # its parents know the height that the other direction needed
         super().setGeometry(room)
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -100,4 +104,39 @@ class FoldingBox(QBoxLayout):
         return QSize(widest + margins.left() + margins.right(), super().minimumSize().height())
 
 
-__all__ = ["FoldingBox", "PageScroll"]
+class FoldingSplitter(QSplitter):
+    """A splitter across that becomes one of rows where its parts have no room beside each other.
+
+    Its minimum width is that of the widest part, so that what is around it can become narrow enough to fold it.
+    ``height`` is that of the first part where it is folded, pixels.
+    """
+
+    def __init__(self, height: int, parent: QWidget | None = None) -> None:
+        super().__init__(Qt.Orientation.Horizontal, parent)
+        self._height = height
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Fold or unfold for the new width."""
+        across, down = Qt.Orientation.Horizontal, Qt.Orientation.Vertical
+        room = event.size().width()
+        needed = sum(self._widths()) + (self.count() - 1) * self.handleWidth()
+        wanted = across if room >= needed else down
+        if wanted != self.orientation():
+            self.setOrientation(wanted)
+            if wanted == down:
+                self.setSizes([self._height, max(self._height, event.size().height() - self._height)])
+            else:
+                first = self._widths()[0]
+                self.setSizes([first, room - first])
+        super().resizeEvent(event)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Return the width of the widest part, and the height in the present orientation."""
+        return QSize(max(self._widths(), default=0), super().minimumSizeHint().height())
+
+    def _widths(self) -> list[int]:
+        parts = [self.widget(k) for k in range(self.count())]
+        return [part.minimumSizeHint().expandedTo(part.minimumSize()).width() for part in parts]
+
+
+__all__ = ["FoldingBox", "FoldingSplitter", "PageScroll"]

@@ -74,16 +74,13 @@ class StimulusForm(QWidget):
         row.setContentsMargins(0, 0, 0, 0)
         row.addWidget(self.file, 1)
         row.addWidget(self.browse)
-        self._file_label, self._stop_label = QLabel(_("File")), QLabel(_("Stop when known to"))
-        for place, (label, field) in enumerate(
-            (
-                (QLabel(_("Stimulus")), self.kind),
-                (self._file_label, self._saved),
-                (self._stop_label, self.stop_when),
-            )
-        ):
-            self._grid.addWidget(label, place, 0)
-            self._grid.addWidget(field, place, 1)
+        self._stop_label = QLabel(_("Stop when known to"))
+        self._stop_label.setWordWrap(True)
+        self._grid.addWidget(QLabel(_("Stimulus")), 0, 0)
+        self._grid.addWidget(self.kind, 0, 1)
+        self._grid.addWidget(self._saved, 1, 0, 1, 2)
+        self._grid.addWidget(self._stop_label, 2, 0)
+        self._grid.addWidget(self.stop_when, 2, 1)
         self._rows = self._grid.rowCount()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
@@ -151,8 +148,7 @@ class StimulusForm(QWidget):
                 widget.deleteLater()
         self._options = {}
         chosen = self.chosen
-        for widget in (self._file_label, self._saved):
-            widget.setVisible(chosen == FROM_FILE)
+        self._saved.setVisible(chosen == FROM_FILE)
         for widget in (self._stop_label, self.stop_when):
             widget.setVisible(self._stops)
         if chosen not in (FROM_FILE, Noise.name):

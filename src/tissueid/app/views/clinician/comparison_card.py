@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
@@ -15,7 +17,9 @@ from tissueid.wording import named_unit, people_unit
 
 _ROW = 17
 _AROUND = 62
-_LABELS = 250
+_LABELS, _NARROW_LABELS = 250, 220
+_ONE_ROW = 600
+"""Width below which the plots stand below each other, pixels."""
 _LEGEND = marked(
     "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
 )
@@ -29,27 +33,26 @@ class ComparisonCard(QFrame):
         super().__init__(parent)
         self.heading = QLabel(_("Compared with the subject's other sites and sittings"))
         self.heading.setProperty("role", "heading")
+        self.heading.setMinimumWidth(1)
         self.words = QLabel()
         self.words.setProperty("role", "field")
         self.words.setWordWrap(True)
         self.words.setMinimumWidth(1)
         self.words.setTextFormat(Qt.TextFormat.PlainText)
         self.cancel = QPushButton(_("Cancel comparison"))
-        top = QHBoxLayout()
+        top = FoldingBox(_ONE_ROW)
         top.setContentsMargins(2, 0, 0, 0)
         top.addWidget(self.heading)
         top.addWidget(self.words, 1)
         top.addWidget(self.cancel)
         self.cards: list[PlotCard] = []
         self._parts = []
-        row = QHBoxLayout()
+        row = FoldingBox(_ONE_ROW)
         row.setSpacing(8)
         for place, quantity in enumerate(QUANTITIES):
             name, si_unit = named_unit(quantity)
             key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
             card = PlotCard(_(name), _("± one SD"), people_unit(si_unit)[0], key=key, unit_of="bottom")
-            axis = card.plot.getAxis("left")
-            axis.setWidth(_LABELS if place == 0 else 8)
             bars = [card.line(role, width=2) for role in ("measured", "model")]
             dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]
             self._parts.append((bars, dots))
@@ -62,7 +65,9 @@ class ComparisonCard(QFrame):
         layout.addLayout(top)
         layout.addLayout(row)
         self.setToolTip(_(_LEGEND))
-        self._row = row
+        self._ticks: list[tuple[float, str]] = []
+        self._folded = False
+        self._label()
         self.hide()
 
     def expect(self) -> None:
@@ -86,7 +91,7 @@ class ComparisonCard(QFrame):
             return
         self.words.setText(" ".join(filter(None, [comparison.remark, comparison.left_out])))
         rows = range(len(sightings), 0, -1)
-        ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
+        self._ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
         for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):
             scale = people_unit(named_unit(quantity)[1])[1]
             for which, (bar, dot) in enumerate(zip(bars, dots, strict=True)):
@@ -102,15 +107,30 @@ class ComparisonCard(QFrame):
                     heights += [float(row), float(row), np.nan]
                 dot.setData(np.array(x), np.array(y))
                 bar.setData(np.array(ends), np.array(heights))
-            first = quantity == QUANTITIES[0]
-            card.plot.getAxis("left").setTicks([ticks if first else [(row, "") for row, _ in ticks], []])
             card.plot.setYRange(0.5, len(sightings) + 0.5, padding=0.0)
             card.plot.enableAutoRange(axis="x")
             card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
             card.show()
+        self._label()
         said = "; ".join(f"{one.label}{', ' + _('this sitting') if one.this else ''}" for one in sightings)
         self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Name the sittings at every plot where the plots stand below each other."""
+        super().resizeEvent(event)
+        folded = event.size().width() < _ONE_ROW
+        if folded != self._folded:
+            self._folded = folded
+            self.heading.setWordWrap(folded)
+            self._label()
+
+    def _label(self) -> None:
+        for place, card in enumerate(self.cards):
+            named = place == 0 or self._folded
+            axis = card.plot.getAxis("left")
+            axis.setWidth((_NARROW_LABELS if self._folded else _LABELS) if named else 8)
+            axis.setTicks([self._ticks if named else [(row, "") for row, _ in self._ticks], []])
 
     def paint_with(self, theme: Theme) -> None:
         """Take on the colours of a theme."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from tissueid.app.units import shown_si
@@ -13,6 +14,9 @@ _EXPLAINED = marked(
     "Deviation: of one test about the mean of the repeats. Two tests of the same site differ by less than the last "
     "column in 95 % of cases: 1.96 · √2 deviations."
 )
+
+_ONE_LINE = 600
+"""Width below which the heads of the columns wrap, pixels."""
 
 
 class SittingSummary(QFrame):
@@ -38,6 +42,7 @@ class SittingSummary(QFrame):
         for column, head in enumerate(HEADS):
             label = QLabel(_(head))
             label.setProperty("role", "field")
+            label.setMinimumWidth(1)
             self._heads.append(label)
             grid.addWidget(label, 0, column)
         self.cells: dict[str, list[QLabel]] = {}
@@ -81,6 +86,12 @@ class SittingSummary(QFrame):
             for row in rows.values()
         )
         self.setAccessibleName(" ".join(filter(None, [f"{standing.heading}: {said}", self.about.text()])))
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Wrap the heads of the columns where they have no room beside each other."""
+        super().resizeEvent(event)
+        for head in self._heads:
+            head.setWordWrap(event.size().width() < _ONE_LINE)
 
     def take_units(self) -> None:
         """Show it in the units in force."""

@@ -42,7 +42,7 @@ class Chain(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setAccessibleName(_("Signal chain"))
-        self.setMinimumSize(530, 136)
+        self.setMinimumSize(500, 136)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.stages: dict[Stage, _Box] = {stage: _Box(stage, self) for stage in _PLACES}
         self._theme = LIGHT

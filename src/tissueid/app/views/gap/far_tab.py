@@ -10,6 +10,7 @@ from PySide6.QtGui import QColor, QPainter, QPaintEvent
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.language import _, marked
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 _KEY = {marked("recorded"): "muted", marked("baseline twin"): "model", marked("with the effect"): "measured"}
 _NOTHING = np.zeros(0)
 _TWICE = 1.96
+_SIDE, _ONE_ROW = 270, 660
+"""Least width of the figures, and the width below which the plots stand below them, pixels."""
 
 
 class FarTab(QWidget):
@@ -95,7 +98,7 @@ class FarTab(QWidget):
         choice.addWidget(self.channel, 1)
         side = QFrame()
         side.setProperty("role", "card")
-        side.setFixedWidth(270)
+        side.setMinimumWidth(_SIDE)
         column = QVBoxLayout(side)
         column.setContentsMargins(12, 8, 12, 10)
         column.setSpacing(8)
@@ -112,7 +115,7 @@ class FarTab(QWidget):
         for card, share in zip(self.cards, (3, 2), strict=True):
             card.setMinimumHeight(140)
             plots.addWidget(card, share)
-        row = QHBoxLayout(self)
+        row = FoldingBox(_ONE_ROW, self)
         row.setContentsMargins(0, 6, 0, 0)
         row.setSpacing(8)
         row.addWidget(side)

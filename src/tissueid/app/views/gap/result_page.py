@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 _TABS_HEIGHT = 390
 _ONE_ROW = 680
+_LEAST_WIDTH = 540
+"""Of the page with a scroll bar: the drawing of the chain is no narrower, pixels."""
 
 
 class ResultPage(QScrollArea):
@@ -35,6 +37,7 @@ class ResultPage(QScrollArea):
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setMinimumWidth(_LEAST_WIDTH)
         self.headline = plain_label("headline")
         self.means = plain_label()
         self.todo = plain_label()

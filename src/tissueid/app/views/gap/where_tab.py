@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtWidgets import QGridLayout, QWidget
+from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.language import _, marked
 
@@ -28,6 +29,8 @@ _ABOVE = {marked("above noise"): "poor"}
 _NOTHING = np.zeros(0)
 _NOT_THERE = marked("Nothing was left to look at.")
 _FAR = 20.0
+_ONE_ROW = 660
+"""Width below which the three profiles stand below each other, pixels."""
 
 
 class WhereTab(QWidget):
@@ -60,14 +63,17 @@ class WhereTab(QWidget):
                 )
             )
         self.cards: tuple[PlotCard, ...] = (self.frequency, *self.profiles.values())
-        grid = QGridLayout(self)
-        grid.setContentsMargins(0, 6, 0, 0)
-        grid.setSpacing(8)
-        for place, card in enumerate(self.cards):
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(0, 6, 0, 0)
+        rows.setSpacing(8)
+        across = FoldingBox(_ONE_ROW)
+        across.setSpacing(8)
+        for card in self.cards:
             card.setMinimumHeight(165)
-            grid.addWidget(card, min(place, 1), max(place - 1, 0), 1, 3 if place == 0 else 1)
-            grid.setColumnStretch(max(place - 1, 0), 1)
-            grid.setRowStretch(min(place, 1), 1)
+        for card in self.profiles.values():
+            across.addWidget(card, 1)
+        rows.addWidget(self.frequency, 1)
+        rows.addLayout(across, 1)
 
     def show_story(self, story: Story) -> None:
         """Draw what a diagnosis found."""

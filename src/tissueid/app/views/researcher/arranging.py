@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QHBoxLayout, QSplitter, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
+from tissueid.app.small_window import FoldingSplitter
 from tissueid.language import _
 
 if TYPE_CHECKING:
     from tissueid.app.views.researcher.analysis import AnalysisPanel
 
 _FORM_WIDTH = 232
+_FORM_HEIGHT = 170
+"""Of the form above the results in a narrow window, pixels."""
 _HEIGHTS = (104, 400)
 """Of the table and of the plots below it, before anybody moves what is between them."""
 
@@ -54,7 +56,7 @@ def arrange(panel: AnalysisPanel) -> None:
     column.addLayout(top)
     column.addLayout(below)
     column.addWidget(panel.tabs, 1)
-    parts = QSplitter(Qt.Orientation.Horizontal)
+    parts = FoldingSplitter(_FORM_HEIGHT)
     parts.addWidget(panel.form)
     parts.addWidget(right)
     parts.setChildrenCollapsible(False)

@@ -24,7 +24,7 @@ from tissueid.language import _
 from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
-_CHOICE = 96
+_CHOICE = 80
 """Pixels to which the choice of a picture may shrink beside the buttons."""
 _LEAST, _AROUND = 48, 8
 """Characters of a name in the legend that are shown at least, and those that the square and the margins take."""
@@ -64,7 +64,7 @@ class Pictures(QWidget):
         inside.addWidget(self.legend)
         inside.addWidget(self._pages, 1)
         self.tools = QHBoxLayout()
-        self.tools.setSpacing(6)
+        self.tools.setSpacing(4)
         self.tools.addWidget(self.choice)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

@@ -45,7 +45,7 @@ SPREADS: Mapping[str, str] = {
 }
 _NOTHING = np.zeros(0)
 _POINT, _MEAN = 7, 11
-_CHARACTERS = 12
+_CHARACTERS = 9
 _TICK_PX = 7
 """Pixels that a letter of a tick takes."""
 _MOST_TICKS = 6

@@ -40,6 +40,7 @@ class RecommendationView(QWidget):
         super().__init__(parent)
         self._verdicts: dict[str, Verdict] = {}
         self.choice = QComboBox()
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setAccessibleName(_("Test whose comparison is shown"))
         self.choice.currentIndexChanged.connect(self._show)
         self.engines = QPushButton(_("En&gines compared"))

@@ -15,6 +15,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.elided import ElidedLabel
+from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.channel_button import ChannelButton
 from tissueid.app.views.researcher.chosen import Chosen
@@ -34,6 +36,8 @@ _SIGNALS = "research/signals"
 _STEP_S = 0.1
 _FIGURES_MS = 40
 _HEIGHTS = (330, 170)
+_ONE_ROW = 640
+"""Width below which the buttons stand below what is looked at, pixels."""
 NOTHING = marked("Select a test in the list to see its signals; select several to lay them over one another.")
 WAITS = marked("The signals are read as soon as nothing else goes on.")
 
@@ -58,7 +62,7 @@ class SignalsPanel(QWidget):
         self.save = QPushButton(_("Save figure…"))
         self.save.setToolTip(_("What is shown, as PDF, SVG or PNG with 300 dpi"))
         self._saver = Saver(desk, self)
-        self.about = QLabel()
+        self.about = ElidedLabel()
         self.stack = PlotStack()
         self.table = FiguresTable()
         self.spectrum = SpectrumCard()
@@ -222,12 +226,17 @@ class SignalsPanel(QWidget):
             label.setMinimumWidth(1)
         self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.empty.setWordWrap(True)
-        top = QHBoxLayout()
-        top.setSpacing(6)
-        for part in (self.channels, self.low, self.high, self.whole):
-            top.addWidget(part)
-        top.addStretch(1)
-        top.addWidget(self.save)
+        looked_at, kept = QHBoxLayout(), QHBoxLayout()
+        for part in (self.channels, self.low, self.high):
+            looked_at.addWidget(part)
+        kept.addWidget(self.whole)
+        kept.addStretch(1)
+        kept.addWidget(self.save)
+        top = FoldingBox(_ONE_ROW)
+        for group in (top, looked_at, kept):
+            group.setSpacing(6)
+        top.addLayout(looked_at)
+        top.addLayout(kept, 1)
         below = QWidget()
         row = QHBoxLayout(below)
         row.setContentsMargins(0, 4, 0, 0)

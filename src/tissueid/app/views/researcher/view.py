@@ -17,7 +17,7 @@ from tissueid.app.views.view import Desk, View
 from tissueid.language import _
 
 _SPLIT, _TAB = "research/split", "research/tab"
-_WIDTHS = (400, 600)
+_WIDTHS = (300, 700)
 
 
 class ResearchView(View):
@@ -47,9 +47,9 @@ class ResearchView(View):
         self.split.addWidget(self.browser)
         self.split.addWidget(self.tabs)
         self.split.setChildrenCollapsible(False)
-        self.split.setHandleWidth(10)
-        self.split.setStretchFactor(0, 2)
-        self.split.setStretchFactor(1, 3)
+        self.split.setHandleWidth(8)
+        self.split.setStretchFactor(0, 3)
+        self.split.setStretchFactor(1, 7)
         self.split.setSizes(list(_WIDTHS))
         rows = QVBoxLayout(self)
         rows.setContentsMargins(12, 10, 12, 6)
