@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import shutil
+from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS, Clock, Gate, found
+from gap_records import recorded
 from PySide6.QtCore import QCoreApplication, QPoint, QRect, QSettings, Qt
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -28,8 +30,13 @@ from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.surroundings import Surroundings
+from tissueid.app.views.gap.diagnosing import Asked, Result
+from tissueid.app.views.gap.story import story_of
 from tissueid.calibration.in_force import calibrated
+from tissueid.gap import diagnose, observe
+from tissueid.gap.workers import Alone
 from tissueid.instrument import SimulatedInstrument
+from tissueid.twin import catalogue as shelf
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -243,8 +250,19 @@ def opened(tmp_path_factory, saved):
     close()
 
 
+@pytest.fixture(scope="module")
+def diagnosis():
+    """Why a recording with dry friction differs from the twin, searched among two effects only."""
+    session = recorded("dry_friction", samples=3000)
+    every = shelf.all_effects()
+    with pytest.MonkeyPatch.context() as patch:
+        few = {name: every[name] for name in ("dry_friction", "directional_damping")}
+        patch.setattr("tissueid.gap.search.all_effects", lambda: few)
+        return session, diagnose(observe(session, (), ()), Alone())
+
+
 @pytest.fixture
-def in_state(qtbot, opened):
+def in_state(qtbot, opened, request):
     """A window of a language in a state."""
 
     def idle(window):
@@ -273,7 +291,9 @@ def in_state(qtbot, opened):
         window.pages.show(name)
         idle(window)
         if name == "measure":
-            ui.form.fold.setChecked(part == "settings")
+            ui.form.fold.setChecked(part.startswith("settings"))
+            if part.startswith("settings "):
+                ui.form.stimulus.fill(part.removeprefix("settings "))
             if part == "result" and window.findings is None:
                 window.open_session(window.around.folder / "2026-01-15_10-30-00.h5")
                 idle(window)
@@ -291,6 +311,19 @@ def in_state(qtbot, opened):
             view.tabs.setCurrentWidget(view.signals if part == "signals" else view.analysis)
             if part.isdigit():
                 view.analysis.tabs.setCurrentIndex(int(part))
+            if part.startswith("fitted"):
+                if not view.analysis.results.outcomes:
+                    view.analysis.form.choose("lms")
+                    view.analysis.run.click()
+                    idle(window)
+                view.analysis.tabs.setCurrentIndex(int(part.removeprefix("fitted ")))
+        elif name == "gap" and part.startswith("diagnosed"):
+            page = ui.views[name]
+            if page.history.result is None:
+                session, answer = request.getfixturevalue("diagnosis")
+                asked = Asked(Path("friction.h5"))
+                page.history.add(Result(asked, session.session_id, "", None, answer, story_of(answer, session)))
+            page.result.tabs.setCurrentIndex(int(part.removeprefix("diagnosed ")))
         elif name == "gap":
             ui.views[name].asking.fold.setChecked(part == "settings")
         elif name == "instrument":
@@ -315,6 +348,9 @@ STATES = [
     "idle on research:2",
     "idle on gap:",
     "idle on gap:settings",
+    *(f"idle on measure:settings {kind}" for kind in ("interchange", "file")),
+    *(f"idle on research:fitted {tab}" for tab in range(4)),
+    *(f"idle on gap:diagnosed {tab}" for tab in range(4)),
     *(f"idle on instrument:{tab}" for tab in range(4)),
     "testing on measure",
     "testing on start",

@@ -54,7 +54,7 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
     ui.form.fold.setChecked(True)
     ui.form.instrument.choice.setFocus()
     visited = [window.focusWidget()]
-    for _ in range(30):
+    for _ in range(40):
         qtbot.keyClick(window.focusWidget(), Qt.Key.Key_Tab)
         if window.focusWidget() is visited[0]:
             break
@@ -62,7 +62,9 @@ def test_the_tab_key_visits_everything_from_top_to_bottom(qtbot, window):
     form = ui.form
     expected = [form.instrument.choice, form.instrument.refresh, form.site, form.map, form.subject]
     expected += [form.set_up.name, form.set_up.probe, form.limits, form.fold]
-    expected += [form.distribution, form.min_force, form.max_force, form.seconds, form.seed, form.path, form.browse]
+    expected += [form.stimulus.kind, form.stimulus.stop_when]
+    expected += [form.distribution, form.min_force, form.max_force, form.seconds, form.seed]
+    expected += [form.under_probe, form.path, form.browse]
     expected += [ui.guidance.lamp.watch]
     expected += [ui.start, ui.stop, ui.role.choice, ui.open, ui.pages.tabBar()]
     assert visited == [*expected, ui.rail.buttons["measure"], *ui.rail.feet]

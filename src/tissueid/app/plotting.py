@@ -15,6 +15,7 @@ from PySide6.QtGui import QFont
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.axis import QuickAxis
+from tissueid.app.elided import ElidedLabel
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_label
 from tissueid.language import _
@@ -86,7 +87,7 @@ class PlotCard(QFrame):
         self._theme: Theme | None = None
         self._x_label = x_label
         self.plot.getAxis("left").setWidth(_AXIS_WIDTH)
-        self._heading = QLabel()
+        self._heading = ElidedLabel()
         self._heading.setProperty("role", "heading")
         self._legend = QLabel()
         self._legend.setProperty("role", "muted")

@@ -81,7 +81,7 @@ class StimulusForm(QWidget):
         self._grid.addWidget(self._saved, 1, 0, 1, 2)
         self._grid.addWidget(self._stop_label, 2, 0)
         self._grid.addWidget(self.stop_when, 2, 1)
-        self._rows = self._grid.rowCount()
+        self._rows, self._fixed = self._grid.rowCount(), self._grid.count()
         self.kind.currentIndexChanged.connect(self._show_kind)
         self.browse.clicked.connect(self._choose_file)
         for line in (self.file, self.stop_when):
@@ -142,9 +142,10 @@ class StimulusForm(QWidget):
         return self.chosen != MULTISTEP
 
     def _show_kind(self) -> None:
-        while self._grid.count() > 2 * self._rows:
+        while self._grid.count() > self._fixed:
             item = self._grid.takeAt(self._grid.count() - 1)
             if item is not None and (widget := item.widget()) is not None:
+                widget.hide()
                 widget.deleteLater()
         self._options = {}
         chosen = self.chosen

@@ -29,7 +29,7 @@ _ABOVE = {marked("above noise"): "poor"}
 _NOTHING = np.zeros(0)
 _NOT_THERE = marked("Nothing was left to look at.")
 _FAR = 20.0
-_ONE_ROW = 660
+_ONE_ROW = 820
 """Width below which the three profiles stand below each other, pixels."""
 
 
