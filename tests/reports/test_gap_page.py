@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from reports.in_german import SAME, in_both, in_each_language, shown
 from reports.page_check import checked
 
 from firmware_sim.drawing import NOMINAL, draw_scenario
@@ -175,3 +176,9 @@ def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
     chosen = unseen_stretch(replace(found, observed=replace(found.observed, tests=(resting,))), "position")
     assert chosen[1:] != (rest, rest + 500)
     assert np.std(shifted[chosen[1] : chosen[2]]) > 1e-4
+
+
+def test_the_page_of_a_diagnosis_says_nothing_in_english():
+    said = in_each_language(lambda: shown(gap_html(as_effect())))
+    same = {"desktop indenter, <b>A&B</b>", "Tests", "Signal", "Position (µm/√Hz)", "linear", "Parameter", "Exponent"}
+    assert in_both(said, SAME | same) == set()

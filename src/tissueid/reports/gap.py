@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from tissueid import __version__
+from tissueid.core_words import for_report, said_by_core
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.statement import effect_words, headline_of, listed, next_steps_of, percent, sentences_of
+from tissueid.language import _
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_figures import tables_of, times_noise
 from tissueid.reports.gap_panels import gap_panels
@@ -31,7 +33,7 @@ class Origin:
     file: Path
 
 
-def gap_html(found: Diagnosis, title: str = "Simulated and recorded", origin: Origin | None = None) -> str:
+def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) -> str:
     """The page as HTML text: where, which, how far, and what to do next.
 
     Args:
@@ -42,33 +44,31 @@ def gap_html(found: Diagnosis, title: str = "Simulated and recorded", origin: Or
     figures = {panel.key: panel.picture().block for panel in gap_panels(found)}
     places = ("frequency", "depth", "speed", "surface", "time", "current", "amplitude", "mains", "where")
     groups = (
-        FigureGroup("g-where", "Where it lies", tuple(figures[key] for key in places if key in figures)),
-        FigureGroup("g-which", "Which cause", tuple(figures[key] for key in ("ranking",) if key in figures)),
-        FigureGroup("g-far", "How far it closes", tuple(figures[key] for key in ("overlay",) if key in figures)),
+        FigureGroup("g-where", _("Where it lies"), tuple(figures[key] for key in places if key in figures)),
+        FigureGroup("g-which", _("Which cause"), tuple(figures[key] for key in ("ranking",) if key in figures)),
+        FigureGroup("g-far", _("How far it closes"), tuple(figures[key] for key in ("overlay",) if key in figures)),
     )
-    headline, level = headline_of(found)
+    headline, level = headline_of(found, said_by_core)
     return template("gap.html.j2").render(
-        title=title,
-        research_line=RESEARCH_LINE,
+        title=title or _("Simulated and recorded"),
+        research_line=_(RESEARCH_LINE),
         software=f"tissueid {__version__}",
         facts=tuple(_facts(found, origin)),
         headline=headline,
         level=level,
-        sentences=tuple(sentences_of(found)),
+        sentences=tuple(for_report(line) for line in sentences_of(found)),
         numbers=tuple(_numbers(found)),
         chain=FigureGroup("g-chain", "", (figures["chain"],)),
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(next_steps_of(found, None if origin is None else origin.file)),
-        tables=tuple(tables_of(found, effect_words)),
-        remarks=found.remarks,
+        remedies=tuple(for_report(line) for line in next_steps_of(found, None if origin is None else origin.file)),
+        tables=tuple(tables_of(found, _effect)),
+        remarks=tuple(for_report(line) for line in found.remarks),
     )
 
 
-def write_gap_report(
-    found: Diagnosis, path: Path, title: str = "Simulated and recorded", origin: Origin | None = None
-) -> None:
+def write_gap_report(found: Diagnosis, path: Path, title: str = "", origin: Origin | None = None) -> None:
     """Write the page so that ``path`` is whole or untouched.
 
     Raises:
@@ -77,13 +77,20 @@ def write_gap_report(
     write_whole(path, gap_html(found, title, origin))
 
 
+def _effect(name: str) -> str:
+    """Return what an effect is called, in the language of the report."""
+    return said_by_core(effect_words(name))
+
+
 def _percent(share: float) -> str:
-    return "nothing that can be told" if not np.isfinite(share) else f"{fixed(100.0 * share, 0)} %"
+    return _("nothing that can be told") if not np.isfinite(share) else f"{fixed(100.0 * share, 0)} %"
 
 
 def _interval(item: tuple[float, float]) -> str:
     low, high = item
-    return f"{fixed(100 * low, 0)} to {fixed(100 * high, 0)} %" if np.isfinite(low) and np.isfinite(high) else ""
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return ""
+    return _("{low} to {high} %").format(low=fixed(100 * low, 0), high=fixed(100 * high, 0))
 
 
 def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]:
@@ -91,36 +98,36 @@ def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]
     if origin is not None:
         numbers = {test.number for test in tests}
         sites = dict.fromkeys(test.site for test in origin.session.tests if test.number in numbers and test.site)
-        yield "Session file", origin.file.name
-        yield "Session", origin.session.session_id or MISSING
-        yield "Recorded", readable_date(origin.session.created)
-        yield "Site", ", ".join(sites) or MISSING
-        yield "Subject", origin.session.subject.pseudonym or MISSING
-    yield "Instrument", f"{device.model}, {device.serial_number}"
-    yield "Tests", ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
-    yield "Signals", ", ".join(found.observed.channels)
-    yield "Took", f"{fixed(found.seconds, 0)} s"
+        yield _("Session file"), origin.file.name
+        yield _("Session"), origin.session.session_id or MISSING
+        yield _("Recorded"), readable_date(origin.session.created)
+        yield _("Site"), ", ".join(sites) or MISSING
+        yield _("Subject"), origin.session.subject.pseudonym or MISSING
+    yield _("Instrument"), f"{device.model}, {device.serial_number}"
+    yield _("Tests"), ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
+    yield _("Signals"), ", ".join(_(name) for name in found.observed.channels)
+    yield _("Took"), f"{fixed(found.seconds, 0)} s"
 
 
 def _kind(kind: str) -> str:
-    return "quiet (nothing is played)" if kind == "quiet" else kind.replace("_", " ")
+    return _("quiet (nothing is played)") if kind == "quiet" else _(kind.replace("_", " "))
 
 
 def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """Label, value and note."""
     gap = found.gap
-    yield "Gap before", _share(gap.before), "error over the signal's deviation, on data held out"
+    yield _("Gap before"), _share(gap.before), _("error over the signal's deviation, on data held out")
     if found.verdict != "no_gap":
-        yield "Gap after", _share(gap.after), "with the leading explanation added"
-    yield "Noise alone", _share(gap.floor), "what the sensors' noise alone leaves"
+        yield _("Gap after"), _share(gap.after), _("with the leading explanation added")
+    yield _("Noise alone"), _share(gap.floor), _("what the sensors' noise alone leaves")
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
-        note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else "of what noise does not explain"
-        chosen_by = f"; {_percent(gap.announced)} predicted on the data used for the choice"
-        yield "Closed", _percent(gap.closed), note + (chosen_by if np.isfinite(gap.announced) else "")
+        note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else _("of what noise does not explain")
+        chosen_by = _("; {percent} predicted on the data used for the choice").format(percent=_percent(gap.announced))
+        yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.announced) else "")
 
 
 def _share(value: float) -> str:
-    return f"{number(100.0 * value, 3)} %" if np.isfinite(value) else "unknown"
+    return f"{number(100.0 * value, 3)} %" if np.isfinite(value) else _("unknown")
 
 
 def _findings(found: Diagnosis) -> Table | None:
@@ -128,11 +135,11 @@ def _findings(found: Diagnosis) -> Table | None:
     if not where.findings:
         return None
     rows = tuple(
-        (STAGE_NAMES[item.stage], item.what, item.channel, times_noise(item.error / item.floor))
+        (_(STAGE_NAMES[item.stage]), said_by_core(item.what), _(item.channel), times_noise(item.error / item.floor))
         for item in where.findings[:_LISTED]
     )
-    note = "× noise: error as a multiple of the noise, which is what the sensors' noise alone would leave."
-    return Table("What speaks against each stage", ("Stage", "Finding", "Signal", "Error"), rows, note)
+    note = _("× noise: error as a multiple of the noise, which is what the sensors' noise alone would leave.")
+    return Table(_("What speaks against each stage"), (_("Stage"), _("Finding"), _("Signal"), _("Error")), rows, note)
 
 
 def _ranking(found: Diagnosis) -> Table | None:
@@ -141,18 +148,18 @@ def _ranking(found: Diagnosis) -> Table | None:
         return None
     places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
     rows = tuple(_ranked(item, places) for item in candidates)
-    head = ("", "Effect", "Stage", "Probability", "Closed", "95 %", "Alike")
+    head = ("", _("Effect"), _("Stage"), _("Probability"), _("Closed"), "95 %", _("Alike"))
     # A column that says nothing in any row only makes the others narrow.
     kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
     narrowed = tuple(tuple(row[place] for place in kept) for row in rows)
     shown = tuple(head[place] for place in kept)
-    note = "Alike: candidates, by number, that this data cannot tell from it." if "Alike" in shown else ""
-    return Table("Candidates", shown, narrowed, note)
+    note = _("Alike: candidates, by number, that this data cannot tell from it.") if _("Alike") in shown else ""
+    return Table(_("Candidates"), shown, narrowed, note)
 
 
 def _ranked(item: Ranked, places: Mapping[str, str]) -> tuple[str, ...]:
-    alike = ", ".join(places.get(name) or effect_words(name) for name in item.indistinguishable)
+    alike = ", ".join(places.get(name) or _effect(name) for name in item.indistinguishable)
     probability = f"{percent(item.probability)} %" if np.isfinite(item.probability) else ""
     closed = f"{fixed(100.0 * item.closed, 0)} %" if np.isfinite(item.closed) else ""
-    name, stage = effect_words(item.effect), STAGE_NAMES[item.stage]
+    name, stage = _effect(item.effect), _(STAGE_NAMES[item.stage])
     return (places[item.effect], name, stage, probability, closed, _interval(item.closed_ci), alike)

@@ -7,19 +7,26 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import FancyBboxPatch
 
 from tissueid.gap.diagnosis import Diagnosis
+from tissueid.language import _, marked
 from tissueid.reports.style import INK, MUTED, ORANGE, SHADE
 from tissueid.twin.effect import Stage
 
 _PLACES: tuple[tuple[Stage, str, float, float], ...] = (
-    ("drive", "Amplifier", 1.0, 1.0),
-    ("coil", "Coil", 3.0, 1.0),
-    ("mechanics", "Moving part\n(mechanics)", 5.0, 1.0),
-    ("sensing", "Sensors", 7.0, 1.0),
-    ("tissue", "Tissue", 5.0, 0.0),
-    ("environment", "Surroundings", 7.0, 0.0),
+    ("drive", marked("Amplifier"), 1.0, 1.0),
+    ("coil", marked("Coil"), 3.0, 1.0),
+    ("mechanics", marked("Moving part\n(mechanics)"), 5.0, 1.0),
+    ("sensing", marked("Sensors"), 7.0, 1.0),
+    ("tissue", marked("Tissue"), 5.0, 0.0),
+    ("environment", marked("Surroundings"), 7.0, 0.0),
 )
 """Stage, what it is, and the middle of its box."""
-_SIGNALS = ((0.0, "command"), (2.0, "voltage"), (4.0, "force"), (6.0, "motion"), (8.0, "numbers"))
+_SIGNALS = (
+    (0.0, marked("command")),
+    (2.0, marked("voltage")),
+    (4.0, marked("force")),
+    (6.0, marked("motion")),
+    (8.0, marked("numbers")),
+)
 """Where a signal goes over from one stage to the next, and its name."""
 _HALF_WIDTH, _HALF_HEIGHT = 0.62, 0.27
 _DARKEST = 0.85
@@ -40,7 +47,7 @@ def draw_chain(figure: FigureBase, found: Diagnosis) -> None:
             (x - 1.0 + _HALF_WIDTH if x > 0.0 else -0.5, 1.0),
             arrowprops={"arrowstyle": "-|>", "color": MUTED, "linewidth": 1.1, "shrinkA": 0.0, "shrinkB": 0.0},
         )
-        axes.text(x, 1.36, label, ha="center", va="bottom", color=INK, fontsize=8.5)
+        axes.text(x, 1.36, _(label), ha="center", va="bottom", color=INK, fontsize=8.5)
     _link(axes, (5.0, _HALF_HEIGHT), (5.0, 1.0 - _HALF_HEIGHT), both=True)
     _link(axes, (7.0, _HALF_HEIGHT), (7.0, 1.0 - _HALF_HEIGHT))
     _link(axes, (7.0 - _HALF_WIDTH, 0.0), (5.0 + _HALF_WIDTH, 0.0))
@@ -56,7 +63,7 @@ def draw_chain(figure: FigureBase, found: Diagnosis) -> None:
             "connectionstyle": "arc3,rad=-0.35",
         },
     )
-    axes.text(3.85, 0.22, "back-EMF", ha="center", va="top", color=INK, fontsize=8.5)
+    axes.text(3.85, 0.22, _("back-EMF"), ha="center", va="top", color=INK, fontsize=8.5)
 
 
 def _box(axes: Axes, label: str, x: float, y: float, share: float, *, lit: bool) -> None:
@@ -74,8 +81,8 @@ def _box(axes: Axes, label: str, x: float, y: float, share: float, *, lit: bool)
     axes.add_patch(
         FancyBboxPatch(corner, *size, boxstyle=style, facecolor="none", edgecolor=edge, linewidth=width, zorder=3)
     )
-    axes.text(x, y + 0.07, label, ha="center", va="center", zorder=4, weight="bold" if lit else "normal")
-    words = f"{100.0 * share:.0f} %" if share > 0.0 else "named cause" if lit else "only noise"
+    axes.text(x, y + 0.07, _(label), ha="center", va="center", zorder=4, weight="bold" if lit else "normal")
+    words = f"{100.0 * share:.0f} %" if share > 0.0 else _("named cause") if lit else _("only noise")
     axes.text(x, y - 0.12, words, ha="center", va="center", zorder=4, fontsize=8.0)
 
 

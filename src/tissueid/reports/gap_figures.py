@@ -6,30 +6,32 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis, parameters_of
 from tissueid.gap.named import twin_of
 from tissueid.gap.scoring import Candidate
+from tissueid.language import _, marked
 from tissueid.reports.tables import Table
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGE_NAMES, STAGES
 from tissueid.wording import fixed, named_unit, number, people_unit, with_unit
 
 _TASKS = {
-    "drive": "command to voltage",
-    "coil": "voltage to current and force",
-    "mechanics": "force to motion, without tissue",
-    "tissue": "what the probe presses on",
-    "sensing": "motion to recorded number",
-    "environment": "what nobody asked for",
+    "drive": marked("command to voltage"),
+    "coil": marked("voltage to current and force"),
+    "mechanics": marked("force to motion, without tissue"),
+    "tissue": marked("what the probe presses on"),
+    "sensing": marked("motion to recorded number"),
+    "environment": marked("what nobody asked for"),
 }
 _QUESTIONS = {
-    "drive": "Voltage, from the command",
-    "coil": "Current, from voltage and motion",
-    "free current": "Current, from the voltage alone",
-    "spring": "Motion off the tissue (spring or air), from the current",
-    "tissue": "Motion on tissue, from the current",
-    "quiet": "Motion while nothing is played (quiet test)",
+    "drive": marked("Voltage, from the command"),
+    "coil": marked("Current, from voltage and motion"),
+    "free current": marked("Current, from the voltage alone"),
+    "spring": marked("Motion off the tissue (spring or air), from the current"),
+    "tissue": marked("Motion on tissue, from the current"),
+    "quiet": marked("Motion while nothing is played (quiet test)"),
 }
 _WIDEST_STD = 1e5
 """A standard deviation above this, SI, means that the data does not hold the parameter at all."""
@@ -37,7 +39,7 @@ _WIDEST_STD = 1e5
 
 def times_noise(ratio: float) -> str:
     """An error as a multiple of the noise floor."""
-    return f"{number(ratio, 3)} × noise"
+    return _("{ratio} × noise").format(ratio=number(ratio, 3))
 
 
 def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]:
@@ -49,10 +51,12 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
     """
     where = found.where
     shares = tuple(
-        (f"{STAGE_NAMES[item]}: {_TASKS[item]}", f"{fixed(100.0 * where.shares[item], 0)} %") for item in STAGES
+        (f"{_(STAGE_NAMES[item])}: {_(_TASKS[item])}", f"{fixed(100.0 * where.shares[item], 0)} %") for item in STAGES
     )
     if found.verdict != "no_gap":
-        yield Table("Stages", (), shares, "Shares of what noise does not explain, as logarithms of error over noise.")
+        yield Table(
+            _("Stages"), (), shares, _("Shares of what noise does not explain, as logarithms of error over noise.")
+        )
     for name in found.combination:
         # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
         if found.best is not None and (table := _parameters(found.best, name, called(name))):
@@ -60,22 +64,20 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
     if where.evidence.errors:
         unasked = set() if any(test.quiet for test in found.observed.tests) else {"quiet"}
         asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
-        errors = tuple((_QUESTIONS.get(name, name), times_noise(times)) for name, times in asked.items())
+        errors = tuple((_(_QUESTIONS.get(name, name)), times_noise(times)) for name, times in asked.items())
         whole = ""
         if found.verdict == "no_gap":
-            whole = (
+            whole = _(
                 "The simulation as a whole leaves only noise. An error here is no gap: it is what noise of the "
-                "measured signals makes of one stage by itself. "
+                "measured signals makes of one stage by itself."
             )
-        yield Table(
-            "Errors by question",
-            (),
-            errors,
-            f"{whole}How far one signal is missed when everything upstream of it is as measured; 1 × noise is what "
+        note = _(
+            "How far one signal is missed when everything upstream of it is as measured; 1 × noise is what "
             "noise alone leaves. These are not the shares of the stages: an error counts there only by its logarithm, "
             "only above the noise, and for the stage whose kind of force explains it, so motion on tissue may speak "
-            "against the moving part.",
+            "against the moving part."
         )
+        yield Table(_("Errors by question"), (), errors, " ".join(filter(None, [whole, note])))
 
 
 def _parameters(best: Candidate, name: str, words: str) -> Table | None:
@@ -91,8 +93,13 @@ def _parameters(best: Candidate, name: str, words: str) -> Table | None:
         text = number(scale * value, 3)
         if 0.0 < std < _WIDEST_STD and np.isfinite(std):
             text += f" ± {number(scale * std, 2)}"
-        rows.append((named_unit(key)[0], with_unit(text, unit), known[key].meaning))
+        rows.append((_(named_unit(key)[0]), with_unit(text, unit), said_by_core(known[key].meaning)))
     if not rows:
         return None
-    head = ("Parameter", "Value", "Meaning")
-    return Table(f"Parameters of {words}", head, tuple(rows), "± is one standard deviation, where the fit has one.")
+    head = (_("Parameter"), _("Value"), _("Meaning"))
+    return Table(
+        _("Parameters of {effect}").format(effect=words),
+        head,
+        tuple(rows),
+        _("± is one standard deviation, where the fit has one."),
+    )

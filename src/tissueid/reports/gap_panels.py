@@ -10,21 +10,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from numpy.typing import NDArray
 
+from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
 from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.observed import ObservedTest
 from tissueid.gap.regions import Profile, Regions, Spectrum
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.statement import listed
+from tissueid.language import _, marked
 from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, without
 from tissueid.reports.panels import image
 from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
+from tissueid.twin.effect import STAGE_NAMES
+from tissueid.wording import axis_label
 
 FloatArray = NDArray[np.float64]
 
 _UNITS = {"voltage": ("V", 1.0), "current": ("mA", 1e3), "position": ("µm", 1e6)}
-_SIGNALS = {"voltage": ("Voltage (V)", 1.0), "current": ("Current (A)", 1.0), "position": ("Position (mm)", 1e3)}
+_SIGNALS = {
+    "voltage": (marked("Voltage (V)"), 1.0),
+    "current": (marked("Current (A)"), 1.0),
+    "position": (marked("Position (mm)"), 1e3),
+}
 _OVERLAY_S = 0.25
 _UNSEEN = 0.95
 """A stretch that no fit has seen is held out to this share: its ends may lie a sample or two off."""
@@ -38,62 +46,77 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     regions = found.where.regions
     yield Panel(
         "chain",
-        "The chain and the stage at fault",
-        f"Stages from command to recorded numbers; at fault: {', '.join(found.at_fault) or 'none'}.",
-        "Each stage is given what was measured upstream of it and refitted within its calibration; its share is what "
-        "it still leaves, as the logarithm of error over noise. The deeper the colour, the larger the share.",
+        _("The chain and the stage at fault"),
+        _("Stages from command to recorded numbers; at fault: {stages}.").format(
+            stages=", ".join(_(STAGE_NAMES[stage]) for stage in found.at_fault) or _("none")
+        ),
+        _(
+            "Each stage is given what was measured upstream of it and refitted within its calibration; its share is "
+            "what it still leaves, as the logarithm of error over noise. The deeper the colour, the larger the share."
+        ),
         lambda figure: draw_chain(figure, found),
         height=2.5,
     )
     if not regions.profiles:
-        yield without("where", "Where the gap lies", "nothing was left to look at")
+        yield without("where", _("Where the gap lies"), _("nothing was left to look at"))
         return
-    of = f"the {regions.channel}"
+    of = _(regions.channel)
     yield Panel(
         "frequency",
-        "By frequency",
-        f"Power of {of} and of what the baseline leaves of it against frequency, with its linear, even and odd parts.",
-        "What the refitted baseline leaves, and of it the parts that are coherent with the command (linear), with its "
-        "square (even) and with its cube (odd). Shaded: bands that stand above the noise.",
+        _("By frequency"),
+        _(
+            "Power of {channel} and of what the baseline leaves of it against frequency, with its linear, even and odd "
+            "parts."
+        ).format(channel=of),
+        _(
+            "What the refitted baseline leaves, and of it the parts that are coherent with the command (linear), with "
+            "its square (even) and with its cube (odd). Shaded: bands that stand above the noise."
+        ),
         lambda figure: draw_spectrum(figure, _spectrum(found), regions.bands_hz),
         height=3.4,
     )
     yield Panel(
         "depth",
-        "By depth",
-        f"Error of {of} against depth, beside the noise.",
-        "Root-mean-square error as a multiple of the noise (what the sensors' noise alone leaves: 1, dashed). "
-        "Full dots stand above it with significance.",
-        lambda figure: draw_profile(figure, regions.profiles["depth_m"], 1e3, "Depth (mm)"),
+        _("By depth"),
+        _("Error of {channel} against depth, and the noise.").format(channel=of),
+        _(
+            "Root-mean-square error as a multiple of the noise (what the sensors' noise alone leaves: 1, dashed). "
+            "Full dots stand above it with significance."
+        ),
+        lambda figure: draw_profile(figure, regions.profiles["depth_m"], 1e3, _("Depth (mm)")),
         wide=False,
         height=2.9,
     )
     yield Panel(
         "speed",
-        "By speed and direction",
-        f"Error of {of} against velocity, beside the noise.",
-        "The same against velocity; positive is into the tissue.",
-        lambda figure: draw_profile(figure, regions.profiles["velocity_m_s"], 1e3, "Velocity (mm/s)"),
+        _("By speed and direction"),
+        _("Error of {channel} against velocity, and the noise.").format(channel=of),
+        _("The same against velocity; positive is into the tissue."),
+        lambda figure: draw_profile(figure, regions.profiles["velocity_m_s"], 1e3, _("Velocity (mm/s)")),
         wide=False,
         height=2.9,
     )
     yield Panel(
         "surface",
-        "Over depth and velocity",
-        f"Mean residual of {of} as an image over depth and velocity.",
-        "What is left on average, as a multiple of the noise: a force that goes with depth shows as columns, friction "
-        "as an upper and a lower half (restoring-force surface).",
+        _("Over depth and velocity"),
+        _("Mean residual of {channel} as an image over depth and velocity.").format(channel=of),
+        _(
+            "What is left on average, as a multiple of the noise: a force that goes with depth shows as columns, "
+            "friction as an upper and a lower half (restoring-force surface)."
+        ),
         lambda figure: draw_surface(figure, found),
         wide=False,
         height=3.2,
     )
     yield Panel(
         "time",
-        "In the course of the test",
-        f"Error of {of} against time, beside the noise.",
-        "Root-mean-square error as a multiple of the noise by quarter second; full dots stand above it with "
-        "significance.",
-        lambda figure: draw_profile(figure, regions.profiles["time_s"], 1.0, "Time (s)"),
+        _("In the course of the test"),
+        _("Error of {channel} against time, and the noise.").format(channel=of),
+        _(
+            "Root-mean-square error as a multiple of the noise by quarter second; full dots stand above it with "
+            "significance."
+        ),
+        lambda figure: draw_profile(figure, regions.profiles["time_s"], 1.0, _("Time (s)")),
         wide=False,
         height=3.2,
     )
@@ -101,19 +124,23 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     if candidates := listed(found):
         yield Panel(
             "ranking",
-            "Candidates",
-            "Probability and closed share of each candidate effect.",
-            "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on held-out "
-            "data, with 95 %. The same colour: candidates that this data cannot tell from the leading one.",
+            _("Candidates"),
+            _("Probability and closed share of each candidate effect."),
+            _(
+                "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on "
+                "held-out data, with 95 %. The same colour: candidates that this data cannot tell from the leading one."
+            ),
             lambda figure: draw_ranking(figure, found),
             height=0.9 + 0.28 * min(len(candidates), _LISTED),
         )
     yield Panel(
         "overlay",
-        "Before and after",
-        "Recorded signals with the simulation before and after the effect was added, and both residuals below.",
-        "A quarter of a second that was held out of the fit: of those in which the signal moves, "
-        "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave.",
+        _("Before and after"),
+        _("Recorded signals with the simulation before and after the effect was added, and both residuals below."),
+        _(
+            "A quarter of a second that was held out of the fit: of those in which the signal moves, "
+            "that with the largest error. Below: recorded less simulated; dotted: what noise alone would leave."
+        ),
         lambda figure: draw_overlay(figure, found),
         height=5.0,
     )
@@ -122,22 +149,29 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
 def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
     """Along what not every test has: a current, a stimulus whose size changes, the mains."""
     where = (
-        ("current_a", "current", "By current", 1.0, "Current (A)", "The same against the current of the coil."),
+        (
+            "current_a",
+            "current",
+            _("By current"),
+            1.0,
+            _("Current (A)"),
+            _("The same against the current of the coil."),
+        ),
         (
             "amplitude_n",
             "amplitude",
-            "By the amplitude of the stimulus",
+            _("By the amplitude of the stimulus"),
             1.0,
-            "Amplitude of the last 0.1 s (N)",
-            "The same against the root mean square of what was played in the last tenth of a second, as a force.",
+            _("Amplitude of the last 0.1 s (N)"),
+            _("The same against the root mean square of what was played in the last tenth of a second, as a force."),
         ),
         (
             "mains_phase_rad",
             "mains",
-            "By the phase of the mains",
+            _("By the phase of the mains"),
             180.0 / np.pi,
-            f"Phase (°) at {regions.mains_hz:.2f} Hz",
-            "The same against the phase of the mains from the start of the test: the mains shows in what is left.",
+            _("Phase (°) at {hertz} Hz").format(hertz=f"{regions.mains_hz:.2f}"),
+            _("The same against the phase of the mains from the start of the test: the mains shows in what is left."),
         ),
     )
     for name, key, heading, scale, label, caption in where:
@@ -145,7 +179,7 @@ def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
             yield Panel(
                 key,
                 heading,
-                f"Error of {of} against {heading.removeprefix('By ').removeprefix('the ')}, beside the noise.",
+                _("Error of {channel}, {heading}, and the noise.").format(channel=of, heading=heading),
                 caption,
                 partial(draw_profile, found=regions.profiles[name], scale=scale, label=label),
                 wide=False,
@@ -160,12 +194,12 @@ def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[flo
     for low, high in bands_hz:
         axes.axvspan(low, high, color=SHADE, zorder=0)
     lines = (
-        (found.recorded, "recorded", MUTED, DASHES[0], 0.9),
-        (found.residual, "left by the baseline", INK, DASHES[0], 1.5),
-        (found.linear, "linear", BLUE, DASHES[1], 1.1),
-        (found.even, "even", ORANGE, DASHES[2], 1.1),
-        (found.odd, "odd", GREEN, DASHES[3], 1.1),
-        (found.noise, "noise alone", MUTED, DASHES[1], 1.1),
+        (found.recorded, _("recorded"), MUTED, DASHES[0], 0.9),
+        (found.residual, _("left by the baseline"), INK, DASHES[0], 1.5),
+        (found.linear, _("linear"), BLUE, DASHES[1], 1.1),
+        (found.even, _("even"), ORANGE, DASHES[2], 1.1),
+        (found.odd, _("odd"), GREEN, DASHES[3], 1.1),
+        (found.noise, _("noise alone"), MUTED, DASHES[1], 1.1),
     )
     least = 0.1 * scale * float(np.sqrt(found.noise[0]))
     for power, label, colour, dashes, width in lines:
@@ -176,7 +210,7 @@ def draw_spectrum(figure: FigureBase, found: Spectrum, bands_hz: tuple[tuple[flo
     axes.set_ylim(least, 20.0 * scale * float(np.sqrt(found.recorded.max())))
     log_axis(axes)
     frequency_axis(axes, float(found.frequency_hz[0]), float(found.frequency_hz[-1]))
-    axes.set_ylabel(f"{found.channel.capitalize()} ({unit}/√Hz)")
+    axes.set_ylabel(axis_label(found.channel, f"{unit}/√Hz"))
     axes.legend(loc="upper right", ncols=3)
 
 
@@ -204,7 +238,7 @@ def draw_profile(figure: FigureBase, found: Profile, scale: float, label: str) -
     else:
         axes.set_ylim(0.0, 1.1 * top)
     axes.set_xlabel(label)
-    axes.set_ylabel("Error (× noise)")
+    axes.set_ylabel(_("Error (× noise)"))
 
 
 def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
@@ -215,11 +249,11 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     """
     surface = found.where.regions.surface
     if surface is None:
-        raise UnusableInputError("too little of depth and velocity was visited")
+        raise UnusableInputError(_("too little of depth and velocity was visited"))
     axes = figure.subplots(1, 1)
-    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, "Residual (× noise)")
-    axes.set_xlabel("Depth (mm)")
-    axes.set_ylabel("Velocity (mm/s)")
+    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, _("Residual (× noise)"))
+    axes.set_xlabel(_("Depth (mm)"))
+    axes.set_ylabel(_("Velocity (mm/s)"))
 
 
 def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
@@ -236,13 +270,13 @@ def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
         low, high = (100.0 * np.clip(end, -1.0, 1.0) for end in item.closed_ci)
         right.plot([low, high], [row, row], color=colour, linewidth=1.6)
         right.plot([100.0 * max(item.closed, -1.0)], [row], color=colour, marker="o", markersize=4.5)
-    left.set_yticks(rows, [item.effect.replace("_", " ") for item in shown])
+    left.set_yticks(rows, [said_by_core(item.effect).replace("_", " ") for item in shown])
     left.invert_yaxis()
     left.set_xlim(0.0, 100.0)
-    left.set_xlabel("Probability (%)")
+    left.set_xlabel(_("Probability (%)"))
     right.axvline(0.0, color=MUTED, linewidth=0.9)
     right.set_xlim(min(0.0, right.get_xlim()[0]), 102.0)
-    right.set_xlabel("Closed (%)")
+    right.set_xlabel(_("Closed (%)"))
     for axes in (left, right):
         axes.grid(visible=False, axis="y")
 
@@ -264,10 +298,10 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
         label, scale = _SIGNALS[name]
         unit, fine = _UNITS[name]
         recorded = test.signals[name][shown]
-        above.plot(time, scale * recorded, color=INK, linestyle="none", marker=".", markersize=2.2, label="recorded")
+        above.plot(time, scale * recorded, color=INK, linestyle="none", marker=".", markersize=2.2, label=_("recorded"))
         for candidate, words, colour, dashes in (
-            (found.found.baseline, "before", ORANGE, DASHES[1]),
-            (after, "after", BLUE, DASHES[0]),
+            (found.found.baseline, _("before"), ORANGE, DASHES[1]),
+            (after, _("after"), BLUE, DASHES[0]),
         ):
             if candidate is None:
                 continue
@@ -276,9 +310,9 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
             left = fine * (recorded - simulated)
             below.plot(time, left, color=colour, linewidth=0.9)
         _floor(below, fine * found.observed.noise[name])
-        above.set_ylabel(label)
-        below.set_ylabel(f"Left ({unit})")
-        below.set_xlabel("Time (s)")
+        above.set_ylabel(_(label))
+        below.set_ylabel(_("Left over ({unit})").format(unit=unit))
+        below.set_xlabel(_("Time (s)"))
     grid[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
 
 
@@ -324,6 +358,6 @@ def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, i
             moved = float(np.std(test.signals[channel][start : start + size][inside]))
             tried.append((worth, moved, test, start, min(start + size, error.size)))
     if not tried:
-        raise UnusableInputError("every sample was fitted")
+        raise UnusableInputError(_("every sample was fitted"))
     least = _MOVES * float(np.quantile([item[1] for item in tried], 0.75))
     return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]

@@ -67,3 +67,12 @@ VALUES = (
     marked("years"),
 )
 """Words that stand as values of settings."""
+STAGES = (
+    marked("amplifier"),
+    marked("coil"),
+    marked("moving part (mechanics)"),
+    marked("tissue"),
+    marked("sensors"),
+    marked("surroundings"),
+)
+"""Names of the stages of the chain within a sentence."""
