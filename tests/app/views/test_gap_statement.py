@@ -19,6 +19,7 @@ from tissueid.gap.statement import LIKELY, headline_of, judged_alone, listed, me
 from tissueid.gap.workers import Alone
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
+from tissueid.twin.effect import STAGE_NAMES
 
 EFFECT, RIVAL, PARTNER = "dry_friction", "directional_damping", "latency"
 SAMPLES, SEED = 3000, 3
@@ -76,7 +77,7 @@ def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     assert escape(headline) in html
     assert f'class="verdict {level}"' in html
     alternative = next(panel for panel in gap_panels(found) if panel.key == "chain").alt
-    assert alternative.endswith(f"at fault: {', '.join(found.at_fault) or 'none'}.")
+    assert alternative.endswith(f"at fault: {', '.join(STAGE_NAMES[stage] for stage in found.at_fault) or 'none'}.")
     shell = in_words(found)
     assert shell[0] == f"{headline}."
     assert any(line.startswith("It lies in the stage") for line in shell) == bool(found.at_fault)
