@@ -34,7 +34,11 @@ class NoiseChoice:
         Raises:
             UnusableInputError: the choices do not make one.
         """
-        options = {
+        return guided(Noise.from_options(self.noise_options(sample_rate_hz)).build(), PRELOAD_S)
+
+    def noise_options(self, sample_rate_hz: float) -> dict[str, float | str]:
+        """Return the choices by the names that kinds of stimulus have for them, SI."""
+        return {
             "distribution": self.distribution,
             "force_min_n": self.min_force_n,
             "force_max_n": self.max_force_n,
@@ -42,7 +46,6 @@ class NoiseChoice:
             "seed": self.seed,
             "sample_rate": sample_rate_hz,
         }
-        return guided(Noise.from_options(options).build(), PRELOAD_S)
 
 
 def playable(

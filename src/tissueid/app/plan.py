@@ -143,31 +143,15 @@ class Plan(NoiseChoice):
 
     def _specification(self, sample_rate_hz: float) -> StimulusKind:
         kind = get_stimulus(self.stimulus_kind)
-        own = {
-            "distribution": self.distribution,
-            "force_min_n": self.min_force_n,
-            "force_max_n": self.max_force_n,
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "sample_rate": sample_rate_hz,
-        }
+        own = self.noise_options(sample_rate_hz)
         if self.stimulus_kind != Noise.name:
             own.pop("distribution")  # an option of the kind, with names of its own
         known = {name: value for name, value in own.items() if name in kind.model_fields}
         return kind.from_options(known | dict(self.options))
 
     def _depth_design(self, sample_rate_hz: float) -> DepthDesign:
-        chosen = dict(self.options)
-        return DepthDesign.from_options(
-            {
-                "depth_min_m": chosen["depth_min_m"],
-                "depth_max_m": chosen["depth_max_m"],
-                "force_min_n": self.min_force_n,
-                "force_max_n": self.max_force_n,
-                "seconds": self.seconds,
-                "sample_rate": sample_rate_hz,
-            }
-        )
+        chosen = self.noise_options(sample_rate_hz) | dict(self.options)
+        return DepthDesign.from_options({name: chosen[name] for name in DepthDesign.model_fields if name in chosen})
 
     def within(self, greatest_n: float) -> Plan:
         """This plan on an instrument that gives so much force at most, N."""
