@@ -95,5 +95,12 @@ def saved(tmp_path_factory):
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
     plan = Plan(url="simulated://forearm", site="left calf", path=path, seconds=1.5)
-    measure(plan, LiveSignals(), EmergencyStop(), lambda _: SimulatedInstrument(seed=5), lambda _: None, apart=False)
+    measure(
+        plan,
+        LiveSignals(),
+        EmergencyStop(),
+        lambda _: SimulatedInstrument("baseline", seed=5),
+        lambda _: None,
+        apart=False,
+    )
     return path

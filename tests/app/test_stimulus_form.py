@@ -33,6 +33,7 @@ def run(qtbot, window):
 
 
 def test_every_kind_is_offered_and_its_usual_options_make_a_plan(form):
+    form.stimulus.offer_all()
     box = form.stimulus.kind
     offered = {box.itemData(place) for place in range(box.count())}
     assert offered == {*stimulus_names(), MULTISTEP, FROM_FILE} == set(TITLES)

@@ -301,6 +301,8 @@ class PlanForm(QWidget):
     def _unfold(self, opened: bool) -> None:
         self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
         self.settings.setVisible(opened)
+        if opened:
+            self.stimulus.offer_all()
 
     def _apply_limits(self) -> None:
         """Keep force and length within what the profile allows and the instrument gives."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tissueid.acquisition.playing import Phase, Progress
 from tissueid.app.live import Array, Glance, LiveSignals
 from tissueid.app.safety import SafetyWatch
-from tissueid.instrument import CLINICAL, Instrument, SimulatedInstrument
+from tissueid.instrument import CLINICAL, Instrument
 from tissueid.wire import Flag
 
 _CHUNK_S = 0.1
@@ -39,6 +39,8 @@ class LiveCalibration:
 
     def watch(self, instrument: Instrument) -> None:
         """Follow what this instrument samples, from now on."""
+        from tissueid.instrument import SimulatedInstrument  # brings the compiler, which the window starts without
+
         winding = not isinstance(instrument, SimulatedInstrument)
         self._signals.begin(SafetyWatch(instrument.nominal, CLINICAL, winding=winding))
         instrument.observer = self.take

@@ -5,20 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from platformdirs import user_documents_path
 
 from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice, playable, playable_file
-from tissueid.acquisition.multistep import MultistepTest
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
-from tissueid.identification.online.stopping import StopRule
 from tissueid.instrument import PROFILES, Limits
 from tissueid.language import _
 from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind, get_stimulus
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.redesign import DepthDesign
+
+if TYPE_CHECKING:  # each takes long to import, and the window starts without them
+    from tissueid.acquisition.multistep import MultistepTest
+    from tissueid.identification.online.stopping import StopRule
 
 DEFAULT_URL = "simulated://forearm"
 ANONYMOUS = "anonymous"
@@ -122,6 +124,8 @@ class Plan(NoiseChoice):
         Raises:
             UnusableInputError: the options do not make one.
         """
+        from tissueid.acquisition.multistep import MultistepTest
+
         chosen = dict(self.options)
         return MultistepTest(
             self._depth_design(sample_rate_hz),
@@ -139,10 +143,14 @@ class Plan(NoiseChoice):
         Raises:
             UnusableInputError: a target does not read as one.
         """
-        return StopRule.from_words(self.stop_when) if self.stop_when else None
+        if not self.stop_when:
+            return None
+        from tissueid.identification.online.stopping import StopRule
+
+        return StopRule.from_words(self.stop_when)
 
     def _specification(self, sample_rate_hz: float) -> StimulusKind:
-        kind = get_stimulus(self.stimulus_kind)
+        kind = Noise if self.stimulus_kind == Noise.name else get_stimulus(self.stimulus_kind)
         own = self.noise_options(sample_rate_hz)
         if self.stimulus_kind != Noise.name:
             own.pop("distribution")  # an option of the kind, with names of its own

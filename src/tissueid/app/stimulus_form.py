@@ -12,7 +12,7 @@ from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, 
 from tissueid.app.plan import FROM_FILE, MULTISTEP
 from tissueid.app.views.researcher.fields import OptionField
 from tissueid.language import _, marked
-from tissueid.stimuli import get_stimulus, stimulus_names
+from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
 
 TITLES = {
@@ -51,9 +51,7 @@ class StimulusForm(QWidget):
         super().__init__(parent)
         self.kind = QComboBox()
         self.kind.setAccessibleName(_("Stimulus"))
-        names = [Noise.name, *(name for name in stimulus_names() if name != Noise.name), MULTISTEP, FROM_FILE]
-        for name in names:
-            self.kind.addItem(_(TITLES.get(name, name)), name)
+        self.kind.addItem(_(TITLES[Noise.name]), Noise.name)
         self.file = QLineEdit()
         self.file.setPlaceholderText(_("a stimulus saved by 'tissueid stimulus'"))
         self.file.setAccessibleName(_("Saved stimulus"))
@@ -88,6 +86,14 @@ class StimulusForm(QWidget):
             line.textChanged.connect(self.changed)
         self._show_kind()
 
+    def offer_all(self) -> None:
+        """Offer every kind. Finding them takes long, so it waits until one is to be chosen."""
+        if self.kind.count() > 1:
+            return
+        names = [*(name for name in stimulus_names() if name != Noise.name), MULTISTEP, FROM_FILE]
+        for name in names:
+            self.kind.addItem(_(TITLES.get(name, name)), name)
+
     @property
     def chosen(self) -> str:
         """The kind of stimulus, ``MULTISTEP`` or ``FROM_FILE``."""
@@ -100,7 +106,7 @@ class StimulusForm(QWidget):
             return frozenset()
         if self.chosen == MULTISTEP:
             return frozenset((*_Steps.model_fields, *IN_FORM))
-        return frozenset(get_stimulus(self.chosen).model_fields)
+        return frozenset(_model(self.chosen).model_fields)
 
     def options(self) -> tuple[tuple[str, Any], ...]:
         """The options of the kind that the form has no field for, SI.
@@ -126,6 +132,7 @@ class StimulusForm(QWidget):
 
     def fill(self, kind: str, options: dict[str, Any] | None = None) -> None:
         """Choose a kind, with options other than its usual ones."""
+        self.offer_all()
         self.kind.setCurrentIndex(max(0, self.kind.findData(kind)))
         self._show_kind()
         for name, value in (options or {}).items():
@@ -153,7 +160,7 @@ class StimulusForm(QWidget):
         for widget in (self._stop_label, self.stop_when):
             widget.setVisible(self._stops)
         if chosen not in (FROM_FILE, Noise.name):
-            model = _Steps if chosen == MULTISTEP else get_stimulus(chosen)
+            model = _Steps if chosen == MULTISTEP else _model(chosen)
             for name, info in model.model_fields.items():
                 if name in IN_FORM:
                     continue
@@ -175,3 +182,8 @@ class StimulusForm(QWidget):
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.fileSelected.connect(self.file.setText)
         dialog.open()
+
+
+def _model(kind: str) -> type[StimulusKind]:
+    """Return the specification of a kind, without looking for the others where it is noise."""
+    return Noise if kind == Noise.name else get_stimulus(kind)

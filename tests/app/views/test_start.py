@@ -386,7 +386,7 @@ def test_settings_that_somebody_else_wrote_do_no_harm(open_window, tmp_path):
     window = open_window(first_page="")
     form = window.ui.form
     assert (window.ui.page, window.ui.role.role) == ("start", "clinician")
-    assert (form.limits.currentData(), form.subject.text()) == ("clinical", "anonymous")
+    assert (form.limits.currentData(), form.subject.text()) == ("clinical", "")
     assert len(form.instrument.url) <= 200
 
 
