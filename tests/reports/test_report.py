@@ -27,8 +27,9 @@ from tissueid.reports.signal_figures import signals_figure
 from tissueid.reports.style import to_svg
 from tissueid.reports.tables import parameter_table, readable_date, score_table, settings_tables
 from tissueid.reports.validation_figures import prediction_figure, readable_stretch
-from tissueid.reports.verdict import judge, key_numbers
+from tissueid.reports.verdict import NOT_JUDGED, judge, key_numbers
 from tissueid.sessions import Session, Subject
+from tissueid.sessions.quality import Quality
 from tissueid.wording import MISSING
 
 Analyses = dict[int, dict[str, Analysis]]
@@ -123,6 +124,8 @@ def test_verdict_follows_the_facts(session: Session, analyses: Analyses) -> None
         changes = {"vaf_percent": seen, "vaf_validation_percent": unseen}
         return {name: replace(a, model=a.model.with_report(**changes)) for name, a in found.items()}
 
+    assert (judge(test, found).level, judge(test, found).headline) == ("check", NOT_JUDGED)
+    test = replace(test, notes=test.notes | Quality(()).as_notes())
     assert judge(test, found).level == "good"
     assert not judge(test, found).reasons
     assert judge(test, with_scores(38.0, 31.0)).level == "poor"

@@ -126,7 +126,7 @@ class FileDrops(QObject):
         words = [said.format(count=count, path=clean(str(self._out))), *(sentence(for_window(one)) for one in doubts)]
         window.pages.heard_of(self._out)
         window.open_session(self._out)
-        window.ui.notice.say(" ".join(words), problem=bool(doubts))
+        window.ui.notice.say(" ".join(words))
 
     def _not_imported(self, words: str) -> None:
         if self.dialog is not None:

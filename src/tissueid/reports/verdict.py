@@ -42,6 +42,8 @@ _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
 _VERDICTS: dict[Level, QualityVerdict] = {"good": "good", "check": "look", "poor": "repeat"}
 FROM_ELSEWHERE = "Do not rely on this measurement"
 """Headline of a poor test that was imported: it cannot be done again."""
+NOT_JUDGED = "Not judged"
+"""Headline of a test that the quality gate never saw and of which nothing else is doubtful."""
 _LINEAR_FIRST = ("lms", "spectral")
 _KEY_PARAMETERS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain", "natural_frequency_rad_per_s")
 
@@ -75,6 +77,8 @@ def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
     level: Level = max((level for level, _reason in doubts), key=_SEVERITY.index, default="good")
     imported = level == "poor" and "source_format" in test.notes
     headline = FROM_ELSEWHERE if imported else HEADLINES[_VERDICTS[level]]
+    if level == "good" and quality_of(test) is None:
+        level, headline = "check", NOT_JUDGED
     return Verdict(level, headline, tuple(dict.fromkeys(reason for _level, reason in doubts)))
 
 

@@ -117,3 +117,11 @@ def test_a_table_is_not_replaced_either(qtbot, panel, two, tmp_path):
     (question,) = panel.findChildren(QMessageBox)
     question.reject()
     assert path.read_text() == "mine"
+
+
+def test_saving_does_not_hand_the_focus_to_the_button_that_clears(qtbot, panel, two):
+    run(qtbot, panel, two[:1], "lms")
+    panel.save_figure.setFocus()
+    assert panel.save_figure.hasFocus()
+    panel.settle(busy=True, testing=False)
+    assert panel.results.hasFocus()

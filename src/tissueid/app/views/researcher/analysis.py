@@ -388,6 +388,8 @@ class AnalysisPanel(QWidget):
         self.compare.setEnabled(free and bool(self._chosen))
         self.folder.setEnabled(free)
         there = bool(self.results.outcomes)
+        if not free and (self.save_table.hasFocus() or self.save_figure.hasFocus()):
+            self.results.setFocus()  # by itself the focus would go on to Clear, and Space would press that
         self.save_table.setEnabled(free and there)
         self.save_figure.setEnabled(free and there)
         self.population.save_figure.setEnabled(free and there)
