@@ -102,7 +102,8 @@ def repeat(value, verdict="good", site="left calf"):
 def test_mean_deviation_and_repeatability():
     said = together([1.0, 2.0, 3.0, float("nan")])
     assert (said.mean, said.std, said.count) == (2.0, 1.0, 3)
-    assert said.repeatability == pytest.approx(2.772, abs=1e-3)
+    # √2 times the quantile of Student's t for as many repeats: 4.303 for three.
+    assert said.repeatability == pytest.approx(np.sqrt(2.0) * 4.3027 * said.std, rel=1e-4)
     assert together([1.0]) is None
     plan = Plan(url="u", site="left calf", path=None, lower_force=True)
     sitting = Sitting(plan, repeats=[repeat(0.08), repeat(0.09, "repeat"), repeat(0.10)])

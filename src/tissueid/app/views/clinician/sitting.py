@@ -32,8 +32,8 @@ HEADS = ("", marked("Mean ± standard deviation"), marked("Relative"), marked("T
 """Heads of the columns of :meth:`Standing.rows`."""
 VALUE_HEAD = marked("Value ± standard deviation")
 """Head of the second column where it is of one test."""
-_TWO_TESTS = 1.96 * math.sqrt(2.0)
-"""Deviations of one test within which 95 % of the differences between two of them lie (Bland and Altman 1999)."""
+_COVERAGE = 0.95
+"""Share of the differences between two tests that lie within the repeatability (Bland and Altman 1999)."""
 _ROUNDING = 1e-9
 """Share of a mean below which a deviation is that of the arithmetic."""
 
@@ -88,7 +88,17 @@ def together(values: Sequence[float]) -> Together | None:
     mean, std = float(known.mean()), float(known.std(ddof=1))
     if std < _ROUNDING * abs(mean):
         std = 0.0  # a simulation that plays the same again: its last digits are no deviation
-    return Together(mean, std, _TWO_TESTS * std, int(known.size))
+    return Together(mean, std, _two_tests(int(known.size)) * std, int(known.size))
+
+
+def _two_tests(count: int) -> float:
+    """Return how many deviations, estimated from ``count`` tests, 95 % of the differences of two tests stay below.
+
+    √2 times the quantile of Student's t: 1.96 √2 for many tests, and more for few, whose deviation is hardly known.
+    """
+    from scipy.special import stdtrit  # takes half a second to import
+
+    return float(stdtrit(count - 1, 0.5 * (1.0 + _COVERAGE))) * math.sqrt(2.0)
 
 
 @dataclass

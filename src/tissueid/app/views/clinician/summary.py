@@ -12,7 +12,7 @@ from tissueid.language import _, marked
 
 _EXPLAINED = marked(
     "Deviation: of one test about the mean of the repeats. Two tests of the same site differ by less than the last "
-    "column in 95 % of cases: 1.96 · √2 deviations."
+    "column in 95 % of cases: √2 · t deviations, t of Student for as many repeats."
 )
 
 _ONE_LINE = 600
