@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -46,6 +46,7 @@ from tissueid.sessions.model import SIGNAL_UNITS
 from tissueid.wording import clean, number
 
 _SHOWN_ROWS = 4
+_TITLE_BAR = 40
 _MOST_COLUMNS = 60
 """Columns that the table offers; the command line takes any."""
 _ROLE_NAMES = {
@@ -160,7 +161,8 @@ class ImportDialog(QDialog):
         self.said = QLabel()
         self.said.setWordWrap(True)
         self.said.setTextFormat(Qt.TextFormat.PlainText)
-        self.said.setProperty("role", "problem")
+        self.said.setProperty("role", "readout")
+        self.said.setProperty("level", "poor")
         self.said.hide()
         self.buttons = QDialogButtonBox()
         self.go = self.buttons.addButton(_("Import"), QDialogButtonBox.ButtonRole.ActionRole)
@@ -171,7 +173,9 @@ class ImportDialog(QDialog):
         for button in (self.browse, self.cancel):
             button.setAutoDefault(False)
         self.go.setDefault(True)
-        self.resize(760, 560)
+        if parent is not None:
+            self.setPalette(parent.palette())  # a window of its own would have the system's colours
+        self.resize(QSize(760, 560).boundedTo(self.screen().availableSize() - QSize(0, _TITLE_BAR)))
 
     def plan(self) -> ImportPlan:
         """Return what is asked for.
