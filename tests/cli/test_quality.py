@@ -15,7 +15,17 @@ from tissueid.sessions.quality import Quality, QualityFinding
 def session(tmp_path_factory):
     out = tmp_path_factory.mktemp("quality") / "s.h5"
     told = out.with_suffix(".json")
-    command = ["test", "--device", "simulated://forearm", "--site", "arm", "--out", str(out), "--seconds", "1.5"]
+    command = [
+        "test",
+        "--device",
+        "simulated://baseline?seed=1",
+        "--site",
+        "arm",
+        "--out",
+        str(out),
+        "--seconds",
+        "1.5",
+    ]
     assert main([*command, "--repeats", "2", "--json", str(told)]) == 0
     return out, json.loads(told.read_text())
 
@@ -83,8 +93,8 @@ def test_engines_warn_of_a_test_that_was_to_be_repeated(session, tmp_path, capsy
     page = tmp_path / "r.html"
     assert main(["report", str(tmp_path / "bad.h5"), "--out", str(page)]) == 0
     text = page.read_text()
-    assert "Recording: do the test again" in text
-    assert text.count("Do the test again") == 1
+    assert "Recording: Do the test again" in text
+    assert text.count("Do the test again") == 2  # the headline, and what the gate said
 
 
 def test_refusals_are_one_line(session, tmp_path, capsys):

@@ -110,7 +110,7 @@ def test_from_a_session_to_verdict_stage_and_effect(qtbot, diagnosed):
     assert fitted[1].startswith("Friction force at speed: ")
     assert fitted[1].endswith(" N")
     assert "Closed: 9" in result.far.closing.text()
-    assert result.far.bars.accessibleName().startswith("Gap: before ")
+    assert result.far.bars.accessibleName().startswith("Gap: Before ")
     for card in (*result.where.cards, *result.far.cards):
         assert card.plot.accessibleName().startswith("Plot: ")
     assert not page.asking.stop.isVisible()
