@@ -26,7 +26,7 @@ def session(tmp_path_factory):
         "--seconds",
         "1.5",
     ]
-    assert main([*command, "--repeats", "2", "--json", str(told)]) == 0
+    assert main([*command, "--seconds", "1.5", "--repeats", "2", "--json", str(told)]) == 0
     return out, json.loads(told.read_text())
 
 
