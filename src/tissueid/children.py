@@ -15,7 +15,7 @@ from multiprocessing.context import SpawnContext
 from typing import Any
 
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
-"""Environment that keeps the current folder off the path of every Python below (PEP 686's ``-P``)."""
+"""Environment that keeps the current folder off the path of every Python below (the option ``-P`` of Python 3.11)."""
 
 
 def start(*arguments: str, environment: dict[str, str] | None = None, **options: Any) -> subprocess.Popen[Any]:
