@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Compiled code is kept, whatever the caller's habit: the tests start hundreds of processes.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help env demo test lint compiled bench soak run clean
+.PHONY: help env demo test lint compiled translations bench soak run clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
@@ -36,6 +36,9 @@ lint: env
 
 compiled: env # what the tests compile on first use: once, on the processor that the checkers leave free
 	@$(BIN)/python tests/compiled_first.py
+
+translations: env ## extract the texts of the program, update the catalogues and compile them
+	@$(BIN)/python tools/translations.py
 
 bench: env ## speed, as ratios measured side by side in one run
 	@$(BIN)/python -m benchmarks

@@ -49,7 +49,7 @@ def comparisons() -> Iterable[Comparison]:
     def plainly() -> tuple[np.ndarray, np.ndarray]:
         return plain_dpn.with_slopes(force, RATE, THETA, LOW, HIGH, start)
 
-    def apart(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
+    def difference(ours: tuple[np.ndarray, np.ndarray], theirs: tuple[np.ndarray, np.ndarray]) -> float:
         middle = slice(500, -100)  # the plain route takes the record to be periodic
         return max(
             float(np.max(np.std((a - b)[middle], axis=0) / np.std(b[middle], axis=0)))
@@ -61,7 +61,7 @@ def comparisons() -> Iterable[Comparison]:
         setting=f"{SAMPLES} samples, {THETA.size} parameters and 2 starting values",
         product=compiled,
         plain=plainly,
-        agreement=apart,
+        agreement=difference,
         tolerance=1e-3,
         floor=30.0,
         blocks=2,

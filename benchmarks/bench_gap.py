@@ -10,11 +10,11 @@ from benchmarks import plain_gap
 from benchmarks.base import Comparison
 from tissueid.device import DeviceDescription
 from tissueid.gap.fitting import fit
-from tissueid.gap.observing import observe
+from tissueid.gap.preparation import prepare
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import effect
-from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.simulation import Acting, Start, simulate
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
 SAMPLES = 2000
@@ -28,7 +28,7 @@ def comparisons() -> Iterable[Comparison]:
     rng = np.random.Generator(np.random.PCG64(5))
     command = 14.0 + 14.0 * np.convolve(rng.uniform(-1.0, 1.0, SAMPLES), np.ones(5) / 5.0, "same")
     drag = effect("quadratic_drag")
-    acting = [Acting(drag, np.array([TRUE[5], 2.0]))]
+    acting = [ActiveEffect(drag, np.array([TRUE[5], 2.0]))]
     instrument, tissue = Instrument(weight_n=0.0), Tissue(SURFACE, *TRUE[:5])
     start = Start(float(command[0]) / plain_gap.RESISTANCE, SURFACE)
 
@@ -55,7 +55,7 @@ def comparisons() -> Iterable[Comparison]:
     clean = {"voltage": command, "current": currents[:, 0], "position": positions[:, 0]}
     signals = {name: values + NOISE[name] * rng.standard_normal(SAMPLES) for name, values in clean.items()}
     test = Test(1, "stochastic", {"command": command, **signals}, RATE, surface_position_m=SURFACE)
-    observed = observe(Session(DeviceDescription(), tests=(test,)))
+    observed = prepare(Session(DeviceDescription(), tests=(test,)))
 
     def diagnosed() -> float:
         baseline = fit(observed)

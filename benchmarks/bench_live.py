@@ -11,7 +11,7 @@ from benchmarks import plain_live, records
 from benchmarks.base import Comparison
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.impulse_response import RIDGE
-from tissueid.identification.online.sliding import SlidingLms
+from tissueid.identification.live.sliding import SlidingLms
 
 LAGS = 250
 EVERY = 500

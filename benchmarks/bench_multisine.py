@@ -24,7 +24,7 @@ def _low_crest(count: int, period: int, floor: float | None) -> Comparison:
     start = 2.0 * np.pi * np.random.Generator(np.random.PCG64(2)).random(count)
     size = grid_size(lines, period)
 
-    def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
+    def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
         return abs(peak_ratio(lines, flat, ours, period) - peak_ratio(lines, flat, theirs, period))
 
     return Comparison(
@@ -32,7 +32,7 @@ def _low_crest(count: int, period: int, floor: float | None) -> Comparison:
         f"{count} lines, {size} points",
         lambda: lowered(lines, flat, start, period),
         lambda: plain_multisine.low_crest(lines, flat, start, size),
-        apart,
+        difference,
         0.03,
         floor,
         blocks=2,

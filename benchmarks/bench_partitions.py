@@ -12,7 +12,7 @@ from benchmarks.base import Comparison
 from tissueid.identification.least_squares import factor
 from tissueid.identification.partitions.cells import Partitions, place_breakpoints
 from tissueid.identification.partitions.regression import lagged_regressors
-from tissueid.identification.volterra.smoothing import LagGrid
+from tissueid.identification.volterra.lag_grid import LagGrid
 
 PARTITIONS, LAGS = 15, 40
 RATE = 500.0
@@ -29,7 +29,7 @@ def record(samples: int) -> tuple[np.ndarray, np.ndarray]:
     return x, y + 0.01 * np.std(y) * rng.standard_normal(samples)
 
 
-def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
+def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs))
 
 
@@ -58,5 +58,5 @@ def _against_both(samples: int, floor: float | None) -> Iterable[Comparison]:
 
     setting = f"{PARTITIONS} partitions x {LAGS} lags, {int(used.sum())} rows"
     few = {"blocks": 2, "runs_in_block": 2}
-    yield Comparison("depth partitions", setting, product, plainly, apart, 1e-8, floor, **few)
-    yield Comparison("depth partitions against lstsq", setting, product, reference, apart, 1e-8, **few)
+    yield Comparison("depth partitions", setting, product, plainly, difference, 1e-8, floor, **few)
+    yield Comparison("depth partitions against lstsq", setting, product, reference, difference, 1e-8, **few)

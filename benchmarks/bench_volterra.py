@@ -36,7 +36,7 @@ def response(x: np.ndarray, seed: int) -> np.ndarray:
     return z - 0.1 * z**2 + 0.01 * np.std(z) * rng.standard_normal(x.size)
 
 
-def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
+def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
     return float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs))
 
 
@@ -62,13 +62,13 @@ def comparisons() -> Iterable[Comparison]:
         return plain_volterra.volterra(x, y, MEMORY)
 
     few = {"blocks": 2, "runs_in_block": 2}
-    yield Comparison("Volterra, whole answer", f"{size}, white", whole, plainly, apart, 1e-8, 30.0, **few)
+    yield Comparison("Volterra, whole answer", f"{size}, white", whole, plainly, difference, 1e-8, 30.0, **few)
     yield Comparison(
         "Volterra, second response, against the plain whole answer",
         f"{size}, white",
         lambda: kept.solve(again),
         lambda: plain_volterra.volterra(x, again, MEMORY),
-        apart,
+        difference,
         1e-8,
         300.0,
         **few,
@@ -78,11 +78,11 @@ def comparisons() -> Iterable[Comparison]:
         f"{size}, white",
         lambda: kept.solve(again),
         lambda: plain_volterra.answer(stored, again[MEMORY:]),
-        apart,
+        difference,
         1e-8,
         **few,
     )
-    yield Comparison("Volterra against lstsq", f"{size}, white", whole, reference, apart, 1e-8, **few)
+    yield Comparison("Volterra against lstsq", f"{size}, white", whole, reference, difference, 1e-8, **few)
 
     coloured = stimulus(white=False)
     hard = response(coloured, 4)
@@ -94,7 +94,7 @@ def comparisons() -> Iterable[Comparison]:
         f"{size}, 200 Hz at 667 Hz, condition {condition:.0e}",
         lambda: factored(coloured).solve(hard),
         lambda: linalg.lstsq(tall, hard[MEMORY:], lapack_driver="gelsd")[0],
-        apart,
+        difference,
         1e-8,
         **few,
     )
@@ -103,7 +103,7 @@ def comparisons() -> Iterable[Comparison]:
         f"{size}, 200 Hz at 667 Hz, condition {condition:.0e}",
         lambda: factored(coloured).solve(hard),
         lambda: plain_volterra.volterra(coloured, hard, MEMORY),
-        apart,
+        difference,
         1e-3,
         **few,
     )

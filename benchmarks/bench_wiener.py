@@ -33,12 +33,12 @@ def comparisons() -> Iterable[Comparison]:
     def plainly() -> tuple[float, float]:
         return plain.wiener(record.input, record.output, LAGS, PASSES)
 
-    def apart(ours: tuple[float, float], theirs: tuple[float, float]) -> float:
+    def difference(ours: tuple[float, float], theirs: tuple[float, float]) -> float:
         return max(abs(a / b - 1.0) for a, b in zip(ours, theirs, strict=True))
 
     setting = f"{PASSES} passes, {LAGS} lags, {len(record)} samples"
     yield Comparison(
-        "Wiener iteration", setting, iterated, plainly, apart, 1e-4, floor=20.0, blocks=4, runs_in_block=10
+        "Wiener iteration", setting, iterated, plainly, difference, 1e-4, floor=20.0, blocks=4, runs_in_block=10
     )
     whole = "the same, refined jointly, with uncertainties"
-    yield Comparison("Wiener engine against plain iteration", whole, fitted, plainly, apart, 0.03)
+    yield Comparison("Wiener engine against plain iteration", whole, fitted, plainly, difference, 0.03)

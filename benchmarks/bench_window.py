@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from PySide6.QtCore import QCoreApplication, QEvent, QPointF, Qt
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QApplication, QVBoxLayout, QWidget
+from tissueid.app.views.researcher.test_loading import Channel, LoadedTest
 
 from benchmarks.base import Comparison
-from tissueid.app.live import decimated
+from tissueid.app.live_signals import decimated
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import LIGHT
-from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.plot_stack import PlotStack
-from tissueid.app.views.researcher.reading import Channel, Loaded
-from tissueid.app.views.researcher.track import Track
+from tissueid.app.views.researcher.recorded_signal import RecordedSignal
+from tissueid.app.views.researcher.selected_test import SelectedTest
 
 Array = NDArray[np.float64]
 RATE = 2000.0
@@ -58,7 +58,7 @@ _kept: list[object] = []
 
 
 def _differ(ours: Array, theirs: Array) -> float:
-    """How far least and greatest of what each plot shows (plots, 2) lie apart, over their distance."""
+    """Return the difference of the extremes that each plot shows, shape (plots, 2), relative to their range."""
     return float(np.abs(ours - theirs).max() / np.ptp(theirs, axis=1).min())
 
 
@@ -94,7 +94,7 @@ class _Cards:
     def _arrange(self, home: QWidget) -> None:
         column = QVBoxLayout(home)
         for card in self._cards:
-            card.paint_with(LIGHT)
+            card.apply_theme(LIGHT)
             card.plot.setXRange(0.0, POINTS / RATE, padding=0.0)
             column.addWidget(card)
 
@@ -165,9 +165,9 @@ class _Stack:
 
     def __init__(self, values: Array) -> None:
         self._stack = PlotStack()
-        tracks = {channel: Track(signal, RATE) for channel, signal in zip(CHANNELS, values, strict=True)}
-        self._stack.paint_with(LIGHT)
-        self._stack.show_tests([Loaded(Chosen(_NOWHERE, 1, "", "", "x"), 0.0, tracks)], list(CHANNELS))
+        tracks = {channel: RecordedSignal(signal, RATE) for channel, signal in zip(CHANNELS, values, strict=True)}
+        self._stack.apply_theme(LIGHT)
+        self._stack.show_tests([LoadedTest(SelectedTest(_NOWHERE, 1, "", "", "x"), 0.0, tracks)], list(CHANNELS))
         self._stack.resize(*SIZE)
         self._stack.show()
         QApplication.processEvents()

@@ -22,7 +22,7 @@ def impulse_response(x: Array, y: Array, lags: int) -> tuple[Array, float]:
 
 
 def wiener(u: Array, y: Array, lags: int, passes: int) -> tuple[float, float]:
-    """C1 and C2 after so many passes of the iteration, the whole correlation route in each."""
+    """Return C1 and C2 after a number of passes of the iteration, each with the whole correlation."""
     target = y
 
     def exponential(z: Array, c1: float, c2: float, offset: float) -> Array:

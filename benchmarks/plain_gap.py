@@ -59,7 +59,7 @@ def fitted(
     noise: tuple[float, float],
     steps: int,
 ) -> Array:
-    """The six figures (6,) after so many Gauss-Newton steps on their logarithms, slopes by forward differences."""
+    """Return the six parameters (6,) after Gauss-Newton steps on their logarithms with forward differences."""
     log = np.log(np.array([0.02, 7.0, 200.0, 450.0, 200.0, 0.05]))
     for _ in range(steps):
         varied = log[:, None] + np.hstack([np.zeros((6, 1)), 1e-5 * np.eye(6)])

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def hammerstein(u: Array, y: Array, lags: int, degree: int, passes: int) -> tuple[Array, Array]:
-    """Kernel (lags,) that sums to one and f over a grid of 50 inputs, less its value at the mean, after so many passes.
+    """Kernel (lags,) that sums to one and f over a grid of 50 inputs, less its value at the mean, after some passes.
 
     Dense least squares on the lagged powers of the standardised input: over-parametrised and split by the singular
     value decomposition, then one side at a time.

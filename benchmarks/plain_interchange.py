@@ -34,8 +34,8 @@ def interchange(start: Array, target: Array, seed: int, tolerance: float, max_tr
     def error_now() -> float:
         spectrum = fft.rfft(values, padded)
         correlation = fft.irfft(spectrum.real**2 + spectrum.imag**2, padded)[1 : lags + 1]
-        apart = correlation / energy - target[1:]
-        return float(apart @ apart)
+        difference = correlation / energy - target[1:]
+        return float(difference @ difference)
 
     draw = np.random.Generator(np.random.PCG64(seed))
     order = np.arange(n)

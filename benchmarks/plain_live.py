@@ -1,4 +1,4 @@
-"""Least mean squares over the latest seconds without anything kept: correlations by FFT, made anew at every look."""
+"""Least mean squares over the latest seconds without stored state: correlations by FFT, recomputed at every look."""
 
 from __future__ import annotations
 

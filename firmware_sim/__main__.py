@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         default=[],
         type=_effect,
         metavar="EFFECT[=LEVEL]",
-        help="an effect that the plant has beside its own laws, to be found by a diagnosis; again for a second one",
+        help="an effect of the plant in addition to its own laws, to be found by a diagnosis; again for a second one",
     )
     parser.add_argument("--list", action="store_true", help="list the presets and leave")
     parser.add_argument(

@@ -199,7 +199,7 @@ class Bench:
         return Block(codes, flags, self.button)
 
     def _freeze(self, codes: NDArray[np.int16], flags: NDArray[np.uint16]) -> None:
-        # Stuck sensors go on giving the code that they gave last; a code that stands still does not saturate anew.
+        # Stuck sensors repeat their last code, which does not count as saturated again.
         names = [channel.name for channel in CHANNELS]
         for name in self.stuck:
             if name not in names[1:]:

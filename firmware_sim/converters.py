@@ -49,7 +49,7 @@ def _bipolar(name: str, unit: str, full_scale: float, noise_rms: float) -> Chann
 
 
 CHANNELS = (
-    # The command is what the digital-to-analogue converter was told: it has steps but no noise.
+    # The command is the input of the digital-to-analogue converter: it has steps but no noise.
     _bipolar("command", "V", 60.0, 0.0),
     # Fig. 3.2a: the voltage falls 8 decades of power to its floor. 12 V rms over 200 Hz gives 2.7 mV over 1 kHz.
     _bipolar("voltage", "V", 60.0, 2.7e-3),
@@ -70,7 +70,7 @@ CHANNELS = (
 class ChannelError:
     """How a channel's real scale differs from the announced one: reading = (1 + gain error) * truth + offset.
 
-    Of the command it is the volts that differ, by the same law: volts = (1 + gain error) * told + offset.
+    Of the command it is the volts that differ, by the same law: volts = (1 + gain error) * command + offset.
     """
 
     gain_error: float = 0.0

@@ -61,7 +61,7 @@ class PlannedFault(BaseModel):
 
 
 class Cable(Protocol):
-    """What joins host and device, as far as somebody can pull it."""
+    """The connection between host and device, which can be unplugged."""
 
     def unplug(self) -> None:
         """Pull it."""

@@ -113,7 +113,7 @@ class Firmware:
         self._send_status()
 
     def brown_out(self) -> None:
-        """The supply sagged: the amplifier goes off and stays off until somebody clears the fault."""
+        """The supply voltage dropped: the amplifier is off until the fault is cleared."""
         self._trip(Fault.BROWN_OUT)
 
     def stall(self, until_s: float) -> None:
@@ -159,7 +159,7 @@ class Firmware:
             return
         self._greeted = self.identity.speaks(hello["protocol_min"], hello["protocol_max"])
         if not self._greeted:
-            self._release(forget=False)  # nobody is left whom the run could belong to
+            self._release(forget=False)  # the host of the run is gone
         answer = self.identity.hello_ack(
             self.bench.nominal,
             self._channels,
@@ -269,7 +269,7 @@ class Firmware:
         if request["token"] != self._token:
             return Result.BAD_STATE, 0
         if self._armed is None or self._player.releasing:
-            return Result.LATE, self._player.played  # the run is over, and nobody misses them
+            return Result.LATE, self._player.played  # the run is over
         volts = self._volts(np.frombuffer(codes[: len(codes) // 2 * 2], "<i2"))
         if len(codes) % 2 or not codes:
             result = Result.BAD_ARGUMENT

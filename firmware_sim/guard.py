@@ -22,7 +22,7 @@ class Guard:
     """Holds the limits that were armed, the winding's temperature by calculation, and what the sensors can say.
 
     The temperature goes on from block to block as long as the device has power, and so do the newest positions;
-    ``begin`` begins the rest anew.
+    ``begin`` resets the rest.
     """
 
     def __init__(self, channels: dict[str, Channel], coil: PlantParameters, sample_rate_hz: float) -> None:

@@ -107,7 +107,7 @@ def _recruitment_force(tissue: Array, depth: float, velocity: float) -> float:
 
 @_swift
 def _resistance(state: Array, tissue: Array, depth: float, velocity: float) -> tuple[float, float]:
-    # Everything of the tissue that resists motion at this depth and speed, inertia apart, and what of it is the
+    # Everything of the tissue that resists motion at this depth and speed, without inertia, and its part from the
     # relaxed elastic force, N.
     elastic = elastic_force(tissue, depth)
     force = elastic + _recruitment_force(tissue, depth, velocity)

@@ -16,7 +16,7 @@ def local_values(preset: str | Tissue, position_m: float, parameters: PlantParam
     The electrical damping by back-EMF is not in them, since the force is that of the measured current. The main values
     are what applies at the natural frequency: ``mass_kg`` and ``damping_n_s_per_m`` with the moving part and the
     bearing in them, ``stiffness_n_per_m`` the tangent of the static force plus what relaxation adds at that
-    frequency. Beside them stand the law's coefficients, both directions of damping, and the relaxed and unrelaxed
+    frequency. Also included are the coefficients of the law, both directions of damping, and the relaxed and unrelaxed
     stiffness. All of it can be written as JSON.
 
     Raises:

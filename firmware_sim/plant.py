@@ -43,7 +43,7 @@ TRACE = np.dtype(
 )
 """What an ideal observer sees (V, A, m, m/s, degC, m/s^2, 0 or 1) and what leaves the anti-alias filters.
 
-``temperature`` is the winding's; ``filtered_temperature`` comes from the sensor beside it, which lags behind.
+``temperature`` is the winding's; ``filtered_temperature`` comes from its sensor, which lags.
 """
 
 

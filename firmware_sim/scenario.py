@@ -86,7 +86,7 @@ class Scenario(BaseModel):
     coil: Literal["ideal", "finite"] = "ideal"
     """Force constant the same all along the stroke, or falling off towards its ends."""
     stage: bool | None = None
-    """A motorised stage that brings the fixture under the probe; a desktop device has one unless told otherwise."""
+    """A motorised stage that brings the fixture under the probe; a desktop device has one by default."""
     truth: Truth = Truth()
     channels: dict[str, ChannelTruth] = Field(default_factory=dict)
     sensor_supply_share: Annotated[float, _between(0.8, 1.2)] = 1.0

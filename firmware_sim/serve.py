@@ -161,8 +161,8 @@ class TcpPort:
 class Server:
     """Keeps the firmware in step with the clock, moves its bytes, and lets the planned faults happen.
 
-    ``announce`` is told the port's name when the cable is put back. ``stopped_s`` is for how long the machine kept a
-    device that is meant to run in real time from running.
+    ``announce`` receives the name of the port when the cable is reconnected. ``stopped_s`` is how long the machine
+    suspended a device that should run in real time.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class Server:
         self._waiting_since: float | None = None
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
-        """Serve until ``until`` says so, or the process is told to stop."""
+        """Serve until ``until`` returns true, or the process is stopped."""
         self._begin = time.monotonic()
         while not until():
             now = time.monotonic()

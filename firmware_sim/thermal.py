@@ -1,4 +1,4 @@
-"""The winding's temperature by calculation: what the sensor beside it would say if it neither lagged nor broke.
+"""Thermal model of the winding: its temperature without the lag and the faults of a sensor.
 
 One heat capacity and one way out, all figures on the hot side of the coil's own (docs/safety.md says by how much). They
 are the desktop coil's; another coil of the same wire has as much copper and surface as it has resistance. It runs from
@@ -23,7 +23,7 @@ RESTART_MARGIN_K = 5.0
 """A reset forgets: the winding may then be warmer than its sensor, which lags behind."""
 
 SENSOR_RANGE_C = (20.0, 150.0)
-"""What a sensor says beyond these is not believed; whoever needs a number takes the nearer end."""
+"""Plausible range of the sensor, degC; a reading outside it is replaced by the nearer end."""
 
 
 class WindingModel:

@@ -1,4 +1,4 @@
-"""Compile what numba compiles on first use, once and beside the other checks: else each worker and firmware would."""
+"""Compile the numba functions once, in parallel with other checks, so that workers and firmware need not."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from firmware_sim.bench import Bench
 from firmware_sim.effects import read_effects
 from tissueid.identification import engine_names, get_engine
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.figures import Instrument, spring
+from tissueid.twin.chain_parameters import Instrument, spring
 from tissueid.twin.simulation import Start, compiled, simulate
 
 

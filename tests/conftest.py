@@ -1,4 +1,4 @@
-"""What holds for every test: no real audit log is written, nobody's role taken over, no calibration used by chance."""
+"""What holds for every test: no real audit log or analysis is written, no role taken over, no calibration used."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from tissueid.app.user_data import ENVIRONMENT as ANALYSES
 from tissueid.audit import ENVIRONMENT, ROLE_ENVIRONMENT
 from tissueid.calibration.store import VARIABLE as CALIBRATIONS
+from tools.translations import compile_stale
+
+
+def pytest_configure() -> None:
+    """Compile the translations that were edited since."""
+    compile_stale()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -32,6 +39,7 @@ def _audit_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(ENVIRONMENT, str(tmp_path_factory.mktemp("audit") / "shared.jsonl"))
         patch.setenv(CALIBRATIONS, str(tmp_path_factory.mktemp("calibrations")))
+        patch.setenv(ANALYSES, str(tmp_path_factory.mktemp("analyses") / "shared.jsonl"))
         yield
 
 
@@ -49,5 +57,6 @@ def audit_file(_audit_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) 
     folder.mkdir()
     path = folder / "audit.jsonl"
     monkeypatch.setenv(ENVIRONMENT, str(path))
+    monkeypatch.setenv(ANALYSES, str(folder / "analyses.jsonl"))
     monkeypatch.delenv(ROLE_ENVIRONMENT, raising=False)
     return path

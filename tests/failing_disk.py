@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import says
 from support import connect
 
 from tissueid.acquisition import GuidedTest, JournalError, SessionRecorder, journal_path, recover, run_guided_test
 from tissueid.acquisition.journal import _Flush
-from tissueid.audit import Trail
+from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
-from tissueid.errors import UnusableInputError
+from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.instrument import SAMPLE, Run
 from tissueid.sessions import read_session
 from tissueid.stimuli.base import Stimulus
@@ -95,7 +96,7 @@ class Sitting:
             self.go = self.feed
         self.added = np.zeros(0, SAMPLE)
         self.acknowledged = 0
-        self.error: BaseException | None = None
+        self.error: JournalError | None = None
         self.released = True
         self.ended_s = 0.0
         self.free_s = math.inf
@@ -118,7 +119,7 @@ class Sitting:
             self.ended_s = self.instrument._link.now
 
     def feed(self, batches: int = 2) -> None:
-        """As ``run``, without an instrument: only what the recorder is told."""
+        """As ``run``, without an instrument: only the calls of the recorder."""
         try:
             self.recorder = SessionRecorder(self.path, DeviceDescription(), sync_s=0.0)
             self.keep_in_step()
@@ -173,11 +174,10 @@ def calls_of_a_whole_sitting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gu
     return disk.calls
 
 
-def told_in_one_line(error: BaseException, *words: str) -> None:
-    said = str(error)
-    assert "\n" not in said
-    for word in words:
-        assert word in said
+def check_one_line(error: TissueIDError, code: str = "", **values: object) -> None:
+    """Check that an error is one line and, with ``code``, that it has this code and these values."""
+    assert "\n" not in str(error)
+    assert not code or says(error.message, code, **values)
 
 
 def check_failing_at(
@@ -200,18 +200,18 @@ def check_failing_at(
         seconds = max(0.0, min(sitting.free_s, sitting.ended_s) - disk.failed_s)
         assert disk.after == 0, "nothing is written after what failed"
         if sitting.recorder is None:
-            told_in_one_line(sitting.error, os.strerror(number), "Nothing was begun")
+            check_one_line(sitting.error, "journal.not_begun", reason=os.strerror(number))
             assert list(folder.iterdir()) == []
             return "before", 0.0
         if sitting.error is not None:
-            told_in_one_line(sitting.error, os.strerror(number), "is kept", "'tissueid recover'")
+            check_one_line(sitting.error, "journal.failed", reason=os.strerror(number))
         if sitting.recorder.samples_appended == 0:
             assert sitting.recorder.finish_or_discard() is None
             assert list(folder.iterdir()) == []
             return "before the first sample", seconds
-        with pytest.raises(JournalError, match=os.strerror(number)) as told:
+        with pytest.raises(JournalError) as caught:
             sitting.recorder.finish_or_discard()
-        told_in_one_line(told.value, "is kept", "'tissueid recover'")
+        check_one_line(caught.value, "journal.failed", reason=os.strerror(number))
     assert [path.name for path in folder.iterdir()] == ["s.h5.journal"]
     if sitting.acknowledged == 0:
         try:
@@ -224,7 +224,7 @@ def check_failing_at(
     return ("at the end", 0.0) if sitting.error is None else ("during a test", seconds)
 
 
-def a_sitting(path: Path, tests: int = 2, count: int = 500, trail: Trail | None = None) -> SessionRecorder:
+def a_sitting(path: Path, tests: int = 2, count: int = 500, trail: AuditTrail | None = None) -> SessionRecorder:
     recorder = SessionRecorder(path, DeviceDescription(), trail=trail)
     for number in range(tests):
         recorder.prepare(count)

@@ -38,7 +38,7 @@ def played(multisine: Multisine) -> Array:
 
 
 def answer(force: Array) -> Array:
-    """Low-pass of 40 Hz on the force, beside a + and b times the square and the cube of a 60 Hz low-pass, smoothed."""
+    """Low-pass of 40 Hz on the force, plus a and b times the square and the cube of a 60 Hz low-pass, smoothed."""
     scaled = (force - 0.5 * (LOW_N + HIGH_N)) / 2.0
     seen = signal.lfilter(*signal.butter(1, 60.0, fs=RATE), scaled)
     bent = signal.lfilter(*signal.butter(1, 120.0, fs=RATE), EVEN * seen**2 + ODD * seen**3)

@@ -1,4 +1,4 @@
-"""Records that nobody here made. They stand beside the project where there are any; who wants them skips without."""
+"""Recordings from other sources, in a folder next to the project. Tests that need them are skipped without it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects of mechanics and tissue at work: in the whole chain on noise, and along a prescribed motion."""
+"""Effects of mechanics and tissue: in the whole chain on noise, and along a prescribed motion."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from scipy import signal
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.simulation import Acting, Start, simulate
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
 SURFACE = 0.0095
@@ -24,20 +24,20 @@ def noise(seconds=0.5, mean=15.0, amplitude=26.0, seed=1):
 
 def play(name=None, values=None, command=None, substeps=5, tissue=TISSUE, on_tissue=True, device=DEVICE):
     volts = noise() if command is None else command
-    acting = () if name is None else (Acting(effect(name), np.array(values, float)),)
+    acting = () if name is None else (ActiveEffect(effect(name), np.array(values, float)),)
     start = Start(float(volts[0]) / device.resistance_ohm, tissue.surface_m)
     return simulate(volts, RATE, device, tissue, start, acting, on_tissue=on_tissue, substeps=substeps)
 
 
 def change(name, values, signal_name="position", **how):
-    """Root mean square of what the effect changes, by the signal's own deviation."""
+    """Return the root mean square of the change by the effect, relative to the signal's deviation."""
     with_it = getattr(play(name, values, **how).readings, signal_name)
     without = getattr(play(**how).readings, signal_name)
     return float(np.sqrt(np.mean((with_it - without) ** 2)) / np.std(without))
 
 
 def moved(name, values, position, dt, velocity=None, setting=None):
-    """Forces of a hook along a prescribed motion, by plain Python; mass, damping and force at every step."""
+    """Return the bus of a hook along a prescribed motion, in plain Python."""
     declared = effect(name)
     numbers, state, out = np.zeros(bus.SIZE), np.zeros(bus.MOST_STATES), []
     speed = np.gradient(position, dt) if velocity is None else velocity

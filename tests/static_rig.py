@@ -40,7 +40,7 @@ EXPECTED = {
 
 
 class PatientLink(LoopbackLink):
-    """A loopback on which something can be moved between two ticks of the clock, whoever asks for it."""
+    """A loopback on which something can be moved between two ticks of the clock, by any caller."""
 
     def __init__(self, firmware: Firmware) -> None:
         super().__init__(firmware)

@@ -17,6 +17,7 @@ from firmware_sim.scenario import Scenario
 from tissueid.acquisition import Progress, SessionRecorder, journal_path
 from tissueid.errors import FirmwareFaultError, LinkLostError
 from tissueid.instrument import SerialInstrument
+from tissueid.instrument.link import broken_error
 
 TICK_S = 0.01
 SAMPLES_PER_TICK = 20
@@ -58,7 +59,7 @@ class LoopbackLink:
         deadline = self.now + timeout_s
         while True:
             if not self.plugged:
-                raise LinkLostError("the connection to loopback broke: unplugged")
+                raise broken_error(self.name, OSError("unplugged"))
             self.tick()
             data = self.to_host(self.firmware.transmit(self.now))
             if data or self.now >= deadline:
@@ -66,7 +67,7 @@ class LoopbackLink:
 
     def write(self, data: bytes) -> None:
         if not self.plugged:
-            raise LinkLostError("the connection to loopback broke: unplugged")
+            raise broken_error(self.name, OSError("unplugged"))
         self.firmware.receive(self.to_device(data), self.now)
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from coded import coded, says
 from identification import simulated
 from reports.synthetic_sitting import make_session, make_test
 
@@ -26,6 +27,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification import Engine, Family, Model, aicc, engine_names, vaf_percent
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.wiener import Wiener
+from tissueid.messages import code_of
 from tissueid.records import Record
 from tissueid.sessions import Session
 
@@ -45,7 +47,7 @@ class TestSplit:
         assert parts.tests == (1,)
         assert parts.held_out_record is parts.record
         assert (parts.fit_part, parts.held_out) == (slice(0, 1875), slice(1875, 2500))
-        assert parts.validated_on == "the last 25 % of test 1"
+        assert says(parts.validated_on, "split.part_of_test", which="last", percent=25.0, number=1)
         known = np.isfinite(parts.unseen.output)
         assert not known[:1875].any()
         assert known[1875:].all()
@@ -60,7 +62,8 @@ class TestSplit:
     def test_of_several_tests_the_last_quarter_of_each(self, session: Session):
         parts = split(session, test=1, also=(2,))
         first, second = (session.test(number).record() for number in (1, 2))
-        assert parts.validated_on == "the last 25 % each of tests 1 and 2"
+        assert says(parts.validated_on, "split.part_of_tests", which="last", percent=25.0)
+        assert str(parts.validated_on.values["numbers"]) == "1 and 2"
         np.testing.assert_array_equal(
             parts.fitted.output, np.concatenate([first.output[:1875], [np.nan], second.output[:1500]])
         )
@@ -82,24 +85,32 @@ class TestSplit:
                 assert np.isfinite(quarter.fitted.output).sum() + held_out.size == received.sum()
 
     @pytest.mark.parametrize(
-        ("choice", "told"),
+        ("choice", "code", "values"),
         [
-            (dict(test=9), "no test 9"),
-            (dict(also=(9,)), "no test 9"),
-            (dict(also=(1,)), "test 1 is named twice"),
-            (dict(test=2, also=(1,), validate=1), "validate on another"),
-            (dict(input_name="position"), "the same signal"),
-            (dict(output_name="torque"), "no signal 'torque'"),
+            (dict(also=(1,)), "split.repeated_test", {"number": 1}),
+            (dict(test=2, also=(1,), validate=1), "split.validates_fitted_test", {"number": 1}),
+            (dict(input_name="position"), "split.same_signal", {"signal": "position"}),
         ],
     )
-    def test_what_cannot_be_split_is_refused(self, session: Session, choice: dict, told: str):
-        with pytest.raises(UnusableInputError, match=told) as refused:
+    def test_what_cannot_be_split_is_refused(self, session: Session, choice: dict, code: str, values: dict):
+        with pytest.raises(UnusableInputError, check=coded(code, **values)):
             split(session, **choice)
-        assert "\n" not in str(refused.value)
+
+    @pytest.mark.parametrize(
+        ("choice", "code", "value"),
+        [
+            (dict(test=9), "session.no_test", {"number": 9}),
+            (dict(also=(9,)), "session.no_test", {"number": 9}),
+            (dict(output_name="torque"), "session.no_signal", {"signal": "torque"}),
+        ],
+    )
+    def test_missing_tests_and_signals_are_refused(self, session: Session, choice: dict, code: str, value: dict):
+        with pytest.raises(UnusableInputError, check=coded(code, **value)):
+            split(session, **choice)
 
     def test_tests_at_different_rates_are_not_fitted_together(self, session: Session):
         slow = replace(make_test(4), sample_rate_hz=500.0)
-        with pytest.raises(UnusableInputError, match="cannot be fitted together"):
+        with pytest.raises(UnusableInputError, check=coded("record.rates_differ", first=1000.0, other=500.0)):
             split(replace(session, tests=(*session.tests, slow)), also=(4,))
 
 
@@ -164,7 +175,7 @@ class TestScores:
         assert [row.own_samples for row in rows] == [False, True]
         assert [row.n_fitted for row in rows] == [1875 - 19, 76]
 
-    def test_effective_parameters_count_where_they_are_told(self, session: Session):
+    def test_effective_parameters_count_where_an_engine_reports_them(self, session: Session):
         parts = split(session)
         analysis = analyse(session, "lms")
         report = analysis.model.report
@@ -192,20 +203,20 @@ class TestCompare:
         entries = compare(specified, split(session)).entries
         assert entries[0].refused is None
         assert entries[1].scored is None
-        assert "shorter than the memory" in entries[1].refused
+        assert code_of(entries[1].refused) == "spectral.window_shorter_than_memory"
 
     def test_when_all_refuse_there_is_nothing_to_compare(self, session: Session):
-        with pytest.raises(UnusableInputError, match="the memory of 9 s is longer"):
+        with pytest.raises(UnusableInputError, check=coded("record.shorter_than_memory", memory=9.0)):
             compare(specifications(QUICK, {"memory": 9.0}, {"spectral": {"window": 10.0}}), split(session))
-        with pytest.raises(UnusableInputError, match="none of 2 engines can be fitted"):
+        with pytest.raises(UnusableInputError, check=coded("compare.all_refused", engines=2)):
             compare(specifications(QUICK, {}, {"lms": {"memory": 9.0}, "spectral": {"window": 0.05}}), split(session))
 
-    def test_progress_is_told_engine_by_engine(self, session: Session):
-        told: list[tuple[str, float]] = []
-        compare(specifications(QUICK), split(session), progress=lambda what, share: told.append((what, share)))
+    def test_progress_is_reported_engine_by_engine(self, session: Session):
+        steps: list[tuple[str, float]] = []
+        compare(specifications(QUICK), split(session), progress=lambda what, share: steps.append((what, share)))
         for name in QUICK:
-            assert told.index((name, 0.0)) < told.index((name, 1.0))
-        assert all(0.0 <= share <= 1.0 for _, share in told)
+            assert steps.index((name, 0.0)) < steps.index((name, 1.0))
+        assert all(0.0 <= share <= 1.0 for _, share in steps)
 
     def test_scores_against_memory(self, session: Session):
         found = compare((Lms(), Lms.from_options({})), split(session), sweep=False)
@@ -225,20 +236,19 @@ class TestCompare:
         assert not [e.name for e in ours if e.family is Family.OTHER]
 
     @pytest.mark.parametrize(
-        ("arguments", "told"),
+        ("arguments", "code", "values"),
         [
-            (([],), "no engine is named"),
-            ((["magic"],), "no engine 'magic'"),
-            ((["lms", "lms"],), "named twice"),
-            ((["lms"], {"colour": 1}), "none of these engines has an option 'colour'"),
-            ((["lms"], {}, {"wiener": {"degree": 3}}), "'wiener', which is not among"),
-            ((["lms"], {}, {"lms": {"memory": -1}}), "option 'memory'"),
+            (([],), "compare.no_engine", {}),
+            ((["magic"],), "registry.unknown_name", {"name": "magic"}),
+            ((["lms", "lms"],), "compare.repeated_engine", {}),
+            ((["lms"], {"colour": 1}), "compare.no_such_option", {"option": "colour"}),
+            ((["lms"], {}, {"wiener": {"degree": 3}}), "compare.options_of_other_engine", {"name": "wiener"}),
+            ((["lms"], {}, {"lms": {"memory": -1}}), "option.refused", {"option": "memory"}),
         ],
     )
-    def test_engines_that_cannot_be_had_are_refused(self, arguments: tuple, told: str):
-        with pytest.raises(UnusableInputError, match=told) as refused:
+    def test_engines_that_cannot_be_compared_are_refused(self, arguments: tuple, code: str, values: dict):
+        with pytest.raises(UnusableInputError, check=coded(code, **values)):
             specifications(*arguments)
-        assert "\n" not in str(refused.value)
 
 
 class TestCeiling:
@@ -268,14 +278,12 @@ class TestCeiling:
         assert found is not None
         assert found.vaf_percent == alone.vaf_percent
         assert found.repeats == 2
-        assert found.left_out == (
-            "test 4 was left out: it was broken off, and holds 0 % of what is compared",
-            "test 5 was left out: it was broken off, within its preload",
-            "test 6 was left out: it is short or has gaps, and holds 0 % of what is compared",
-        )
+        reasons = [(text.values["number"], text.values["reason"].code) for text in found.left_out]
+        assert reasons == [(4, "ceiling.ended_early"), (5, "ceiling.ended_in_preload"), (6, "ceiling.incomplete")]
         only = replace(session, tests=(whole, short))
-        with pytest.raises(UnusableInputError, match="no other repeat can be used: test 4 was left out"):
+        with pytest.raises(UnusableInputError, check=coded("ceiling.no_repeat")) as refused:
             known_ceiling(only, split(only))
+        assert [text.values["number"] for text in refused.value.message.values["left_out"].items] == [4]
 
     def test_without_repeats_nothing_is_known(self, session: Session):
         assert known_ceiling(session, split(session, test=2)) is None
@@ -283,7 +291,7 @@ class TestCeiling:
 
 
 class Faulty(Engine):
-    """An engine of somebody else's package with faults of its own."""
+    """An engine of another package that fails."""
 
     name: ClassVar[str] = "faulty"
     fault: str = "raises"
@@ -295,16 +303,16 @@ class Faulty(Engine):
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"), [("raises", "TypeError: a fault of its own"), ("nothing", "TypeError: fit returned NoneType")]
+    ("fault", "problem"),
+    [("raises", "TypeError: a fault of its own"), ("nothing", "TypeError: fit returned NoneType, not a model")],
 )
-def test_a_fault_in_an_engine_of_another_package_costs_no_other(fault: str, told: str):
+def test_a_fault_in_an_engine_of_another_package_affects_no_other(fault: str, problem: str):
     record = simulated.linear_record(1, n=3000)
     found = compare((*specifications(["lms"]), Faulty(fault=fault)), split_records([record]))
     assert set(found.analyses) == {"lms"}
     refused = found.entries[1].refused
     assert refused is not None
-    assert refused.startswith(f"the engine faulty, of another package, failed: {told}")
-    assert "\n" not in refused
+    assert says(refused, "engine.failed", name="faulty", problem=problem)
 
 
 def test_a_fault_in_an_engine_of_ours_is_a_defect(monkeypatch: pytest.MonkeyPatch):

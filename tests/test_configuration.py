@@ -1,11 +1,14 @@
 """Configurations and probes: what goes together, and what is refused."""
 
 import pytest
+from coded import coded, holding, is_german, says
 from pydantic import ValidationError
 
 from tissueid.configuration import CONFIGURATIONS, PROBES, Configuration, Probe, has_depth, spring_of, travel_word
 from tissueid.device import DESKTOP, HANDHELD, angle_deg
 from tissueid.errors import UnusableInputError
+from tissueid.messages import joined
+from tissueid.option_errors import validation_reason
 
 
 def test_each_configuration_has_a_probe_of_its_own():
@@ -23,34 +26,35 @@ def test_the_probes_of_the_thesis():
     assert (PROBES["indenter-5mm"].diameter_m, PROBES["indenter-5mm"].corner_radius_m) == (5e-3, 1.3e-3)
     extension = PROBES["extension-5x16mm"]
     assert (extension.width_m, extension.length_m, extension.corner_radius_m) == (5e-3, 16e-3, 2e-3)
-    assert extension.words == "5 mm by 16 mm, corner radius 2 mm"
+    assert says(extension.words, "probe.corner", radius=2.0)
     assert all(probe.source for probe in PROBES.values())
 
 
 @pytest.mark.parametrize(
-    ("name", "probe", "spring", "words"),
+    ("name", "probe", "spring", "check"),
     [
-        ("poking", None, 0.0, "a configuration is indentation, extension, surface, not 'poking'"),
-        ("indentation", "thumb", 0.0, "no probe 'thumb' is known; there are: indenter-4.4mm"),
-        ("extension", "indenter-5mm", 0.0, "made for indentation; for extension: extension-5x16mm"),
-        ("surface", None, 0.0, "needs an external spring: give its stiffness in N/m"),
-        ("indentation", None, 800.0, "belongs to the configuration surface, not to indentation"),
-        ("surface", None, -1.0, "the external spring: .*greater than or equal to 0"),
-        ("surface", None, float("nan"), "the external spring: .*finite"),
-        ("surface", None, 1e6, "the external spring: .*less than or equal to 20000"),
+        ("poking", None, 0.0, coded("configuration.unknown", name="poking", known=joined(CONFIGURATIONS))),
+        ("indentation", "thumb", 0.0, coded("configuration.unknown_probe", name="thumb", known=joined(PROBES))),
+        ("extension", "indenter-5mm", 0.0, coded("configuration.wrong_probe", fitting="extension-5x16mm")),
+        ("surface", None, 0.0, coded("configuration.no_spring")),
+        ("indentation", None, 800.0, coded("configuration.spring", name="indentation")),
+        ("surface", None, -1.0, holding("option.least", limit=0.0)),
+        ("surface", None, float("nan"), holding("option.finite")),
+        ("surface", None, 1e6, holding("option.most", limit=20000.0)),
     ],
 )
-def test_what_does_not_go_together_is_refused_in_a_line(name, probe, spring, words):
-    with pytest.raises(UnusableInputError, match=words) as refusal:
+def test_names_that_do_not_fit_together_are_refused_in_one_line(name, probe, spring, check):
+    with pytest.raises(UnusableInputError, check=check) as refusal:
         Configuration.of(name, probe, spring)
     assert "\n" not in str(refusal.value)
+    assert is_german(refusal.value.message)
 
 
-def test_a_probe_has_one_shape():
-    with pytest.raises(ValidationError, match="either a diameter, or a width and a length"):
-        Probe(name="both", diameter_m=4e-3, width_m=5e-3, length_m=16e-3)
-    with pytest.raises(ValidationError, match="either a diameter, or a width and a length"):
-        Probe(name="none")
+@pytest.mark.parametrize("shape", [{"diameter_m": 4e-3, "width_m": 5e-3, "length_m": 16e-3}, {}])
+def test_a_probe_has_one_shape(shape):
+    with pytest.raises(ValidationError) as caught:
+        Probe(name="odd", **shape)
+    assert says(validation_reason(caught.value), "configuration.probe_shape")
 
 
 def test_only_indentation_has_depth():

@@ -1,17 +1,18 @@
-"""Surface mechanics: the external spring beside the tissue is taken off what is told, everywhere alike."""
+"""Surface mechanics: the external spring parallel to the tissue is subtracted from all results."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded, message, shows
 from support import LoopbackLink
 
 from firmware_sim.bench import Bench
 from firmware_sim.firmware import Firmware
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.live import LiveIdentification
-from tissueid.acquisition.placing import place
+from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse, analyse_all
 from tissueid.cli import main
 from tissueid.configuration import Configuration
@@ -55,25 +56,25 @@ def test_sliding_has_no_stiffness_of_its_own(sliding, engine):
     assert abs(found.value) < 0.02 * SPRING
     assert analysis.model.report.parameters["mass_kg"].value == pytest.approx(0.068, rel=0.03)
     assert analysis.model.report.parameters["damping_n_s_per_m"].value == pytest.approx(12.5, rel=0.03)
-    assert any("external spring of 800 N/m is subtracted" in line for line in analysis.model.report.findings)
+    assert message(analysis.model.report.findings, "analysis.spring_subtracted").values["spring"] == 800.0
 
 
 def test_the_profile_loses_it_too(sliding):
     session = read_session(sliding)
     analysis = analyse(session, "depth")
-    whole, told = analysis.model.depth_profile(), analysis.depth_profile()
-    np.testing.assert_allclose(told.stiffness, whole.stiffness - SPRING)
-    np.testing.assert_array_equal(told.mass, whole.mass)
-    assert abs(np.nanmedian(told.stiffness)) < 0.1 * SPRING
+    whole, result = analysis.model.depth_profile(), analysis.depth_profile()
+    np.testing.assert_allclose(result.stiffness, whole.stiffness - SPRING)
+    np.testing.assert_array_equal(result.mass, whole.mass)
+    assert abs(np.nanmedian(result.stiffness)) < 0.1 * SPRING
 
 
 def test_without_a_spring_nothing_changes(sliding):
     session = read_session(sliding)
     bare = replace(session.test(), notes={})
     plain = analyse(replace(session, tests=(bare,)), "lms")
-    told = analyse(session, "lms")
+    result = analyse(session, "lms")
     assert plain.model.report.parameters["stiffness_n_per_m"].value - SPRING == pytest.approx(
-        told.model.report.parameters["stiffness_n_per_m"].value
+        result.model.report.parameters["stiffness_n_per_m"].value
     )
     assert plain.external_spring_n_per_m == 0.0
     assert not any("spring" in line for line in plain.model.report.findings)
@@ -88,10 +89,12 @@ def test_tests_that_differ_are_not_mixed(sliding):
     session = read_session(sliding)
     first = session.test()
     other = replace(first, number=2, notes={"external_spring_n_per_m": 500.0})
-    with pytest.raises(UnusableInputError, match="external springs of 800 and 500 N/m: analyse them one by one"):
+    with pytest.raises(UnusableInputError, check=coded("split.different_springs", one=800.0, other=500.0)):
         analyse(replace(session, tests=(first, other)), "lms", also=(2,))
     other = replace(first, number=2, configuration="indentation")
-    with pytest.raises(UnusableInputError, match="different configurations, surface and indentation"):
+    with pytest.raises(
+        UnusableInputError, check=coded("split.different_configurations", one="surface", other="indentation")
+    ):
         analyse(replace(session, tests=(first, other)), "lms", validate=2)
 
 
@@ -103,7 +106,7 @@ def test_live_numbers_lose_it_too(sliding):
     device = read_session(sliding).instrument
     looks = {}
     for spring in (0.0, SPRING):
-        live = LiveIdentification(device, preload_s=0.5, apart=False, external_spring_n_per_m=spring)
+        live = LiveIdentification(device, preload_s=0.5, separate_process=False, external_spring_n_per_m=spring)
         live.feed(samples)
         live.close()
         looks[spring] = live.latest()
@@ -129,11 +132,11 @@ def test_a_page_of_it_speaks_of_no_depth(sliding):
 def test_commands_say_so(sliding, tmp_path, capsys):
     answer = tmp_path / "a.json"
     assert main(["identify", str(sliding), "--engine", "lms", "--json", str(answer)]) == 0
-    assert "external spring of 800 N/m" in capsys.readouterr().out
-    told = json.loads(answer.read_text())
-    assert told["external_spring_n_per_m"] == SPRING
-    assert abs(told["parameters"]["stiffness_n_per_m"]["value"]) < 0.02 * SPRING
-    assert told["quality_warnings"] == []
+    assert shows(capsys.readouterr().out, "analysis.spring_subtracted", spring=800.0)
+    result = json.loads(answer.read_text())
+    assert result["external_spring_n_per_m"] == SPRING
+    assert abs(result["parameters"]["stiffness_n_per_m"]["value"]) < 0.02 * SPRING
+    assert result["quality_warnings"] == []
 
 
 def test_a_configuration_is_chosen_on_the_command_line(tmp_path, capsys):
@@ -144,10 +147,10 @@ def test_a_configuration_is_chosen_on_the_command_line(tmp_path, capsys):
     assert read_session(out).test().notes["external_spring_n_per_m"] == 1000.0
     for wrong, words in (
         (["--configuration", "surface"], "needs an external spring"),
-        (["--probe", "thumb"], "no probe 'thumb'"),
+        (["--probe", "thumb"], "the probe 'thumb' is unknown"),
         (
             ["--configuration", "surface", "--external-spring", "500", "--depth-range", "1:4"],
-            "there are none in surface",
+            "--depth-range needs a depth: the configuration surface has none",
         ),
     ):
         assert main([*common, "--out", str(tmp_path / "t.h5"), *wrong]) == 2

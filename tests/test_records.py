@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded
 
 from tissueid.errors import UnusableInputError
 from tissueid.records import Record, joined
 
 
-def test_joined_records_stand_apart_by_a_sample_that_was_not_received():
+def test_joined_records_are_separated_by_a_missing_sample():
     first = Record(np.arange(3.0), np.ones(3), 100.0)
     second = Record(np.arange(2.0), np.zeros(2), 100.0)
     both = joined([first, second])
@@ -17,7 +18,7 @@ def test_joined_records_stand_apart_by_a_sample_that_was_not_received():
     np.testing.assert_array_equal(both.valid, [True, True, True, False, True, True])
 
 
-def test_a_joint_is_told_from_a_sample_that_was_lost():
+def test_a_joint_is_distinguished_from_a_lost_sample():
     one = Record(np.arange(3.0), np.ones(3), 100.0)
     both = joined([joined([one, one]), one])
     assert both.joints == (3, 7)
@@ -32,7 +33,7 @@ def test_infinity_is_a_sample_that_was_not_received():
 
 @pytest.mark.parametrize("size", [1e200, 1e-200])
 def test_sizes_that_no_instrument_measures_are_refused(size: float):
-    with pytest.raises(UnusableInputError, match=r"the output of a record goes to .*: no instrument measures that"):
+    with pytest.raises(UnusableInputError, check=coded("record.magnitude", signal="output", largest=2 * size)):
         Record(np.arange(3.0), size * np.arange(3.0), 100.0)
 
 
@@ -42,17 +43,17 @@ def test_one_record_joined_is_itself():
 
 
 @pytest.mark.parametrize(
-    ("other", "told"),
+    ("other", "check"),
     [
-        (Record(np.ones(2), np.ones(2), 200.0), "100 and 200 Hz"),
-        (Record(np.ones(2), np.ones(2), 100.0, input_unit="V"), "different signals or units"),
+        (Record(np.ones(2), np.ones(2), 200.0), coded("record.rates_differ", first=100.0, other=200.0)),
+        (Record(np.ones(2), np.ones(2), 100.0, input_unit="V"), coded("record.signals_differ")),
     ],
 )
-def test_records_that_differ_in_kind_are_not_joined(other: Record, told: str):
-    with pytest.raises(UnusableInputError, match=told):
+def test_records_that_differ_in_kind_are_not_joined(other: Record, check):
+    with pytest.raises(UnusableInputError, check=check):
         joined([Record(np.ones(2), np.ones(2), 100.0), other])
 
 
 def test_no_records_are_refused():
-    with pytest.raises(UnusableInputError, match="no records"):
+    with pytest.raises(UnusableInputError, check=coded("record.none")):
         joined([])

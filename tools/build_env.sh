@@ -37,7 +37,7 @@ else
     cp constraints.txt "$pins"
 fi
 # What builds packages is installed first, as wheels, so that nothing is fetched unverified in order to build another.
-awk '/^[A-Za-z]/ { keep = /^(hatchling|packaging|pathspec|pluggy|setuptools|tomlkit|trove-classifiers)==/ } keep' \
+awk '/^[A-Za-z]/ { keep = /^(babel|hatchling|packaging|pathspec|pluggy|setuptools|tomlkit|trove-classifiers)==/ } keep' \
     "$pins" >"$build_pins"
 if ! { "${pip[@]}" install ${verify[@]+"${verify[@]}"} --no-deps --only-binary :all: --requirement "$build_pins" &&
     "${pip[@]}" install ${verify[@]+"${verify[@]}"} --no-build-isolation --requirement "$pins"; }; then

@@ -24,16 +24,16 @@ from screenshot_sessions import FOREARM, SPRING, Pace, keep_calibrations, opener
 
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
-from tissueid.app.surroundings import Surroundings
+from tissueid.app.services import AppServices
 from tissueid.app.views.gap.view import GapView
 from tissueid.app.views.researcher.view import ResearchView
 from tissueid.app.views.technician.view import InstrumentView
 from tissueid.audit import AuditLog
 from tissueid.calibration import calibrated
-from tissueid.instrument import Found
+from tissueid.instrument import FoundInstrument
 
 SIZE, WIDE = (1280, 800), (1440, 900)
-"""Of the window; help finds its place beside a page only where there is room for both."""
+"""Of the window; help is shown next to a page only if both fit."""
 HELD_AT_POLL = 430
 """Where the running test is held for its picture: a good half through its stimulus."""
 
@@ -60,7 +60,7 @@ def _take_all(application: QApplication) -> None:
     record_laboratory(sessions / "2026-01-12_bearing.h5")
     set_clock()
     pace = Pace(HELD_AT_POLL)
-    around = Surroundings(
+    services = AppServices(
         opener=opener,
         finder=_found,
         calibrate=calibrate,
@@ -69,13 +69,13 @@ def _take_all(application: QApplication) -> None:
         folder=sessions,
         language="en",
         wait=pace.wait,
-        apart=False,
+        separate_process=False,
         now=SetClock.now,
         show_file=lambda _: True,
         stop=lambda: EmergencyStop(patience_s=LONGEST_S),  # a machine that is busy is no reason to stop a picture
         settings=lambda: QSettings("config/window.ini", QSettings.Format.IniFormat),
     )
-    window = MainWindow(around)
+    window = MainWindow(services)
     window.resize(*SIZE)
     window.show()
     idle = functools.partial(until, lambda: not window.jobs, "work to end")
@@ -96,7 +96,7 @@ def take_start(window: MainWindow, idle: Callable[[], None]) -> None:
     """The first page, once every instrument was asked."""
     window.pages.show("start")
     idle()
-    window.searching.find_instruments()
+    window.device_search.find_instruments()
     idle()
     let_pass(100)
     idle()
@@ -237,8 +237,8 @@ def take_instrument(window: MainWindow, idle: Callable[[], None]) -> None:
     take(window, "window-calibration")
 
 
-def _found(**_: object) -> list[Found]:
-    return [Found(url, "simulation in this process", True) for url in (FOREARM, SPRING)]
+def _found(**_: object) -> list[FoundInstrument]:
+    return [FoundInstrument(url, "simulation in this process", True) for url in (FOREARM, SPRING)]
 
 
 def _without_folder(window: MainWindow) -> None:

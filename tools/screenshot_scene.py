@@ -37,7 +37,7 @@ class SetClock(datetime):
 
 
 def set_clock(days: float = 0.0, minutes: float = 0.0) -> None:
-    """Make it so many days and minutes after the day of the pictures."""
+    """Set the clock to some days and minutes after the day of the pictures."""
     SetClock.moment = TODAY + timedelta(days=days, minutes=minutes)
 
 
@@ -108,8 +108,8 @@ def _with_fewer_colours(image: Image.Image) -> Image.Image:
     common = colours[np.argsort(-count, kind="stable")[: COLOURS // 2]]
     rare = Image.fromarray(colours[None]).quantize(COLOURS // 2, method=Image.Quantize.MEDIANCUT)
     kept = np.concatenate([common, np.array(rare.getpalette(), np.uint8).reshape(-1, 3)])[:COLOURS]
-    apart = ((colours[:, None].astype(int) - kept[None].astype(int)) ** 2).sum(axis=2)
-    few = Image.fromarray(apart.argmin(axis=1)[place.ravel()].astype(np.uint8).reshape(image.height, image.width))
+    distances = ((colours[:, None].astype(int) - kept[None].astype(int)) ** 2).sum(axis=2)
+    few = Image.fromarray(distances.argmin(axis=1)[place.ravel()].astype(np.uint8).reshape(image.height, image.width))
     few.putpalette(kept.ravel().tolist())
     return few
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from screenshot_scene import SetClock, set_clock
 
-from firmware_sim.drawing import NOMINAL, draw_scenario
 from firmware_sim.effects import LISTED
+from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.app.emergency import BY_KEY, EmergencyStop
-from tissueid.app.live import LiveSignals
-from tissueid.app.measuring import measure
+from tissueid.app.live_signals import LiveSignals
+from tissueid.app.measurement_job import measure
 from tissueid.app.plan import Plan, dated_path
-from tissueid.audit import AuditLog, Trail
+from tissueid.audit import AuditLog, AuditTrail
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.calibration.file import utc_date
 from tissueid.device import DeviceDescription
@@ -47,7 +47,7 @@ def opener(url: str) -> SimulatedInstrument:
 
 
 class Pace:
-    """Lets the simulation run at once to one poll, and on when it is told to."""
+    """Lets the simulation run at once to one poll, and further on request."""
 
     def __init__(self, held_at: int) -> None:
         self.left = held_at
@@ -64,7 +64,7 @@ class Pace:
 def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:
     """Run the tests of the days before, one of them stopped by key, and leave one unfinished."""
     folder.mkdir(parents=True)
-    trail = Trail(audit, "clinician")
+    trail = AuditTrail(audit, "clinician")
     for number, (day, subject, site, url, force_n) in enumerate(PAST):
         set_clock(day, 17 * number)
         plan = Plan(
@@ -87,7 +87,7 @@ def record_past(folder: Path, audit: AuditLog, calibrate: object) -> None:
     unfinished.abandon()
 
 
-def _run(plan: Plan, stop: EmergencyStop, trail: Trail, calibrate: object, stop_after: int = 0) -> None:
+def _run(plan: Plan, stop: EmergencyStop, trail: AuditTrail, calibrate: object, stop_after: int = 0) -> None:
     polls = 0
 
     def wait(_seconds: float) -> None:
@@ -96,7 +96,7 @@ def _run(plan: Plan, stop: EmergencyStop, trail: Trail, calibrate: object, stop_
         if polls == stop_after:
             stop.press(BY_KEY)
 
-    measure(plan, LiveSignals(), stop, opener, wait, apart=False, trail=trail, calibrate=calibrate)  # type: ignore[arg-type]
+    measure(plan, LiveSignals(), stop, opener, wait, separate_process=False, trail=trail, calibrate=calibrate)  # type: ignore[arg-type]
 
 
 def _date(path: Path) -> None:

@@ -26,7 +26,7 @@ from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests  # noqa: E4
 from tissueid.calibration.sweep_analysis import analyse_sweep  # noqa: E402
 from tissueid.calibration.sweep_file import as_calibration  # noqa: E402
 from tissueid.reports.calibration import sweep_report  # noqa: E402
-from tissueid.reports.panel_sheet import sheet  # noqa: E402
+from tissueid.reports.panel_sheet import draw_sheet  # noqa: E402
 from tissueid.reports.style import plain_image  # noqa: E402
 
 PICTURE = HERE.parent / "images" / "sweep.png"
@@ -58,7 +58,7 @@ def _drawn() -> bytes:
     result = analyse_sweep(sweep_tests(session), session.instrument, remarks=sweep.remarks)
     report = sweep_report(as_calibration(result))
     buffer = io.BytesIO()
-    plain_image(sheet(report.headline, report.panels), buffer, "png")
+    plain_image(draw_sheet(report.headline, report.panels), buffer, "png")
     return buffer.getvalue()
 
 

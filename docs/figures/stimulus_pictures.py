@@ -22,8 +22,8 @@ import simulated_plants  # noqa: E402
 
 from tissueid.cli import main as tissueid  # noqa: E402
 from tissueid.reports.feedback_panels import feedback_panels  # noqa: E402
-from tissueid.reports.feedback_run import reported_run  # noqa: E402
-from tissueid.reports.panel_sheet import sheet  # noqa: E402
+from tissueid.reports.feedback_run import run_from_report  # noqa: E402
+from tissueid.reports.panel_sheet import draw_sheet  # noqa: E402
 from tissueid.reports.style import plain_image  # noqa: E402
 from tissueid.stimuli.kinds.rtig import Rtig  # noqa: E402
 
@@ -77,11 +77,11 @@ def _systems(identify: bool) -> bytes:
     runs = []
     for name, plant in simulated_plants.PLANTS.items():
         found = simulated_plants.closed_loop(kind, plant())
-        runs.append(reported_run(found.source.report(), found.force, found.depth, kind.sample_rate, name))
+        runs.append(run_from_report(found.source.report(), found.force, found.depth, kind.sample_rate, name))
     panels = list(feedback_panels(runs))
     title = f"Real-time input generation {'with' if identify else 'without'} identification"
     buffer = io.BytesIO()
-    plain_image(sheet(title, panels if identify else panels[:2]), buffer, "png")
+    plain_image(draw_sheet(title, panels if identify else panels[:2]), buffer, "png")
     return buffer.getvalue()
 
 

@@ -18,13 +18,13 @@ from firmware_sim.plant import Plant, PlantParameters
 from firmware_sim.presets import load_preset, preset_names
 from tissueid.device import DeviceDescription
 from tissueid.identification import get_engine
-from tissueid.identification.online.precision import PARAMETERS, Precision, precision
-from tissueid.identification.online.stopping import StopRule
+from tissueid.identification.live.precision import PARAMETERS, Precision, precision
+from tissueid.identification.live.stopping import StopRule
 from tissueid.records import Record
-from tissueid.stimuli.appraisal import Appraisal, appraise
 from tissueid.stimuli.base import Stimulus, guided, to_voltage
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.noise import Noise
+from tissueid.stimuli.stimulus_check import Appraisal, appraise
 
 Array = NDArray[np.float64]
 

@@ -16,49 +16,6 @@ from pydantic.fields import FieldInfo
 Array = NDArray[np.float64]
 Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"]
 
-ROWS = (
-    "latency",
-    "amplifier_lag",
-    "amplifier_clipping",
-    "amplifier_deadband",
-    "amplifier_drift",
-    "eddy_currents",
-    "coil_heating",
-    "inductance_position",
-    "force_constant_position",
-    "flux_saturation",
-    "reluctance_force",
-    "dry_friction",
-    "directional_friction",
-    "quadratic_drag",
-    "end_stop",
-    "mount_resonance",
-    "cogging",
-    "tissue_stiffening",
-    "viscoelasticity",
-    "tissue_hysteresis",
-    "preconditioning",
-    "added_mass",
-    "contact_loss",
-    "directional_damping",
-    "reflex",
-    "sensor_nonlinearity",
-    "sensor_lag",
-    "sensor_backlash",
-    "clock_skew",
-    "quantization",
-    "dropped_samples",
-    "mains_hum",
-    "physiological_motion",
-    # Not among the contract's names: what a diagnosis has to call unexplained.
-    "slew_rate",
-    "demagnetisation",
-    "magnetic_spring",
-    "warming_bearing",
-    "current_crosstalk",
-)
-"""Row of each effect in the arrays of figures and of memory."""
-
 (
     LATENCY,
     AMPLIFIER_LAG,
@@ -93,12 +50,16 @@ ROWS = (
     DROPPED_SAMPLES,
     MAINS_HUM,
     PHYSIOLOGICAL_MOTION,
+    # Effects that the diagnosis does not know: it has to leave them unexplained.
     SLEW_RATE,
     DEMAGNETISATION,
     MAGNETIC_SPRING,
     WARMING_BEARING,
     CURRENT_CROSSTALK,
-) = range(len(ROWS))
+) = range(38)
+"""Row of each effect in the arrays of figures and of memory."""
+ROWS = tuple(name.lower() for name, row in list(globals().items()) if name.isupper() and isinstance(row, int))
+"""Names of the effects in the order of their rows."""
 
 CLOCK = len(ROWS)
 """One more row of memory: sub-steps since the start, and the loop's own values from the sub-step before."""

@@ -118,9 +118,9 @@ def walk(pattern: float, t: float) -> float:
 
 
 @njit
-def drive(told: float, t: float, step: float, first: bool, figures: Array, memory: Array, rings: Array) -> float:
+def drive(commanded: float, t: float, step: float, first: bool, figures: Array, memory: Array, rings: Array) -> float:
     """The coil's voltage for a command times gain, volts, ``t`` seconds after the start of the test."""
-    volts = told
+    volts = commanded
     if figures[base.LATENCY, 0] != 0.0:
         volts = delayed(rings[0], memory[base.LATENCY], volts, figures[base.LATENCY, 0] / step, first)
     if figures[base.AMPLIFIER_DRIFT, 0] != 0.0:

@@ -71,9 +71,9 @@ def _build(sources: int) -> Advance:
         # Of the clock's row: 0 sub-steps so far, 1 acceleration, 2 current before, 3 surface at the start and 4 now,
         # 5 to 7 shift, speed and acceleration of the frame.
         for n in range(commands.shape[0]):
-            told = plant_figures[kernel.AMPLIFIER_GAIN] * commands[n]
+            commanded = plant_figures[kernel.AMPLIFIER_GAIN] * commands[n]
             before = state[kernel.VELOCITY]
-            volts = told
+            volts = commanded
             for part in range(substeps):
                 first = clock[0] == 0.0
                 t = clock[0] * step
@@ -82,7 +82,7 @@ def _build(sources: int) -> Advance:
                 velocity = speed + 0.5 * step * clock[1]
                 halfway = current if part == 0 else current + 0.5 * (current - clock[2])
                 clock[2] = current
-                volts = min(max(drive.drive(told, t, step, first, figures, memory, rings), -limit), limit)
+                volts = min(max(drive.drive(commanded, t, step, first, figures, memory, rings), -limit), limit)
                 for k in range(_PLANT_FIGURES):
                     plant[k] = plant_figures[k]
                 for k in range(law.size):

@@ -115,7 +115,7 @@ class AddedMass(Effect):
 class ContactLoss(Effect):
     """The tissue does not follow a probe that pulls with more than ``adhesion_n``; it comes back and is met again.
 
-    ``level`` is how slowly: by so many times its damping on the probe it is damped more for each 2 mm of gap.
+    ``level`` is how slowly: the ratio to its damping on the probe by which the damping grows for each 2 mm of gap.
     """
 
     name: ClassVar[str] = "contact_loss"

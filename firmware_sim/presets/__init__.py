@@ -99,7 +99,7 @@ def _files() -> dict[str, Traversable]:
 
 
 class _Reader:
-    """Takes a preset apart and remembers what is left over."""
+    """Reads the fields of a preset and keeps those that were not read."""
 
     def __init__(self, name: str, tree: dict[str, Any]) -> None:
         self._name = name

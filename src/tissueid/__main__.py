@@ -1,7 +1,7 @@
-"""``python -m tissueid`` is ``tissueid``; prefer the latter, or ``python -P -m tissueid``.
+"""Run ``tissueid`` by ``python -m tissueid``. Prefer ``tissueid``, or ``python -P -m tissueid``.
 
-``python -m`` puts the current folder first on the path. It is taken off here before anything else is imported, but what
-Python itself imports to get here cannot be protected. The console script never has that folder on its path.
+``python -m`` puts the current folder first on the path. It is removed here before other modules are imported; modules
+that Python imports before this one cannot be protected. The console script never has that folder on its path.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""How the instrument meets the tissue: which way it acts, with which probe, and what moves with it (thesis 2.2.3)."""
+"""Measuring configurations: direction of the force, probe and external spring (thesis 2.2.3)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import Annotated, Literal, Self, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim, joined
+from tissueid.option_errors import validation_reason
 
 ConfigurationName = Literal["indentation", "extension", "surface"]
 CONFIGURATIONS: tuple[ConfigurationName, ...] = get_args(ConfigurationName)
 
 SPRING_NOTE = "external_spring_n_per_m"
-"""The note of a test that holds the stiffness of its external spring."""
+"""Note of a test with the stiffness of its external spring."""
 STIFFEST_SPRING_N_PER_M = 20_000.0
 
 Length = Annotated[float, Field(gt=0.0, le=0.05, allow_inf_nan=False)]
@@ -23,7 +25,7 @@ class _Specification(BaseModel):
 
 
 class Probe(_Specification):
-    """The tip, SI. ``diameter_m`` of a round one, ``width_m`` by ``length_m`` of a long one; None: not known."""
+    """The tip of the instrument, SI: round with ``diameter_m``, or ``width_m`` by ``length_m``. None: unknown."""
 
     name: Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")] = "indenter-4.4mm"
     configuration: ConfigurationName = "indentation"
@@ -37,20 +39,26 @@ class Probe(_Specification):
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
         if (self.diameter_m is None) == (self.width_m is None or self.length_m is None):
-            raise ValueError("a probe has either a diameter, or a width and a length")
+            raise ValueError(
+                Message("configuration.probe_shape", "a probe has either a diameter, or a width and a length")
+            )
         return self
 
     @property
-    def words(self) -> str:
-        """Its shape in a few words."""
+    def words(self) -> Message:
+        """The shape of the probe."""
         if self.diameter_m is not None:
-            shape = f"{1e3 * self.diameter_m:g} mm across"
+            shape = Message("probe.round", "{diameter:g} mm across", diameter=1e3 * self.diameter_m)
         else:
-            shape = f"{1e3 * (self.width_m or 0.0):g} mm by {1e3 * (self.length_m or 0.0):g} mm"
-        return shape if self.corner_radius_m is None else f"{shape}, corner radius {1e3 * self.corner_radius_m:g} mm"
+            width, length = 1e3 * (self.width_m or 0.0), 1e3 * (self.length_m or 0.0)
+            shape = Message("probe.long", "{width:g} mm by {length:g} mm", width=width, length=length)
+        if self.corner_radius_m is None:
+            return shape
+        radius = 1e3 * self.corner_radius_m
+        return Message("probe.corner", "{shape}, corner radius {radius:g} mm", shape=shape, radius=radius)
 
     def as_notes(self) -> dict[str, str | float]:
-        """What a session keeps of it with every test."""
+        """Return the notes that a session stores with every test."""
         shown = self.model_dump(exclude={"configuration", "source"}, exclude_none=True)
         return {f"probe_{name}": value for name, value in shown.items()}
 
@@ -92,14 +100,14 @@ _LIBRARY = (
     ),
 )
 PROBES: dict[str, Probe] = {probe.name: probe for probe in _LIBRARY}
-"""The probes that are known by name."""
+"""Known probes by name."""
 
 
 class Configuration(_Specification):
-    """One way of using the instrument.
+    """A measuring configuration.
 
-    ``external_spring_n_per_m`` stands in parallel to the tissue and is subtracted from what is identified: sliding on a
-    surface has no stiffness of its own, and needs one to stay where it is (thesis 2.2.3).
+    ``external_spring_n_per_m`` is parallel to the tissue and is subtracted from the identified stiffness: sliding on a
+    surface has no stiffness, so the probe needs a spring to stay in place (thesis 2.2.3).
     """
 
     name: ConfigurationName = "indentation"
@@ -111,59 +119,95 @@ class Configuration(_Specification):
         if self.probe.configuration != self.name:
             fitting = ", ".join(probe.name for probe in PROBES.values() if probe.configuration == self.name)
             raise ValueError(
-                f"the probe {self.probe.name} is made for {self.probe.configuration}; for {self.name}: {fitting}"
+                Message(
+                    "configuration.wrong_probe",
+                    "the probe {probe} is made for {made_for}; for {name}: {fitting}",
+                    probe=self.probe.name,
+                    made_for=self.probe.configuration,
+                    name=self.name,
+                    fitting=fitting,
+                )
             )
         if self.name == "surface" and self.external_spring_n_per_m == 0.0:
-            raise ValueError("sliding on a surface needs an external spring: give its stiffness in N/m")
+            raise ValueError(
+                Message(
+                    "configuration.no_spring",
+                    "sliding on a surface needs an external spring: give its stiffness in N/m",
+                )
+            )
         if self.name != "surface" and self.external_spring_n_per_m > 0.0:
-            raise ValueError(f"an external spring belongs to the configuration surface, not to {self.name}")
+            raise ValueError(
+                Message(
+                    "configuration.spring",
+                    "an external spring is used in the configuration surface only, not in {name}",
+                    name=self.name,
+                )
+            )
         return self
 
     @classmethod
     def of(cls, name: str = "indentation", probe: str | None = None, external_spring_n_per_m: float = 0.0) -> Self:
-        """A configuration by names, as a command line or a form gives them; the first probe that fits without one.
+        """Return the configuration with these names, and with its first probe if ``probe`` is None.
 
         Raises:
-            UnusableInputError: no such configuration or probe, or what does not go together.
+            UnusableInputError: a name is unknown, or configuration, probe and spring do not fit together.
         """
         if name not in CONFIGURATIONS:
-            raise UnusableInputError(f"a configuration is {', '.join(CONFIGURATIONS)}, not {name!r}")
+            raise UnusableInputError(
+                Message(
+                    "configuration.unknown",
+                    "the configuration must be one of {known}, not '{name}'",
+                    known=joined(map(Verbatim, CONFIGURATIONS)),
+                    name=Verbatim(name),
+                )
+            )
         if probe is None:
             probe = next(known.name for known in PROBES.values() if known.configuration == name)
         if probe not in PROBES:
-            raise UnusableInputError(f"no probe {probe!r} is known; there are: {', '.join(PROBES)}")
+            raise UnusableInputError(
+                Message(
+                    "configuration.unknown_probe",
+                    "the probe '{name}' is unknown; available: {known}",
+                    name=Verbatim(probe),
+                    known=joined(map(Verbatim, PROBES)),
+                )
+            )
         try:
             return cls.model_validate(
                 {"name": name, "probe": PROBES[probe], "external_spring_n_per_m": external_spring_n_per_m}
             )
         except ValidationError as error:
-            first = error.errors()[0]
-            if first["type"] == "value_error":
-                raise UnusableInputError(str(first["ctx"]["error"])) from error
-            words = str(first["msg"]).replace("Input should be", "it must be")
-            raise UnusableInputError(f"the external spring: {words}, in N/m") from error
+            if error.errors()[0]["type"] == "value_error":
+                raise UnusableInputError(validation_reason(error)) from error
+            raise UnusableInputError(
+                Message(
+                    "configuration.spring_value",
+                    "the external spring, in N/m: {why}",
+                    why=validation_reason(error),
+                )
+            ) from error
 
     @property
     def has_depth(self) -> bool:
-        """Whether the position goes into the tissue; along its surface there is a displacement and no depth."""
+        """Whether the position is a depth in the tissue; along the surface it is a displacement."""
         return has_depth(self.name)
 
     def as_notes(self) -> dict[str, str | float]:
-        """What a session keeps with every test, beside the name of the configuration."""
+        """Return the notes that a session stores with every test, in addition to the name of the configuration."""
         return self.probe.as_notes() | {SPRING_NOTE: self.external_spring_n_per_m}
 
 
 def has_depth(name: str) -> bool:
-    """Whether the position of a test in the configuration of this name goes into the tissue."""
+    """Return whether the position of a test in this configuration is a depth in the tissue."""
     return name not in ("extension", "surface")
 
 
 def travel_word(name: str) -> str:
-    """What the way of the probe is called in a configuration: ``depth`` or ``displacement``."""
+    """Return the name of the probe's travel in a configuration: ``depth`` or ``displacement``."""
     return "depth" if has_depth(name) else "displacement"
 
 
 def spring_of(notes: dict[str, str | float]) -> float:
-    """The external spring that the notes of a test tell of, N/m; none where they tell nothing that can be."""
+    """Return the stiffness of the external spring in the notes of a test, N/m; 0 without a valid value."""
     value = notes.get(SPRING_NOTE, 0.0)
     return float(value) if isinstance(value, int | float) and 0.0 <= value <= STIFFEST_SPRING_N_PER_M else 0.0

@@ -1,22 +1,38 @@
-"""What an instrument is: the figures that a session carries in its ``/instrument`` attributes."""
+"""Description of an instrument: the properties in the ``/instrument`` attributes of a session."""
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+from tissueid.language import marked
+from tissueid.messages import Action, Message, message_from
+from tissueid.untrusted_input import json_value
 
 GRAVITY_M_S2 = 9.80665
 
 SIMULATED_SERIAL = "TWIN-"
-"""Beginning of the serial number of an instrument that the twin plays."""
+"""Prefix of the serial number of an instrument that the twin simulates."""
 
-SIMULATED_LINE = "Simulated instrument: not a measurement of a person."
+SIMULATED_LINE = marked("Simulated instrument: not a measurement of a person.")
 """Remark on every page of a session that a simulation recorded."""
+
+
+_BETWEEN = "; "
+"""Separator of calibration warnings in one text; no warning contains it."""
+_MOST_WARNINGS = 50
+"""Largest number of warnings that are kept as messages."""
+CALIBRATE_STATIC = Action(
+    "calibrate.static", "tissueid calibrate static", marked("the static calibration on the page Instrument")
+)
+CALIBRATE_SWEEP = Action("calibrate.sweep", "tissueid calibrate sweep", marked("the sweep on the page Instrument"))
 
 
 @dataclass(frozen=True)
 class DeviceDescription:
-    """Nominal figures of an indenter, SI. Defaults: the desktop research device (Chen 2010, 2.2.1)."""
+    """Nominal properties of an indenter, SI. Defaults: desktop research device (Chen 2010, 2.2.1)."""
 
     model: str = "desktop indenter"
     serial_number: str = "unknown"
@@ -37,21 +53,35 @@ class DeviceDescription:
 
     @property
     def simulated(self) -> bool:
-        """Whether it is a simulation, by its own name: in this process, of a twin, or of the firmware."""
+        """Whether the instrument is a simulation, by its model or serial number."""
         return "simulat" in self.model.lower() or self.serial_number.startswith(SIMULATED_SERIAL)
 
+    @property
+    def calibration_warnings(self) -> tuple[str, ...]:
+        """Warnings about the calibration in force; messages where the calibration keeps them as such."""
+        known: dict[str, Message] = {}
+        try:
+            stored = json_value(str(self.calibration.get("warning_messages", "[]")))
+        except ValueError:
+            stored = []
+        for item in stored[:_MOST_WARNINGS] if isinstance(stored, list) else ():
+            if isinstance(message := message_from(item), Message):
+                known[_separable(message)] = message
+        texts = str(self.calibration.get("warnings") or "").split(_BETWEEN)
+        return tuple(known.get(text, text) for text in texts if text)
+
     def voltage_for_force(self, force_n: float) -> float:
-        """Volts that hold a steady coil force: V = F R / (force constant), no motion, no back-EMF."""
+        """Return the voltage for a steady coil force without motion: V = F R / (force constant * gain)."""
         return force_n * self.coil_resistance_ohm / (self.force_constant_n_per_a * self.amplifier_gain)
 
     @property
     def greatest_force_n(self) -> float:
-        """The steady coil force that the amplifier can hold, N, in whole tenths."""
+        """Greatest steady coil force that the amplifier can hold, N, rounded down to 0.1 N."""
         most = self.amplifier_limit_v / (self.voltage_for_force(1.0) * max(1.0, self.amplifier_gain))
         return math.floor(10.0 * most) / 10.0
 
     def weight_n(self, gravity_along_stroke_m_s2: float = GRAVITY_M_S2) -> float:
-        """Pull of gravity on the moving part along the stroke, N into the tissue; by default straight down."""
+        """Return the weight of the moving part along the stroke, N into the tissue; default: pointing straight down."""
         return self.moving_mass_kg * gravity_along_stroke_m_s2
 
 
@@ -59,7 +89,7 @@ DESKTOP = DeviceDescription()
 """The desktop research device (thesis 2.2.1)."""
 
 _WIRE = 9.5 / DESKTOP.coil_resistance_ohm
-"""Length of the handheld's wire over the desktop's, by their resistances; of the same gage, and its turns alike."""
+"""Ratio of the wire lengths of handheld and desktop coil, by their resistances; the gage is the same."""
 
 HANDHELD = DeviceDescription(
     model="handheld indenter",
@@ -70,13 +100,24 @@ HANDHELD = DeviceDescription(
 )
 """The handheld device (thesis 2.2.2: 9.5 ohm, 0.35 T, 39.5 g of 256 g, 32 mm).
 
-Force constant and inductance are not given there. They follow from the desktop's: the force constant goes as field and
-length of wire, the inductance as the square of the turns. A calibration puts them right.
+Force constant and inductance are not given there and are scaled from the desktop coil: the force constant with field
+and length of wire, the inductance with the square of the number of turns. A calibration corrects them.
 """
 
 
+def warning_entries(warnings: Sequence[str]) -> dict[str, str]:
+    """Return warnings as entries of ``DeviceDescription.calibration``: as text, and as JSON of the messages."""
+    messages = [warning.as_dict() for warning in warnings if isinstance(warning, Message)]
+    entries = {"warnings": _BETWEEN.join(map(_separable, warnings))}
+    return entries | ({"warning_messages": json.dumps(messages[:_MOST_WARNINGS])} if messages else {})
+
+
+def _separable(warning: str) -> str:
+    return str(warning).replace(_BETWEEN, ", ")
+
+
 def angle_deg(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """The angle between two vectors in one plane, degrees from 0 to 180; 0 where one of them has no length."""
+    """Return the angle between two vectors in a plane, 0 to 180 degrees; 0 if one has zero length."""
     length = math.hypot(*a) * math.hypot(*b)
     if length == 0.0:
         return 0.0

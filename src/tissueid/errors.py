@@ -7,9 +7,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tissueid.messages import Message, code_of
+
 
 class TissueIDError(Exception):
     """Base of every error whose message is meant for the user."""
+
+    @property
+    def message(self) -> str:
+        """The text: a ``Message`` where the error has a code, else plain English."""
+        text = self.args[0] if self.args else ""
+        return text if isinstance(text, str) else str(text)
+
+    @property
+    def code(self) -> str:
+        """Return the code of the message; "" where it is plain English."""
+        return code_of(self.message)
 
 
 class UnusableInputError(TissueIDError):
@@ -24,7 +37,9 @@ class SessionExistsError(SessionFormatError):
     """There is a file where a session should be written. Sessions are never overwritten."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path} is there already; sessions are never overwritten")
+        super().__init__(
+            Message("session.exists", "{path} is there already; sessions are never overwritten", path=str(path))
+        )
 
 
 class LimitError(TissueIDError):
@@ -40,9 +55,9 @@ class ProtocolVersionError(InstrumentError):
 
 
 class LinkLostError(InstrumentError):
-    """The connection broke or went silent. Firmware releases the coil by its own watchdog.
+    """The connection broke or went silent. The firmware releases the coil by its own watchdog.
 
-    ``watchdog_s`` is within how many seconds, where the instrument said so before it was lost.
+    ``watchdog_s`` is the timeout of that watchdog in seconds; None where the instrument did not report it.
     """
 
     def __init__(self, words: str, watchdog_s: float | None = None) -> None:
@@ -51,7 +66,14 @@ class LinkLostError(InstrumentError):
 
 
 class FirmwareFaultError(InstrumentError):
-    """The firmware latched a fault and released the coil."""
+    """The firmware latched a fault and released the coil.
+
+    ``faults`` holds the bits of ``tissueid.wire.Fault``; 0 where the instrument did not report which faults.
+    """
+
+    def __init__(self, words: str, faults: int = 0) -> None:
+        super().__init__(words)
+        self.faults = faults
 
 
 class CancelledError(TissueIDError):

@@ -1,66 +1,71 @@
-"""The language of the window and of the reports that it writes: English texts are looked up when they are used.
+"""The language of the window and of its reports: translation of English texts by gettext catalogues.
 
-English is what the code says, and what the command line speaks; ``languages/CODE.toml`` has English = translation,
-grouped by page. A text without a translation stays English. What is kept or exchanged (sites, notes, file names, the
-audit log) is never translated, and numbers keep their decimal point.
+English is the language of the code, the command line, files and logs. A catalogue is
+``languages/CODE/LC_MESSAGES/tissueid.po``; ``make translations`` extracts the texts and compiles the catalogues by
+Babel. A text without a translation stays English. Data (sites, notes, file names, the audit log) is never translated,
+and numbers keep their decimal point.
 """
 
 from __future__ import annotations
 
-import tomllib
+import functools
+import gettext
 from pathlib import Path
 
-LANGUAGES = {"en": "English", "de": "Deutsch"}
-"""What can be chosen, each in its own words."""
 ENGLISH = "en"
 FOLDER = Path(__file__).with_name("languages")
+DOMAIN = "tissueid"
 
 
-class _InForce:
-    """The language that is spoken, and its texts; English needs none."""
+class _Active:
+    """The active language and its catalogue."""
 
     code = ENGLISH
-    texts: dict[str, str] = {}  # noqa: RUF012 - replaced as a whole, never changed
+    catalogue = gettext.NullTranslations()
 
 
 def _(text: str) -> str:
-    """A text in the language of the window; where it has named fields, fill them in afterwards by ``format``."""
-    return _InForce.texts.get(text, text)
+    """Return ``text`` in the active language. Fill named fields afterwards, by ``format``."""
+    return _Active.catalogue.gettext(text) if text else ""
 
 
 def plural(one: str, many: str, count: int) -> str:
-    """The text for one or for another number of things, in the language of the window."""
-    return _(one if count == 1 else many)
+    """Return the form of a text for ``count`` things in the active language."""
+    return _Active.catalogue.ngettext(one, many, count)
 
 
 def marked(text: str) -> str:
-    """The text as it is, marked for the catalogue: for constants, which are looked up when they are used."""
+    """Return ``text`` unchanged. Marks a constant for extraction; translate it where it is shown."""
     return text
 
 
-def spoken() -> str:
-    """The code of the language in force."""
-    return _InForce.code
+def current_language() -> str:
+    """Return the code of the active language."""
+    return _Active.code
 
 
-def speak(code: str) -> None:
-    """Take on a language, for everything that is made from now on; one that is not known is English.
-
-    Raises:
-        OSError, tomllib.TOMLDecodeError: the catalogue, which comes with the program, is damaged.
-    """
-    code = code if code in LANGUAGES else ENGLISH
-    if code != _InForce.code:
-        _InForce.texts = {} if code == ENGLISH else catalogue(code)
-        _InForce.code = code
-
-
-def catalogue(code: str) -> dict[str, str]:
-    """The texts of a language, from all pages.
+def set_language(code: str) -> None:
+    """Make a language active for every text translated from now on; an unknown code means English.
 
     Raises:
-        OSError, tomllib.TOMLDecodeError: there is no catalogue, or it is damaged.
+        OSError: the compiled catalogue is missing or damaged.
     """
-    with (FOLDER / f"{code}.toml").open("rb") as file:
-        pages: dict[str, dict[str, str]] = tomllib.load(file)
-    return {text: said for page in pages.values() for text, said in page.items()}
+    code = code if code in languages() else ENGLISH
+    if code != _Active.code:
+        _Active.catalogue = gettext.NullTranslations() if code == ENGLISH else _catalogue(code)
+        _Active.code = code
+
+
+_NAME = marked("name of this language")
+
+
+@functools.cache
+def languages() -> dict[str, str]:
+    """Return the languages that can be chosen: code and own name, English first."""
+    found = {path.parents[1].name for path in FOLDER.glob(f"*/LC_MESSAGES/{DOMAIN}.mo")}
+    return {ENGLISH: "English"} | {code: _catalogue(code).gettext(_NAME) for code in sorted(found)}
+
+
+@functools.cache
+def _catalogue(code: str) -> gettext.NullTranslations:
+    return gettext.translation(DOMAIN, FOLDER, [code])

@@ -1,7 +1,6 @@
-"""Registries: kinds of thing that a file adds by a declaration, and another package by an entry point.
+"""Registries of classes that a file adds by a declaration, and another package by an entry point.
 
-The modules of a package of ours are found by scanning it; a plug-in that fails to load is reported as a warning and
-costs no other.
+Built-in modules are found by scanning their package. A plug-in that fails to load causes a warning and is left out.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Listing, Message, Verbatim
 
 T = TypeVar("T")
 
@@ -21,10 +21,10 @@ class Registry(Generic[T]):
     """Classes under a base, by their ``name``.
 
     Args:
-        what: one of them in a word, as messages say it.
-        base: what each must derive from.
-        package: dotted name of the package whose modules declare ours.
-        group: entry-point group in which other packages name theirs.
+        what: word for one of them in messages.
+        base: base class of all of them.
+        package: dotted name of the package of the built-in ones.
+        group: entry-point group for those of other packages.
     """
 
     def __init__(self, what: str, base: type[T], package: str, group: str) -> None:
@@ -49,18 +49,26 @@ class Registry(Generic[T]):
             )
 
     def get(self, name: str) -> type[T]:
-        """The class of that name.
+        """Return the class of that name.
 
         Raises:
-            UnusableInputError: there is none; the line lists those that there are.
+            UnusableInputError: there is none; the message lists the existing names.
         """
         names = self.names()
         if name not in self._members:
-            raise UnusableInputError(f"there is no {self._what} {name!r}: choose one of {', '.join(names)}")
+            raise UnusableInputError(
+                Message(
+                    "registry.unknown_name",
+                    "there is no {what} '{name}': choose one of {names}",
+                    what=self._what,
+                    name=Verbatim(name),
+                    names=Listing(tuple(map(Verbatim, names))),
+                )
+            )
         return self._members[name]
 
     def names(self) -> tuple[str, ...]:
-        """All names, in alphabetical order."""
+        """Return all names, in alphabetical order."""
         if not self._loaded:
             self._loaded = True
             self._load()

@@ -1,4 +1,4 @@
-"""Record: one input and one output on a common clock. What every identification engine eats."""
+"""Record: one input and one output on a common clock, the data of every identification engine."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 
 _LARGEST = 1e30
-"""Sizes beyond this, or under one over it, are no measurements, and their squares would overflow."""
+"""Largest plausible magnitude of a signal; its inverse is the smallest. Squares beyond it would overflow."""
 
 
 @dataclass(frozen=True)
 class Record:
     """Input and output of a system, sampled together.
 
-    ``input`` and ``output`` have shape (n,), float64, SI units named by ``input_unit`` and ``output_unit``.
-    NaN marks a sample that was not received, and infinity is taken for one; it is never filled in. ``joints`` are the
-    places, in order, of samples that stand between records that were joined: they were never to be received.
+    ``input`` and ``output`` have shape (n,), float64, in the SI units ``input_unit`` and ``output_unit``. NaN marks a
+    sample that was not received; infinity counts as one. Such samples are never filled in. ``joints`` are the indices,
+    in order, of the separating samples between joined records.
 
     Raises:
-        UnusableInputError: lengths differ, the sample rate is not positive, there are no samples, or sizes that no
-            instrument measures.
+        UnusableInputError: the lengths differ, the sample rate is not positive, there are no samples, or a magnitude
+            is implausible.
     """
 
     input: NDArray[np.float64]
@@ -40,64 +41,89 @@ class Record:
         for name in ("input", "output"):
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 1:
-                raise UnusableInputError(f"the {name} of a record must have one dimension, not {values.ndim}")
+                raise UnusableInputError(
+                    Message(
+                        "record.dimensions",
+                        "the {signal} of a record must have one dimension, not {count}",
+                        signal=name,
+                        count=values.ndim,
+                    )
+                )
             if np.isinf(values).any():
                 values = np.where(np.isinf(values), np.nan, values)
             largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
             if largest > _LARGEST or 0.0 < largest < 1.0 / _LARGEST:
                 raise UnusableInputError(
-                    f"the {name} of a record goes to {largest:.3g}: no instrument measures that, check the units"
+                    Message(
+                        "record.magnitude",
+                        "the {signal} of a record goes to {largest:.3g}: no instrument measures that, check the units",
+                        signal=name,
+                        largest=largest,
+                    )
                 )
             object.__setattr__(self, name, values)
         if self.input.size != self.output.size:
             raise UnusableInputError(
-                f"input and output differ in length: {self.input.size} and {self.output.size} samples"
+                Message(
+                    "record.lengths",
+                    "input and output differ in length: {input} and {output} samples",
+                    input=self.input.size,
+                    output=self.output.size,
+                )
             )
         if self.input.size == 0:
-            raise UnusableInputError("the record is empty")
+            raise UnusableInputError(Message("record.empty", "the record is empty"))
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
-            raise UnusableInputError(f"the sample rate must be positive, not {self.sample_rate_hz}")
+            raise UnusableInputError(
+                Message("record.rate", "the sample rate must be positive, not {rate:g}", rate=self.sample_rate_hz)
+            )
 
     def __len__(self) -> int:
         return self.input.size
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Seconds from the first sample, shape (n,)."""
+        """Time from the first sample, s, shape (n,)."""
         return np.arange(len(self)) / self.sample_rate_hz
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """True where both input and output were received, shape (n,)."""
+        """Whether both input and output were received, shape (n,)."""
         return np.isfinite(self.input) & np.isfinite(self.output)
 
     def __getitem__(self, part: slice) -> Record:
-        """Cut a contiguous part out of the record."""
+        """Return a contiguous part of the record."""
         first, end, _ = part.indices(len(self))
         joints = tuple(joint - first for joint in self.joints if first <= joint < end)
         return replace(self, input=self.input[part], output=self.output[part], joints=joints)
 
 
 def joined(records: Sequence[Record]) -> Record:
-    """Several records as one, so that every engine can fit them together.
+    """Join records into one, so that an engine can fit them together.
 
-    One sample that was not received stands between each two. Nothing that an engine does reaches across such a gap:
-    no memory, no initial state, no score; so the records stay apart and only what is estimated is common.
+    A NaN sample separates two records. No memory, initial state or score of an engine reaches across it, so the
+    records share only the estimated parameters.
 
     Raises:
-        UnusableInputError: there are none, or they differ in sample rate, signals or units.
+        UnusableInputError: there are no records, or they differ in sample rate, signals or units.
     """
     if not records:
-        raise UnusableInputError("there are no records to join")
+        raise UnusableInputError(Message("record.none", "there are no records to join"))
     first = records[0]
     for other in records[1:]:
         if not np.isclose(other.sample_rate_hz, first.sample_rate_hz, rtol=1e-6, atol=0.0):
             raise UnusableInputError(
-                f"records of {first.sample_rate_hz:g} and {other.sample_rate_hz:g} Hz cannot be fitted together: "
-                "resample"
+                Message(
+                    "record.rates_differ",
+                    "records of {first:g} and {other:g} Hz cannot be fitted together: resample",
+                    first=first.sample_rate_hz,
+                    other=other.sample_rate_hz,
+                )
             )
         if _signals(other) != _signals(first):
-            raise UnusableInputError("records of different signals or units cannot be fitted together")
+            raise UnusableInputError(
+                Message("record.signals_differ", "records of different signals or units cannot be fitted together")
+            )
     gap = np.array([np.nan])
     inputs = [part for record in records for part in (gap, record.input)][1:]
     outputs = [part for record in records for part in (gap, record.output)][1:]
@@ -113,7 +139,7 @@ def _signals(record: Record) -> tuple[str, str, str, str]:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard deviation; ``std`` is None where none can be had."""
+    """A value with its standard deviation; ``std`` is None if it is unknown."""
 
     value: float
     std: float | None = None

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded, says
 from failing_disk import (
     ATTRIBUTES,
     Disk,
     Sitting,
     a_sitting,
     batch,
+    check_one_line,
     guided,
-    told_in_one_line,
 )
 from support import connect
 
@@ -35,9 +36,9 @@ from tissueid.sessions import read_session, write_session
     "place",
     [
         "h5py.File",
-        "tissueid.sessions.writing._write_test",
-        "tissueid.whole_file.os.fsync",
-        "tissueid.whole_file.os.link",
+        "tissueid.sessions.hdf5_writing._write_test",
+        "tissueid.atomic_write.os.fsync",
+        "tissueid.atomic_write.os.link",
     ],
 )
 def test_a_session_that_cannot_be_written_leaves_its_journal_and_nothing_else(tmp_path, monkeypatch, place, number):
@@ -52,11 +53,12 @@ def test_a_session_that_cannot_be_written_leaves_its_journal_and_nothing_else(tm
 
     with monkeypatch.context() as patch:
         patch.setattr(place, fails)
-        with pytest.raises(JournalError) as told:
+        with pytest.raises(JournalError) as raised:
             recorder.finish()
-    told_in_one_line(told.value, "cannot write", "s.h5", "is kept in", "'tissueid recover'", "--out on another disk")
+    check_one_line(raised.value)
+    assert says(raised.value.message, "recording.kept", path=str(tmp_path / "s.h5"), journal=str(kept))
     if place.startswith(("h5py", "tissueid.sessions")):
-        assert os.strerror(number) in str(told.value)
+        assert os.strerror(number) in str(raised.value)
     assert list(tmp_path.iterdir()) == [kept]
     _, session = recover(tmp_path / "s.h5")
     assert [test.samples for test in session.tests] == [500, 500]
@@ -72,8 +74,8 @@ def test_a_name_that_could_not_be_synced_keeps_the_journal(tmp_path, monkeypatch
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as patch:
-        patch.setattr("tissueid.whole_file.sync_folder", fails)
-        with pytest.raises(JournalError, match="Input/output error"):
+        patch.setattr("tissueid.atomic_write.sync_folder", fails)
+        with pytest.raises(JournalError, check=coded("recording.kept", reason="Input/output error")):
             recorder.finish()
     assert journal_path(tmp_path / "s.h5").exists()
     assert len(recover(tmp_path / "s.h5")[1].tests) == 2
@@ -101,7 +103,7 @@ def test_a_journal_that_cannot_be_read_back_is_not_removed(tmp_path, monkeypatch
 
     with monkeypatch.context() as patch:
         patch.setattr("tissueid.acquisition.recovery.read_entries", fails)
-        with pytest.raises(JournalError, match="Input/output error"):
+        with pytest.raises(JournalError, check=coded("recording.kept", reason="Input/output error")):
             recorder.finish()
     assert len(recover(tmp_path / "s.h5")[1].tests) == 2
 
@@ -137,16 +139,14 @@ def test_write_session_and_the_recorder_agree(tmp_path):
 Usage = namedtuple("Usage", "total used free")
 
 
-def test_a_disk_without_room_is_told_before_a_coil_is_energised(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_before_the_coil_is_energised(tmp_path, monkeypatch):
     instrument = connect()
     free = [50_000_000]
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, free[0]))
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     free[0] = 32_100_000
     energised = []
-    with pytest.raises(
-        JournalError, match=r"has 32 MB free, and 32 MB are wanted: make room, or name a session"
-    ) as told:
+    with pytest.raises(JournalError, check=coded("disk.full", folder=str(tmp_path), free=32.1)) as raised:
         run_guided_test(
             instrument,
             guided(),
@@ -154,11 +154,11 @@ def test_a_disk_without_room_is_told_before_a_coil_is_energised(tmp_path, monkey
             surface_m=0.01,
             progress=lambda _: energised.append(instrument._link.firmware.energised),
         )
-    told_in_one_line(told.value)
+    check_one_line(raised.value)
     assert energised == []
     assert recorder.finish_or_discard() is None
     free[0] = 1_000_000
-    with pytest.raises(JournalError, match=r"has 1 MB free, and 32 MB are wanted"):
+    with pytest.raises(JournalError, check=coded("disk.full", free=1.0)):
         SessionRecorder(tmp_path / "s.h5", instrument.device)
     assert list(tmp_path.iterdir()) == []
 
@@ -174,9 +174,9 @@ def test_what_is_wanted_is_more_than_is_taken(tmp_path, monkeypatch):
     for name in SAMPLE.names[1:-1]:
         samples[name] = noise * (1 + len(name))
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(0, 0, 0))
-    with pytest.raises(JournalError, match="are wanted") as told:
+    with pytest.raises(JournalError, check=coded("disk.full")) as raised:
         recorder.prepare(20_000)
-    asked.append(float(str(told.value).split("and ")[1].split(" MB")[0]) * 1e6)
+    asked.append(raised.value.message.values["wanted"] * 1e6)
     recorder.begin_test(Run(0, 20_000), **ATTRIBUTES)
     recorder.add(samples)
     recorder.end_test("completed")
@@ -187,10 +187,10 @@ def test_what_is_wanted_is_more_than_is_taken(tmp_path, monkeypatch):
     assert 0.8 * asked[0] < taken < asked[0] + 0.5e6
 
 
-def test_a_sitting_that_nobody_could_read_again_is_refused(tmp_path):
+def test_a_sitting_that_is_too_large_to_read_is_refused(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     recorder.samples_appended = 22_000_000
-    with pytest.raises(SessionFormatError, match="grow too large to be read: go on in another session file"):
+    with pytest.raises(SessionFormatError, check=coded("session.too_large")):
         recorder.prepare(1_000_000)
     recorder.samples_appended = 0
     recorder.finish_or_discard()
@@ -203,6 +203,6 @@ def test_a_journal_that_cannot_be_begun_leaves_nothing(tmp_path, monkeypatch, nu
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", fails)
-        with pytest.raises(JournalError, match=f"{os.strerror(number)}. Nothing was begun"):
+        with pytest.raises(JournalError, check=coded("journal.not_begun", reason=os.strerror(number))):
             SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     assert list(tmp_path.iterdir()) == []

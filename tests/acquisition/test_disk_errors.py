@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from coded import coded, says
 from failing_disk import (
     ATTRIBUTES,
     SECONDS,
@@ -22,17 +23,17 @@ from failing_disk import (
     batch,
     calls_of_a_whole_sitting,
     check_failing_at,
+    check_one_line,
     posix,
-    told_in_one_line,
 )
 
 from tissueid.acquisition import JournalError, SessionRecorder, journal_path, recover
 from tissueid.acquisition import recorder as recording
 from tissueid.acquisition.journal import Journal
-from tissueid.audit import AuditLog, Trail
+from tissueid.audit import AuditLog, AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SAMPLE, Run
-from tissueid.sessions import read_session, writing
+from tissueid.sessions import hdf5_writing, read_session
 
 RELEASED_S = 0.06
 """One poll after a failure the coil is free."""
@@ -150,17 +151,18 @@ def test_a_disk_that_stands_still_ends_the_test_before_memory_does(tmp_path, mon
     sitting = Sitting(tmp_path, in_step=False)
     disk = Standstill(monkeypatch, journal_path(sitting.path))
     sitting.run(1, seconds=6.0)
-    told_in_one_line(sitting.error, "the disk does not take what is recorded", "is kept", "'tissueid recover'")
+    check_one_line(sitting.error)
+    assert says(sitting.error.message, "journal.disk_slow")
     assert sitting.released
     journal = sitting.recorder._journal
     assert 1900 < sitting.recorder.samples_appended < 2500
     assert journal._appended_bytes - journal._written_bytes < 1.3 * 2000 * SAMPLE.itemsize
     journal._patience_s = 0.05
-    with pytest.raises(JournalError, match="does not answer") as told:
+    with pytest.raises(JournalError, check=coded("journal.no_answer")) as raised:
         sitting.recorder.finish_or_discard()
-    told_in_one_line(told.value, "What reached it is kept", "'tissueid recover'")
+    check_one_line(raised.value)
     sitting.recorder.abandon()
-    with pytest.raises(JournalError, match="still runs"):
+    with pytest.raises(JournalError, check=coded("journal.running")):
         recover(sitting.path)
     disk.go_on.set()
     journal._patience_s = 10.0
@@ -188,7 +190,7 @@ def twenty_then(recorder: SessionRecorder, broken: Callable[[], None]) -> None:
 
 
 @pytest.mark.parametrize("error", [MemoryError(), ValueError("it cannot be")])
-def test_whatever_fails_the_thread_that_writes_is_told(tmp_path, monkeypatch, error):
+def test_any_error_of_the_writing_thread_is_reported(tmp_path, monkeypatch, error):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), sync_s=0.0)
 
     def fails(*_):
@@ -196,16 +198,18 @@ def test_whatever_fails_the_thread_that_writes_is_told(tmp_path, monkeypatch, er
 
     with monkeypatch.context() as patch:
         twenty_then(recorder, lambda: patch.setattr(Journal, "_write", fails))
-        with pytest.raises(JournalError, match=str(error) or type(error).__name__) as told:
+        with pytest.raises(
+            JournalError, check=coded("journal.failed", reason=str(error) or type(error).__name__)
+        ) as raised:
             recorder.finish()
-    told_in_one_line(told.value, "is kept in it", "'tissueid recover'")
+    check_one_line(raised.value)
     assert recorder.samples_acknowledged == 20
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
     assert recover(tmp_path / "s.h5")[1].test().samples == 20
 
 
-def test_a_thread_that_is_gone_is_told_at_once(tmp_path, monkeypatch):
-    """Not where it works but where it waits: whatever ends it, the journal is let go of and nobody waits for it."""
+def test_a_dead_writing_thread_is_reported_at_once(tmp_path, monkeypatch):
+    """The thread fails while it waits for an entry: the journal is released, and no caller waits for it."""
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), sync_s=0.0)
     thread = recorder._journal._thread
 
@@ -215,22 +219,22 @@ def test_a_thread_that_is_gone_is_told_at_once(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         twenty_then(recorder, lambda: patch.setattr(Journal, "_next", fails))
         thread.join()
-        with pytest.raises(JournalError, match="MemoryError"):
+        with pytest.raises(JournalError, check=coded("journal.failed", reason="MemoryError")):
             recorder.finish()
     recorder.abandon()
     assert recover(tmp_path / "s.h5")[1].test().samples >= 20
 
 
-def test_a_thread_that_ended_without_a_word_is_not_taken_for_one_that_has_done_its_work(tmp_path, monkeypatch):
+def test_a_writing_thread_that_ends_silently_is_an_error(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "_write_all", lambda _: None)
         journal = Journal(tmp_path / "j")
     journal._thread.join()
     journal.append(b"entry")
     for wait in (journal.sync, journal.close):
-        with pytest.raises(JournalError, match="ended before its time") as told:
+        with pytest.raises(JournalError, check=coded("journal.thread_ended")) as raised:
             wait()
-    told_in_one_line(told.value, "is kept in it", "'tissueid recover'")
+    check_one_line(raised.value)
     journal._file.close()
 
 
@@ -252,10 +256,10 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
         if how == "exchanged":
             folder.mkdir()
             (folder / "s.h5.journal").touch()
-    with pytest.raises(JournalError, match="removed or moved away while it was written") as told:
+    with pytest.raises(JournalError, check=coded("journal.moved")) as raised:
         recorder.add(batch(50, 50))
         recorder._journal.sync()
-    told_in_one_line(told.value, "'tissueid recover'")
+    check_one_line(raised.value)
     assert recorder.samples_acknowledged == (0 if how == "removed" else 50)
     with pytest.raises(JournalError):
         recorder.finish_or_discard()
@@ -266,20 +270,19 @@ def test_a_folder_that_goes_away_ends_the_test(tmp_path, how):
 # -- files of others -----------------------------------------------------------------------------------------
 def test_a_file_that_appears_while_the_session_is_written_is_not_overwritten(tmp_path, monkeypatch):
     recorder = a_sitting(tmp_path / "s.h5")
-    sound = writing._verify
+    sound = hdf5_writing._verify
 
     def appears(*arguments):
         sound(*arguments)
         recorder.path.write_text("another's")
 
     with monkeypatch.context() as patch:
-        patch.setattr(writing, "_verify", appears)
-        with pytest.raises(JournalError) as told:
+        patch.setattr(hdf5_writing, "_verify", appears)
+        with pytest.raises(JournalError) as raised:
             recorder.finish()
     journal = journal_path(recorder.path)
-    told_in_one_line(
-        told.value, "is there already", f"is kept in {journal}", "move that file away", "'tissueid recover'"
-    )
+    check_one_line(raised.value)
+    assert says(raised.value.message, "recording.kept_exists", journal=str(journal))
     assert recorder.path.read_text() == "another's"
     assert sorted(tmp_path.iterdir()) == [recorder.path, journal]
     recorder.path.unlink()
@@ -289,10 +292,9 @@ def test_a_file_that_appears_while_the_session_is_written_is_not_overwritten(tmp
 def test_a_file_that_appears_while_the_test_runs_is_not_overwritten_and_the_journal_not_blamed(tmp_path):
     recorder = a_sitting(tmp_path / "s.h5")
     recorder.path.write_text("another's")
-    with pytest.raises(JournalError, match="is there already") as told:
+    with pytest.raises(JournalError, check=coded("recording.kept_exists")) as raised:
         recorder.finish()
-    assert "does not hold" not in str(told.value)
-    told_in_one_line(told.value, "is kept in", "'tissueid recover'")
+    check_one_line(raised.value)
     assert recorder.path.read_text() == "another's"
     recover(recorder.path, tmp_path / "t.h5")
 
@@ -308,7 +310,7 @@ def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(writing, "_verify", dies)
+        patch.setattr(hdf5_writing, "_verify", dies)
         with pytest.raises(KeyboardInterrupt):
             recorder.finish()
     recorder.abandon()
@@ -325,7 +327,7 @@ def test_what_a_kill_at_the_end_left_is_removed_by_recover(tmp_path, monkeypatch
 def test_sessions_journals_and_the_audit_log_are_for_their_owner_alone(tmp_path, audit_file):
     before = os.umask(0)
     try:
-        recorder = a_sitting(tmp_path / "s.h5", trail=Trail(AuditLog(audit_file), "researcher"))
+        recorder = a_sitting(tmp_path / "s.h5", trail=AuditTrail(AuditLog(audit_file), "researcher"))
         modes = [stat.S_IMODE(path.stat().st_mode) for path in (journal_path(recorder.path), audit_file)]
         recorder.finish()
     finally:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded import holding, says
 from feedback_kinds import PushBack
 from support import connect
 
@@ -22,7 +23,7 @@ def noise(seconds=3.0):
 
 
 class After:
-    """Says that it is enough once so many seconds of the test have been shown."""
+    """Return True when the given number of seconds of the test has been received."""
 
     def __init__(self, seconds):
         self.samples = seconds * 2000.0
@@ -56,7 +57,7 @@ def test_it_is_completed_and_as_long_as_what_was_played(make, stimulus, tmp_path
     assert 4000 <= test.samples < 4400
     assert not np.isnan(test.signals["position"]).any()
     assert test.notes["ended_early_s"] == pytest.approx((test.samples - PRELOAD) / 2000.0)
-    assert test.notes["reason"] == f"ended after {test.notes['ended_early_s']:.2f} s: stiffness known to 2 %"
+    assert says(test.reason, "test.ended", seconds=test.notes["ended_early_s"], why="stiffness known to 2 %")
     if not isinstance(stimulus, PushBack):
         command = test.signals["command"] / instrument.device.voltage_for_force(1.0)
         np.testing.assert_allclose(command, stimulus.values[: test.samples], atol=1e-3)
@@ -81,7 +82,7 @@ def test_a_fault_at_the_moment_of_the_end_is_no_completed_test(tmp_path):
         firmware.bench.button = False
         return True
 
-    with pytest.raises(FirmwareFaultError, match="the button was pressed"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         run_guided_test(
             instrument, GuidedTest(noise(), "x"), recorder, surface_m=SURFACE, progress=after.progress, enough=enough
         )
@@ -124,14 +125,14 @@ def test_a_host_that_dies_after_an_early_end_leaves_just_what_was_played(tmp_pat
 
 
 @pytest.mark.parametrize("samples", [0, -1, 10_000_000])
-def test_an_end_whose_length_makes_no_sense_is_passed_over_and_said(samples, tmp_path):
+def test_an_end_with_an_impossible_length_is_skipped_and_reported(samples, tmp_path):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     run_guided_test(instrument, GuidedTest(noise(0.5), "x"), recorder, surface_m=SURFACE)
     recorder.abandon()
     with journal_path(tmp_path / "s.h5").open("ab") as file:
         file.write(encode_json(Entry.TEST_END, {"status": "completed", "notes": {}, "samples": samples}))
-    told: list[str] = []
-    test = recover(tmp_path / "s.h5", told=told.append)[1].test()
+    reported: list[str] = []
+    test = recover(tmp_path / "s.h5", report=reported.append)[1].test()
     assert (test.status, test.samples) == ("completed", recorder.samples_appended)
-    assert "damaged at 1 place" in told[0]
+    assert says(reported[0], "recovery.damage", places=1)

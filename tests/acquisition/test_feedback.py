@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from coded import coded, says
 from feedback_kinds import PushBack, PushBackSource, Runaway
 from support import MISHAPS, connect, halfway, left_by_a_power_cut
 
@@ -20,6 +21,7 @@ from tissueid.errors import (
 from tissueid.instrument import Limits, ReplayInstrument, SimulatedInstrument
 from tissueid.stimuli import get_stimulus
 from tissueid.stimuli.feedback import BLOCK
+from tissueid.wire import Fault
 
 PRELOAD = 1000
 SURFACE = 0.01
@@ -132,19 +134,25 @@ def test_it_repeats_bit_by_bit_in_process(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("test", "error", "words"),
+    ("test", "error", "code", "values"),
     [
-        (a_test(force_max_n=13.0), LimitError, r"reaches 13\.0 N; the limit is 12 N"),
-        (a_test(force_min_n=-12.5), LimitError, r"reaches 12\.5 N; the limit is 12 N"),
-        (a_test(seconds=29.6), LimitError, r"lasts 30\.1 s in all, preload included; the limit is 30 s"),
-        (a_test(sample_rate=1000.0), UnusableInputError, "1000 samples a second, the instrument 2000"),
-        (GuidedTest(PushBack(), "x", preload_s=0.01), UnusableInputError, "at least its rise"),
+        (a_test(force_max_n=13.0), LimitError, "test.stimulus_force", {"force": 13.0, "limit": 12.0}),
+        (a_test(force_min_n=-12.5), LimitError, "test.stimulus_force", {"force": 12.5, "limit": 12.0}),
+        (a_test(seconds=29.6), LimitError, "", {}),
+        (
+            a_test(sample_rate=1000.0),
+            UnusableInputError,
+            "test.sample_rate",
+            {"stimulus": 1000.0, "instrument": 2000.0},
+        ),
+        (GuidedTest(PushBack(), "x", preload_s=0.01), UnusableInputError, "", {}),
     ],
 )
-def test_what_cannot_be_run_is_refused_before_anybody_is_touched(test, error, words, tmp_path):
+def test_an_unplayable_test_is_refused_before_the_coil_is_energised(test, error, code, values, tmp_path):
     instrument = SimulatedInstrument()
-    with pytest.raises(error, match=words):
+    with pytest.raises(error) as raised:
         run(instrument, test, tmp_path / "s.h5")
+    assert not code or says(raised.value.message, code, **values)
     assert list(tmp_path.iterdir()) == []
     assert instrument.poll(0.0)["command"].max() == 0.0
 
@@ -152,13 +160,13 @@ def test_what_cannot_be_run_is_refused_before_anybody_is_touched(test, error, wo
 def test_a_source_that_leaves_its_range_frees_the_coil(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    with pytest.raises(UnusableInputError, match="'runaway' left its range of 0 to 10 N"):
+    with pytest.raises(UnusableInputError, check=coded("stimulus.out_of_range", name="runaway", low=0.0, high=10.0)):
         run_guided_test(instrument, GuidedTest(Runaway(), "x"), recorder, surface_m=SURFACE)
     assert not instrument._link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert test.samples > PRELOAD + 10 * BLOCK
-    assert "left its range" in test.notes["reason"]
+    assert says(test.reason, "stimulus.out_of_range", name="runaway")
     assert np.abs(test.signals["force"]).max() < 12.0
 
 
@@ -195,8 +203,9 @@ def test_a_host_that_stops_sending_is_held_and_then_released(tmp_path):
             send(offset, command_v)
 
     instrument.send = fails_after_a_second
-    with pytest.raises(FirmwareFaultError, match="fell behind"):
+    with pytest.raises(FirmwareFaultError) as raised:
         run_guided_test(instrument, a_test(3.0), recorder, surface_m=SURFACE)
+    assert raised.value.faults == Fault.STARVED
     assert not instrument._link.firmware.energised
     test = recorder.finish().test()
     newtons = test.signals["command"] / instrument.device.voltage_for_force(1.0)
@@ -241,7 +250,7 @@ def test_what_was_held_in_lost_samples_is_counted(tmp_path):
 
 
 class Unreportable(PushBackSource):
-    """A source of somebody else's, whose report is no plain data."""
+    """A plug-in source whose report cannot be stored as JSON."""
 
     def report(self):
         return {"kolmogorov_distance": np.int64(1)}
@@ -260,14 +269,14 @@ def test_a_defect_in_mid_feedback_frees_the_coil_and_closes_the_recording(tmp_pa
 
     def progress(item):
         if item.fraction > 0.6:
-            raise ZeroDivisionError("somebody's source")
+            raise ZeroDivisionError("a plug-in")
 
     with pytest.raises(ZeroDivisionError):
         run_guided_test(instrument, a_test(2.0), recorder, surface_m=SURFACE, progress=progress)
     assert not instrument._link.firmware.energised
     test = recorder.finish().test()
     assert test.status == "aborted"
-    assert test.notes["reason"] == "a defect of the software: ZeroDivisionError: somebody's source"
+    assert says(test.reason, "test.defect", kind="ZeroDivisionError", error="a plug-in")
 
 
 def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
@@ -286,7 +295,7 @@ def test_a_host_that_dies_leaves_a_session_to_recover(tmp_path):
 def test_a_limit_broken_in_mid_feedback(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", (instrument := SimulatedInstrument()).device)
     test = GuidedTest(PushBack(), "x", limits=Limits(max_position_m=0.013))
-    with pytest.raises(LimitError, match="end of its stroke"):
+    with pytest.raises(LimitError, check=coded("limit.position")):
         run_guided_test(instrument, test, recorder, surface_m=SURFACE)
     assert recorder.finish().test().status == "aborted"
 

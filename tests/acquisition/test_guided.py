@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded, holding, says
 from support import MISHAPS, connect, halfway, left_by_a_power_cut
 
 from tissueid.acquisition import GuidedTest, Phase, SessionRecorder, recover, run_guided_test
@@ -81,7 +82,7 @@ def test_cancelling_keeps_what_was_recorded(tmp_path):
     test = recorder.finish().test()
     assert test.status == "aborted"
     assert 3000 < test.samples < 7000
-    assert "cancelled" in test.notes["reason"]
+    assert says(test.reason, "test.cancelled")
 
 
 @MISHAPS
@@ -102,7 +103,7 @@ def test_a_mishap_in_mid_test_keeps_the_recorded_part(tmp_path, mishap, error):
 def test_a_limit_broken_in_mid_test(tmp_path):
     instrument = SimulatedInstrument()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    with pytest.raises(LimitError, match="end of its stroke"):
+    with pytest.raises(LimitError, check=coded("limit.position")):
         run_guided_test(instrument, guided(limits=Limits(max_position_m=0.013)), recorder, surface_m=0.01)
     assert recorder.finish().test().status == "aborted"
 
@@ -110,12 +111,12 @@ def test_a_limit_broken_in_mid_test(tmp_path):
 def test_a_stimulus_beyond_the_limits_is_never_sent(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
-    with pytest.raises(LimitError, match=r"reaches 11\.0 N; the limit is 8 N"):
+    with pytest.raises(LimitError, check=coded("test.stimulus_force", limit=8.0)):
         run_guided_test(instrument, guided(mean=10.0, limits=Limits(max_force_n=8.0)), recorder, surface_m=0.01)
     recorder.abandon()
 
 
-def test_gaps_are_told_in_the_session(tmp_path):
+def test_gaps_are_stored_in_the_session(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     reads = iter(range(100_000))
@@ -150,13 +151,13 @@ def test_a_probe_in_the_air_is_noticed():
         bench = Bench("left-posterior-forearm", tilt_deg=tilt)
         bench.place_fixture(None)
         link = LoopbackLink(Firmware(bench))
-        with pytest.raises(TissueIDError, match="end of its stroke"):
+        with pytest.raises(TissueIDError, check=holding("fault.stroke")):
             find_surface(SerialInstrument(link, clock=link.clock))
 
 
-def test_lost_samples_while_placing_are_said():
+def test_lost_samples_while_placing_are_reported():
     instrument = connect()
     reads = iter(range(100_000))
     instrument._link.to_host = lambda data: b"" if next(reads) % 40 == 39 else data
-    with pytest.raises(UnusableInputError, match="samples were lost"):
+    with pytest.raises(UnusableInputError, check=coded("placing.samples_lost")):
         find_surface(instrument)

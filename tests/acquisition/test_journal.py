@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded, says, shows
 
-from tissueid.acquisition import JournalError, SessionRecorder, entries, journal_path, recover
+from tissueid.acquisition import JournalError, SessionRecorder, journal_entries, journal_path, recover
 from tissueid.acquisition.journal import MAGIC, Damage, Entry, Journal, encode_entry, encode_json, read_entries
 from tissueid.acquisition.recovery import session_from_entries, session_into
 from tissueid.audit import last_lines
@@ -71,7 +72,7 @@ def test_every_prefix_recovers_every_complete_batch(tmp_path):
         os.truncate(journal, length)
         complete = BATCH * sum(end <= length for end, kind in ends if kind is Entry.SAMPLES)
         if length < sitting_end:
-            with pytest.raises(UnusableInputError, match="cut off before anything"):
+            with pytest.raises(UnusableInputError, check=coded("recovery.cut_off")):
                 session_from_entries(read_entries(journal))
             continue
         session = session_from_entries(read_entries(journal))
@@ -137,9 +138,9 @@ def test_an_end_that_was_cut_off_is_no_damage(tmp_path, left):
     damage = Damage()
     assert len(list(read_entries(journal, damage))) == 9
     assert damage == Damage()
-    told: list[str] = []
-    assert recover(tmp_path / "s.h5", told=told.append)[1].test().samples == 20
-    assert told == []
+    reported: list[str] = []
+    assert recover(tmp_path / "s.h5", report=reported.append)[1].test().samples == 20
+    assert reported == []
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
 
 
@@ -156,10 +157,10 @@ def test_the_search_after_a_damage_ends(tmp_path, monkeypatch):
     """A file made so that everything in it may be an entry costs no more than its share of the time."""
     path = tmp_path / "j"
     path.write_bytes(MAGIC + encode_json(Entry.EVENT, {}) + b"\x03\xff\xff\x00\x00" * 50_000)
-    monkeypatch.setattr(entries, "MAX_CHECKED", 10_000_000)
+    monkeypatch.setattr(journal_entries, "MAX_CHECKED", 10_000_000)
     calls = []
-    sound = entries._entry_at
-    monkeypatch.setattr(entries, "_entry_at", lambda *where: calls.append(1) or sound(*where))
+    sound = journal_entries._entry_at
+    monkeypatch.setattr(journal_entries, "_entry_at", lambda *where: calls.append(1) or sound(*where))
     damage = Damage()
     assert len(list(read_entries(path, damage))) == 1
     assert len(calls) < 200
@@ -181,10 +182,9 @@ def spoiled(tmp_path):
 
 
 def test_a_sitting_whose_journal_was_damaged_is_not_called_written(spoiled, tmp_path):
-    with pytest.raises(JournalError, match="damaged on its disk: 7980 of 8000 samples can be read again") as told:
+    with pytest.raises(JournalError, check=coded("recovery.damaged", received=7980, samples=8000)) as raised:
         spoiled.finish()
-    assert "\n" not in str(told.value)
-    assert "It is kept; 'tissueid recover'" in str(told.value)
+    assert "\n" not in str(raised.value)
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
 
 
@@ -195,7 +195,7 @@ def test_a_damaged_journal_is_recovered_around_its_hole_and_kept(spoiled, tmp_pa
     (tmp_path / "s.h5.journal.damaged").write_bytes(b"an earlier one")
     assert main(["recover", str(tmp_path / "s.h5"), "--json", str(tmp_path / "a.json")]) == 0
     said = capsys.readouterr().err
-    assert "the journal was damaged at 1 place, 1329 bytes in all" in said
+    assert shows(said, "recovery.damage", places=1, bytes=1329)
     assert f"kept as {tmp_path / 's.h5.journal.damaged2'}" in said
     assert json.loads((tmp_path / "a.json").read_text())["warnings"] == [said.strip()]
     assert (tmp_path / "s.h5.journal.damaged").read_bytes() == b"an earlier one"
@@ -216,9 +216,9 @@ def test_a_damaged_journal_that_cannot_be_renamed_stays(spoiled, tmp_path, monke
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "rename", fails)
-    told: list[str] = []
-    recover(tmp_path / "s.h5", tmp_path / "out.h5", told=told.append)
-    assert told[0].endswith(f"kept as {tmp_path / 's.h5.journal'}")
+    reported: list[str] = []
+    recover(tmp_path / "s.h5", tmp_path / "out.h5", report=reported.append)
+    assert says(reported[0], "recovery.damage", path=str(tmp_path / "s.h5.journal"))
     assert journal_path(tmp_path / "s.h5").exists()
 
 
@@ -227,7 +227,7 @@ def test_a_journal_that_lost_its_end_is_not_called_written(tmp_path):
     recorder = record(tmp_path / "s.h5", 10, finish=False)
     journal = journal_path(tmp_path / "s.h5")
     os.truncate(journal, entries_of(journal)[-3][1])
-    with pytest.raises(JournalError, match="40 of 50 samples"):
+    with pytest.raises(JournalError, check=coded("recovery.damaged", received=40, samples=50)):
         session_into(tmp_path / "s.h5", journal, recorder.samples_appended)
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
 
@@ -243,11 +243,11 @@ def test_the_end_of_a_test_whose_beginning_is_lost_is_given_to_no_other(tmp_path
     journal = journal_path(tmp_path / "s.h5")
     for begin, _, _ in [entry for entry in entries_of(journal) if entry[2] is Entry.TEST][2:]:
         spoil(journal, begin + 20)
-    told: list[str] = []
-    test = recover(tmp_path / "s.h5", told=told.append)[1].test()
+    reported: list[str] = []
+    test = recover(tmp_path / "s.h5", report=reported.append)[1].test()
     assert (test.status, test.samples, test.notes["reason"]) == ("aborted", 40, "aborted")
     assert test.notes["events"] == '[{"kind": "gap", "first_index": 0, "count": 1}]'
-    assert "damaged at 1 place" in told[0]
+    assert says(reported[0], "recovery.damage", places=1)
 
 
 def test_a_damaged_journal_of_which_nothing_can_be_made_is_left(tmp_path):
@@ -256,7 +256,7 @@ def test_a_damaged_journal_of_which_nothing_can_be_made_is_left(tmp_path):
     for begin, _, kind in entries_of(journal):
         if kind is Entry.SITTING:
             spoil(journal, begin + 20)
-    with pytest.raises(UnusableInputError, match="is damaged, and no session can be made of it"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.unreadable")):
         recover(tmp_path / "s.h5")
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5.journal"]
 
@@ -299,42 +299,42 @@ def test_recover_does_not_touch_another_session(tmp_path):
     record(tmp_path / "other.h5", 3)
     record(tmp_path / "s.h5", 3, finish=False)
     (tmp_path / "other.h5").rename(tmp_path / "s.h5")
-    with pytest.raises(UnusableInputError, match="is another session"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.other_session")):
         recover(tmp_path / "s.h5")
     assert journal_path(tmp_path / "s.h5").exists()
 
 
 def test_a_running_test_cannot_be_recovered(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
-    with pytest.raises(JournalError, match="still runs"):
+    with pytest.raises(JournalError, check=coded("journal.running")):
         recover(tmp_path / "s.h5")
     recorder.abandon()
 
 
 def test_nothing_to_recover(tmp_path):
-    with pytest.raises(UnusableInputError, match="nothing to recover"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.no_file")):
         recover(tmp_path / "s.h5")
     record(tmp_path / "s.h5", 2)
-    with pytest.raises(UnusableInputError, match="nothing to recover"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.no_journal")):
         recover(tmp_path / "s.h5")
     (tmp_path / "t.h5.journal").write_bytes(b"something else entirely")
-    with pytest.raises(UnusableInputError, match="not a journal"):
+    with pytest.raises(UnusableInputError, check=coded("journal.not_one")):
         recover(tmp_path / "t.h5")
 
 
 def test_an_empty_journal_is_taken_out_of_the_way(tmp_path):
     journal = tmp_path / "s.h5.journal"
     journal.write_bytes(b"")
-    with pytest.raises(UnusableInputError, match=r"was empty: nothing had been recorded\. It is removed"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.empty")):
         recover(tmp_path / "s.h5")
     assert not journal.exists()
     record(tmp_path / "s.h5", 2)
 
 
-def test_a_journal_without_a_whole_entry_is_kept_and_said_to_be_no_loss(tmp_path):
+def test_a_journal_without_an_entry_is_kept_and_can_be_deleted(tmp_path):
     journal = tmp_path / "s.h5.journal"
     journal.write_bytes(MAGIC)
-    with pytest.raises(UnusableInputError, match=r"before anything was recorded; delete .* if it is in the way"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.delete", path=str(journal))):
         recover(tmp_path / "s.h5")
     assert journal.exists()
 
@@ -343,16 +343,16 @@ def test_an_empty_test_is_not_made_up(tmp_path):
     recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     recorder.begin_test(Run(0, 100), **ATTRIBUTES)
     recorder.abandon()
-    with pytest.raises(UnusableInputError, match="holds no sample"):
+    with pytest.raises(UnusableInputError, check=coded("recovery.nothing")):
         recover(tmp_path / "s.h5")
 
 
 def test_an_unfinished_session_is_not_written_over(tmp_path):
     record(tmp_path / "s.h5", 2, finish=False)
-    with pytest.raises(JournalError, match="run 'tissueid recover' first"):
+    with pytest.raises(JournalError, check=coded("journal.exists")):
         SessionRecorder(tmp_path / "s.h5", DeviceDescription())
     record(tmp_path / "t.h5", 2)
-    with pytest.raises(SessionFormatError, match="never overwritten"):
+    with pytest.raises(SessionFormatError, check=coded("session.exists")):
         SessionRecorder(tmp_path / "t.h5", DeviceDescription())
 
 
@@ -389,9 +389,9 @@ def test_a_full_disk_is_said_and_nothing_acknowledged_is_lost(tmp_path, monkeypa
 
     monkeypatch.setattr(Journal, "_write", full)
     journal.append(encode_json(Entry.EVENT, {"n": 2}))
-    with pytest.raises(JournalError, match="No space left on device"):
+    with pytest.raises(JournalError, check=coded("journal.failed", reason="No space left on device")):
         journal.sync()
-    with pytest.raises(JournalError, match="No space left on device"):
+    with pytest.raises(JournalError, check=coded("journal.failed", reason="No space left on device")):
         journal.append(encode_json(Entry.EVENT, {"n": 3}))
     assert journal.synced == 1
     journal.close()
@@ -408,7 +408,7 @@ def test_a_full_disk_is_said_and_nothing_acknowledged_is_lost(tmp_path, monkeypa
         [],
     ],
 )
-def test_a_journal_that_makes_no_sense_is_refused(tmp_path, entries):
+def test_an_invalid_journal_is_refused(tmp_path, entries):
     path = tmp_path / "s.h5.journal"
     path.write_bytes(MAGIC + b"".join(entries))
     with pytest.raises(UnusableInputError):

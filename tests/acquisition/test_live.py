@@ -1,4 +1,4 @@
-"""Identification beside a running test: what it finds, when it says enough, and that it never disturbs."""
+"""Identification during a test: its results, its stop rule, and that it never delays the test."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import threading
 
 import numpy as np
 import pytest
+from coded import coded, says
 from plant_support import bench_record
 from pydantic import ValidationError
 
@@ -17,8 +18,9 @@ from tissueid.acquisition.live import LiveIdentification
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.online.stopping import StopRule
+from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import SAMPLE, SimulatedInstrument
+from tissueid.messages import code_of
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -38,7 +40,7 @@ def samples() -> np.ndarray:
 
 
 def stepped(samples: np.ndarray, poll: int = 100, **options) -> LiveIdentification:
-    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, apart=False, **options)
+    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, separate_process=False, **options)
     for first in range(0, samples.size, poll):
         live.feed(samples[first : first + poll])
         live.step()
@@ -81,7 +83,7 @@ def test_nothing_but_the_preload_is_nothing(samples):
 
 def test_enough_is_said_once_the_rule_is_met_and_not_by_the_last_look(samples):
     rule = StopRule(targets={"damping": 0.06}, looks=3)
-    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, stop=rule, apart=False)
+    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, stop=rule, separate_process=False)
     said = None
     for first in range(0, samples.size, 100):
         live.feed(samples[first : first + 100])
@@ -94,14 +96,16 @@ def test_enough_is_said_once_the_rule_is_met_and_not_by_the_last_look(samples):
     assert 1.0 <= said.seconds < 4.0
     assert np.all(shares[-3:] <= 0.06)
     assert not (np.all(shares[-4:-1] <= 0.06) and said.seconds > 1.25)  # not a look sooner
-    assert live.reason == f"damping known to {100.0 * shares[-1]:.2g} % (6 % was asked)"
+    (known,) = live.reason.values["found"].items
+    assert says(known, "stop_rule.known", name="damping", target=6.0)
+    assert known.values["percent"] == pytest.approx(100.0 * shares[-1])
     never = stepped(samples, stop=StopRule(targets={"stiffness": 0.001}))
     never.close()
     assert not never.enough()
 
 
 def test_a_backlog_is_taken_at_once(samples):
-    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, apart=False)
+    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, separate_process=False)
     live.feed(samples)
     assert live.step()
     assert not live.step()
@@ -111,7 +115,7 @@ def test_a_backlog_is_taken_at_once(samples):
 
 
 def test_samples_left_out_are_gaps_and_long_runs_find_room(samples):
-    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, apart=False)
+    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, separate_process=False)
     live.feed(samples[:5000])
     live.feed(samples[5003:])
     live.feed(samples[5000:5003])  # too late
@@ -125,16 +129,16 @@ def test_samples_left_out_are_gaps_and_long_runs_find_room(samples):
     assert live.latest().vaf_percent == pytest.approx(75.0, abs=3.0)
 
 
-def test_what_goes_wrong_is_kept_and_ends_nothing(samples, monkeypatch):
-    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, apart=False)
+def test_an_error_is_kept_and_does_not_end_the_test(samples, monkeypatch):
+    live = LiveIdentification(DEVICE, preload_s=PRELOAD_S, separate_process=False)
 
     def fails(*_):
         raise ZeroDivisionError("no such thing")
 
-    monkeypatch.setattr("tissueid.acquisition.live_looks.view", fails)
+    monkeypatch.setattr("tissueid.acquisition.live_estimator.view", fails)
     live.feed(samples)
     live.step()
-    assert live.problem == "live identification ended by a defect: ZeroDivisionError: no such thing"
+    assert says(live.problem, "live.defect", kind="ZeroDivisionError", error="no such thing")
     live.feed(samples)
     assert not live.step()
     live.close()
@@ -159,59 +163,59 @@ def test_a_process_of_its_own_finds_the_same(samples):
     assert not any(thread.name == "live identification" for thread in threading.enumerate())
 
 
-def test_a_process_that_dies_is_told_and_the_feeding_goes_on(samples):
+def test_a_process_that_dies_is_reported_and_feeding_continues(samples):
     live = LiveIdentification(DEVICE, preload_s=PRELOAD_S)
-    live._looks._process.kill()
-    live._looks._threads[1].join()
+    live._estimator._process.kill()
+    live._estimator._threads[1].join()
     for first in range(0, samples.size, 100):
         live.feed(samples[first : first + 100])
-    assert live.problem == "live identification ended unexpectedly"
+    assert says(live.problem, "live.ended")
     live.feed(samples)
     live.close()
     assert live.latest() is None
     assert not live.enough()
 
 
-def test_a_process_that_cannot_be_started_is_told(samples, monkeypatch):
+def test_a_process_that_cannot_be_started_is_reported(samples, monkeypatch):
     monkeypatch.setattr("sys.executable", "/no/such/python")
     live = LiveIdentification(DEVICE, preload_s=PRELOAD_S)
     live.feed(samples)
     live.close()
-    assert live.problem == "live identification could not be started: No such file or directory"
+    assert says(live.problem, "live.not_started", reason="No such file or directory")
 
 
-@pytest.mark.parametrize("apart", [False, True])
-def test_options_that_do_not_hold_are_refused_before_a_process_is_started(apart, monkeypatch):
+@pytest.mark.parametrize("separate_process", [False, True])
+def test_invalid_settings_are_refused_before_a_process_is_started(separate_process, monkeypatch):
     monkeypatch.setattr("subprocess.Popen", None)
-    with pytest.raises(UnusableInputError, match=r"a window of 10 s is shorter than two memories of 6 s: lengthen it"):
-        LiveIdentification(DEVICE, memory=6.0, apart=apart)
+    with pytest.raises(UnusableInputError, check=coded("online.short_window", window=10.0, memory=6.0)):
+        LiveIdentification(DEVICE, memory=6.0, separate_process=separate_process)
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "said"),
     [
         (
             b'{"sample_rate_hz": 2000.0, "memory": 6.0}',
             "a window of 10 s is shorter than two memories of 6 s: lengthen",
         ),
-        (b'{"memory": 6.0}', "live identification ended by a defect: ValidationError: 1 validation error"),
+        (b'{"memory": 6.0}', "live.defect"),
     ],
 )
-def test_the_process_tells_in_words_what_ends_it(settings, told):
+def test_the_process_reports_the_error_that_ends_it(settings, said):
     ended = subprocess.run(
         [sys.executable, "-P", "-c", live_process._COMMAND], input=settings + b"\n", capture_output=True, timeout=60.0
     )
-    news = pickle.loads(ended.stdout)  # noqa: S301 - written by the process that was started above
-    assert news.problem.startswith(told)
-    assert "\n" not in news.problem
+    update = pickle.loads(ended.stdout)  # noqa: S301 - written by the process that was started above
+    assert code_of(update.problem) == said or update.problem.startswith(said)
+    assert "\n" not in update.problem
     assert ended.stderr == b""
 
 
 def test_out_of_bounds():
-    with pytest.raises(UnusableInputError, match=r"a window of 0\.2 s is shorter than two memories"):
-        LiveIdentification(DEVICE, window_s=0.2, apart=False)
+    with pytest.raises(UnusableInputError, check=coded("online.short_window", window=0.2)):
+        LiveIdentification(DEVICE, window_s=0.2, separate_process=False)
     with pytest.raises(ValidationError):
-        LiveIdentification(DEVICE, memory=-1.0, apart=False)
+        LiveIdentification(DEVICE, memory=-1.0, separate_process=False)
 
 
 def test_beside_a_guided_test_that_it_ends(tmp_path):
@@ -219,7 +223,7 @@ def test_beside_a_guided_test_that_it_ends(tmp_path):
     test = GuidedTest(guided(noise, PRELOAD_S), "left forearm")
     instrument = SimulatedInstrument("baseline", seed=4)
     live = LiveIdentification(
-        instrument.device, preload_s=PRELOAD_S, stop=StopRule.from_words(["stiffness=0.008"]), apart=False
+        instrument.device, preload_s=PRELOAD_S, stop=StopRule.from_words(["stiffness=0.008"]), separate_process=False
     )
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
 
@@ -234,7 +238,7 @@ def test_beside_a_guided_test_that_it_ends(tmp_path):
     recorded = recorder.finish().test(number)
     assert live.enough()
     assert recorded.status == "completed"
-    assert "(0.8 % was asked)" in recorded.notes["reason"]
+    assert "(target 0.8 %)" in recorded.notes["reason"]
     assert 2000 < recorded.samples < 9000
     whole = Lms().fit(recorded.record()).report.parameters["stiffness_n_per_m"]
     assert live.latest().parameters["stiffness"].value == pytest.approx(whole.value, rel=1e-6)

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded, holding
 from safety.rigs import last_energised, without_firmware, without_host
 from support import LoopbackLink
 
@@ -14,10 +15,11 @@ from firmware_sim.limits import LIFT_S
 from firmware_sim.models import MODELS
 from firmware_sim.tissue import FREE_AIR
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
-from tissueid.acquisition.placing import Orientation, Placement, orientation_of, place, place_in_air
 from tissueid.acquisition.quality import quality_of
+from tissueid.acquisition.surface_detection import Orientation, Placement, orientation_of, place, place_in_air
 from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SimulatedInstrument
+from tissueid.messages import code_of
 
 RATE = 2000.0
 GENTLE = NoiseChoice(min_force_n=1.5, max_force_n=6.0, seconds=1.0).stimulus(RATE)
@@ -59,23 +61,23 @@ def test_a_turn_between_placing_and_test_is_found(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("along", "across", "measured", "words"),
+    ("along", "across", "measured", "code"),
     [
         (9.8, 0.1, True, ""),
         (-6.9, 6.9, True, ""),
         (3.0, 2.0, True, ""),
-        (14.0, 0.0, False, "which cannot be"),
-        (0.0, 0.0, False, "reads nothing"),
-        (np.nan, 0.0, False, "tells nothing"),
+        (14.0, 0.0, False, "placing.implausible"),
+        (0.0, 0.0, False, "placing.zero"),
+        (np.nan, 0.0, False, "placing.no_acceleration"),
     ],
 )
-def test_an_accelerometer_that_cannot_be_right_is_not_believed(along, across, measured, words):
+def test_an_implausible_accelerometer_is_not_used(along, across, measured, code):
     found = orientation_of(np.full(400, along), np.full(400, across))
     assert found.measured is measured
-    assert words in found.why
+    assert code_of(found.why) == code
     if not measured:
         assert found.along_m_s2 == pytest.approx(9.80665)
-        assert "straight down" in str(found.as_notes()["orientation"])
+        assert found.as_notes()["orientation"] == str(found.why)
         assert "gravity_across_stroke_m_s2" not in found.as_notes()
     json.dumps(found.as_notes(), allow_nan=False)
 
@@ -85,7 +87,7 @@ def test_a_third_axis_may_hold_the_rest_of_gravity():
     assert Orientation(4.903, 0.0, measured=True).tilt_deg == pytest.approx(60.0, abs=0.1)
 
 
-def test_an_accelerometer_without_sense_leaves_straight_down(tmp_path):
+def test_an_implausible_accelerometer_leaves_straight_down(tmp_path):
     instrument = SimulatedInstrument()
     poll = instrument.poll
 
@@ -99,16 +101,18 @@ def test_an_accelerometer_without_sense_leaves_straight_down(tmp_path):
     run_guided_test(instrument, GuidedTest(GENTLE, "arm"), recorder)
     notes = recorder.finish().test().notes
     assert notes["gravity_along_stroke_m_s2"] == pytest.approx(9.80665)
-    assert "21.0 m/s² at rest, which cannot be" in notes["orientation"]
+    assert "21.0 m/s²" in notes["orientation"]
 
 
 # -- the near end of the stroke, where a probe that points upwards rests -------------------------------------------
 
 
 def upwards(monkeypatch, side):
-    """A device that points upwards, with only one side watching; and the error by which that side ends a run."""
+    """Return a device that points upwards, watched by one side only, the error of that side and a check of it."""
     (without_firmware if side == "host" else without_host)(monkeypatch)
-    return held(180.0), LimitError if side == "host" else FirmwareFaultError
+    if side == "host":
+        return held(180.0), LimitError, coded("limit.position")
+    return held(180.0), FirmwareFaultError, holding("fault.stroke")
 
 
 each_side = pytest.mark.parametrize("side", ["host", "firmware"])
@@ -117,12 +121,12 @@ each_side = pytest.mark.parametrize("side", ["host", "firmware"])
 @each_side
 def test_a_probe_that_stays_at_the_near_end_is_released(monkeypatch, side):
     """Half a second it may take to lift off; then the near limit counts, on the host and in the firmware."""
-    instrument, error = upwards(monkeypatch, side)
+    instrument, error, check = upwards(monkeypatch, side)
     instrument.load(np.full(6000, 1.0))  # 0.25 N: less than its weight
     instrument.arm(CLINICAL)
     run = instrument.start()
     blocks = []
-    with pytest.raises(error, match="end of its stroke"):
+    with pytest.raises(error, check=check):
         blocks.extend(instrument.poll(0.05) for _ in range(400))
     assert not instrument._link.firmware.energised
     assert 0 <= last_energised(np.concatenate(blocks)) - (run.first_index + LIFT_S * RATE) <= 60
@@ -130,13 +134,13 @@ def test_a_probe_that_stays_at_the_near_end_is_released(monkeypatch, side):
 
 @each_side
 def test_once_lifted_the_near_limit_counts_at_once(monkeypatch, side):
-    instrument, error = upwards(monkeypatch, side)
+    instrument, error, check = upwards(monkeypatch, side)
     volts = np.concatenate([np.full(500, 8.0), np.full(3000, -2.0)])  # up, and back before half a second is over
     instrument.load(volts)
     instrument.arm(CLINICAL)
     run = instrument.start()
     blocks = []
-    with pytest.raises(error, match="end of its stroke"):
+    with pytest.raises(error, check=check):
         blocks.extend(instrument.poll(0.05) for _ in range(400))
     assert not instrument._link.firmware.energised
     samples = np.concatenate(blocks)
@@ -160,7 +164,7 @@ def test_in_free_air_nothing_is_pressed_and_the_probe_is_where_it_lies(tmp_path)
 
 
 def test_in_free_air_it_must_lie_level():
-    with pytest.raises(UnusableInputError, match="lay the instrument level, it points 45 degrees"):
+    with pytest.raises(UnusableInputError, check=coded("placing.not_level")):
         place_in_air(held(45.0, tissue=FREE_AIR))
 
 
@@ -180,8 +184,9 @@ class Reading:
 
 
 @pytest.mark.parametrize(
-    ("position_m", "says"), [(0.0, "at the end of its stroke"), (0.0319, "push it to the middle"), (np.nan, "the link")]
+    ("position_m", "code"),
+    [(0.0, "placing.at_end_in_air"), (0.0319, "placing.at_end_in_air"), (np.nan, "placing.no_position")],
 )
-def test_a_probe_that_lies_at_an_end_in_free_air_is_refused(position_m, says):
-    with pytest.raises(UnusableInputError, match=says):
+def test_a_probe_at_an_end_in_free_air_is_refused(position_m, code):
+    with pytest.raises(UnusableInputError, check=coded(code)):
         place_in_air(Reading(position_m))

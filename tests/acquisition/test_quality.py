@@ -1,4 +1,4 @@
-"""The quality gate: quiet on good tests, and each finding on the fault that it is for."""
+"""The quality gate: no finding on good tests, and the right finding for each fault."""
 
 import json
 import tracemalloc
@@ -9,15 +9,20 @@ from functools import partial
 import numpy as np
 import pytest
 from acquisition.simulated_tests import DEVICE, RATE, Desk, move, with_signal
+from coded import says
 from support import connect
 
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
 from tissueid.acquisition.quality import Quality, QualityFinding, QualityGate, gate, judge, judge_session, quality_of
+from tissueid.acquisition.quality.texts import AIR, SPRING, TISSUE
 from tissueid.device import DeviceDescription
-from tissueid.instrument.answers import describe_faults
-from tissueid.instrument.judge import BY_CURRENT
+from tissueid.instrument.replies import describe_faults
+from tissueid.instrument.sample_monitor import BY_CURRENT
+from tissueid.language import set_language
+from tissueid.messages import Message, translated
 from tissueid.sessions import Session, Test, read_session
-from tissueid.sessions.quality import worst_first
+from tissueid.sessions.model import reason_notes
+from tissueid.sessions.quality import HEADLINES, worst_first
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.wire import Fault
@@ -32,7 +37,7 @@ def good():
     return Desk().run()
 
 
-# -- nothing to say ----------------------------------------------------------------------------------------------
+# -- good tests -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tissue", ["left-posterior-forearm", "upper-arm", "acrylamide-10", "latex", "linear-demo"])
@@ -59,31 +64,28 @@ def test_the_small_test_of_the_demo_is_not_called_noisy():
     assert judge(Desk().run(guided(noise.build(), 0.5)), DEVICE).verdict == "good"
 
 
-def test_a_test_that_ends_within_its_preload_is_told_how_long_that_was_held(good):
+def test_a_test_that_ends_within_its_preload_reports_its_length(good):
     cut = {name: values[: round(0.2 * RATE)] for name, values in good.signals.items()}
     findings = found(replace(good, signals=cut, status="aborted", notes=good.notes | {"reason": "interrupted"}))
-    assert (
-        "after 0.20 of the 0.50 s of its preload, without any stimulus: interrupted." in findings["ended_early"].words
-    )
+    words = findings["ended_early"].words
+    assert says(words, "quality.ended_early", reason="interrupted")
+    assert says(words.values["when"], "quality.ended_early.preload", held=0.2, preload=0.5)
     assert findings["ended_early"].severity == "repeat"
     assert "preload_short" not in findings
 
 
 @pytest.mark.parametrize("reason", [describe_faults(Fault.OVER_TEMPERATURE), f"the coil is at 80 °C {BY_CURRENT}"])
-def test_a_test_that_the_calculated_temperature_ended_is_told_so(good, reason):
+def test_a_test_ended_by_the_calculated_temperature_is_reported(good, reason):
     notes = good.notes | {"reason": f"the instrument released the coil: {reason}", "limit_max_temperature_c": 80.0}
     ended = replace(with_signal(good, "temperature", np.full(good.samples, 60.0)), status="aborted", notes=notes)
-    words = found(ended)["coil_warm"].words
-    assert "it was the calculation" in words.lower()
-    assert "limit of 80 °C" in words
-    assert "read 60 °C" in words
+    assert says(found(ended)["coil_warm"].words, "quality.coil_warm.calculated", limit=80.0, read=60.0)
     by_sensor = with_signal(ended, "temperature", np.full(good.samples, 81.0))
-    assert found(by_sensor)["coil_warm"].words == "The coil was at 81 °C."
+    assert says(found(by_sensor)["coil_warm"].words, "quality.coil_warm", hottest=81.0)
 
 
-def test_warnings_of_the_calibration_end_like_sentences(good):
+def test_warnings_of_the_calibration_end_with_a_full_stop(good):
     known = {"state": "stale", "verdict": "passed", "warnings": "a.toml: it is 100 days old: calibrate again"}
-    assert found(good, device=replace(DEVICE, calibration=known))["calibration_stale"].words.endswith("again.")
+    assert found(good, device=replace(DEVICE, calibration=known))["calibration_stale"].words[-1] == "."
 
 
 # -- each fault has its finding ----------------------------------------------------------------------------------
@@ -169,38 +171,57 @@ def hurried(desk):
 
 
 FAULTS = {
-    "probe_lifted": ("look", lifting, "left the skin"),
-    "reference_moved": ("look", jumping, "jumped by 0.39 mm at 2.0 s"),
-    "sensor_stuck": ("repeat", sticking, "position stood still"),
-    "coil_open": ("repeat", cut, "current"),
-    "saturated": ("repeat", sagging, "amplifier"),
-    "noisy_position": ("look", noisy, "noisy"),
-    "samples_lost": ("look", losing, "400 of 7\u202f000 samples"),
-    "shock": ("look", knocked, "1.5 s into the test"),
-    "orientation_changed": ("repeat", turned, "turned by 20"),
-    "end_of_stroke": ("look", at_the_end, "outer end"),
-    "coil_warm": ("look", warm, "°C"),
-    "setpoints_late": ("look", late, "400 samples"),
-    "ended_early": ("repeat", aborted, "the button was pressed"),
-    "preload_short": ("note", hurried, "0.10 s"),
+    "probe_lifted": ("look", lifting, "probe_lifted", {}),
+    "reference_moved": ("look", jumping, "reference_moved.jump", {"size": 0.39, "seconds": 2.0}),
+    "sensor_stuck": ("repeat", sticking, "sensor_stuck", {"signal": "position"}),
+    "coil_open": ("repeat", cut, "coil_open", {}),
+    "saturated": ("repeat", sagging, "saturated.amplifier", {}),
+    "noisy_position": ("look", noisy, "noisy", {"signal": "position"}),
+    "samples_lost": ("look", losing, "samples_lost", {"lost": 400, "samples": 7000, "gap": 200.0}),
+    "shock": ("look", knocked, "shock", {"seconds": 1.5}),
+    "orientation_changed": ("repeat", turned, "orientation_changed", {"degrees": 20.3}),
+    "end_of_stroke": ("look", at_the_end, "end_of_stroke.outer", {}),
+    "coil_warm": ("look", warm, "coil_warm", {}),
+    "setpoints_late": ("look", late, "setpoints_late", {"held": 400.0}),
+    "ended_early": ("repeat", aborted, "ended_early", {"reason": "the button was pressed"}),
+    "preload_short": ("note", hurried, "preload_short", {"seconds": 0.1}),
 }
 
 
 @pytest.mark.parametrize("code", FAULTS)
-def test_a_fault_is_found_and_said_in_words(code):
-    severity, spoil, words = FAULTS[code]
+def test_a_fault_has_its_finding_in_both_languages(code):
+    severity, spoil, message, values = FAULTS[code]
     finding = found(spoil(Desk()))[code]
     assert finding.severity == severity
-    assert words in finding.words
+    assert says(finding.words, f"quality.{message}")
+    for name, value in values.items():
+        known = finding.words.values[name]
+        assert known == (pytest.approx(value, rel=0.03) if isinstance(value, float) else value)
     assert not finding.words[0].islower()
     assert finding.words.endswith(".")
     assert finding.advice.endswith(".")
     assert finding.value is not None
+    set_language("de")
+    try:
+        assert translated(finding.words) != finding.words
+        assert translated(finding.advice) != finding.advice
+        assert "tissueid" not in translated(finding.advice)
+    finally:
+        set_language("en")
 
 
-def test_a_drift_is_told_from_a_jump():
+def test_every_text_of_the_gate_is_translated():
+    set_language("de")
+    try:
+        for texts in (TISSUE, SPRING, AIR):
+            assert [text for text in vars(texts).values() if translated(text) == text] == []
+    finally:
+        set_language("en")
+
+
+def test_a_drift_is_distinguished_from_a_jump():
     finding = found(drifting(Desk()))["reference_moved"]
-    assert "drifted" in finding.words
+    assert says(finding.words, "quality.reference_moved.drift")
     assert finding.value == pytest.approx(0.72e-3, rel=0.15)
 
 
@@ -209,8 +230,8 @@ def test_a_jump_during_the_preload_is_found(metres, severity):
     finding = found(Desk().run(hook=lambda bench, at: move(bench, metres) if at == 500 else None))["reference_moved"]
     assert finding.severity == severity
     assert finding.value == pytest.approx(abs(metres), rel=0.15)
-    assert finding.words.startswith("The reference surface moved: the position jumped by ")
-    assert " at 0.3 s " in finding.words or " at 0.2 s " in finding.words
+    assert says(finding.words, "quality.reference_moved.jump")
+    assert finding.words.values["seconds"] == pytest.approx(0.25, abs=0.1)
 
 
 @pytest.mark.parametrize("preload_s", [0.1, 0.3, 0.5, 2.0])
@@ -236,13 +257,14 @@ def test_a_preload_that_was_lost_or_stands_still_is_not_judged():
 def test_the_orientation_is_that_of_what_was_received_last():
     test = turned(Desk())
     signals = {name: np.where(np.arange(test.samples) < 5000, v, np.nan) for name, v in test.signals.items()}
-    assert "turned by 20" in found(replace(test, signals=signals))["orientation_changed"].words
+    words = found(replace(test, signals=signals))["orientation_changed"].words
+    assert words.values["degrees"] == pytest.approx(20.3, abs=0.3)
 
 
 @pytest.mark.parametrize("hertz", [50.0, 60.0, 100.0])
 def test_mains_are_named(hertz):
     finding = found(humming(Desk(), hertz))["mains"]
-    assert f"{hertz:.0f} Hz" in finding.words
+    assert says(finding.words, "quality.mains", hertz=hertz)
 
 
 def test_a_multisine_is_not_taken_for_mains():
@@ -320,8 +342,9 @@ def test_tissue_that_settles():
     first = desk.run()
     move(desk.bench, 0.2e-3)
     finding = found(desk.run(), (first,))["settling"]
-    assert "0.20 mm deeper" in finding.words
-    assert "leave the first" in finding.advice
+    assert says(finding.words, "quality.settling", direction="deeper", earlier="the first test at this site")
+    assert finding.words.values["size"] == pytest.approx(0.2, abs=0.005)
+    assert finding.advice == TISSUE.to_settle
     move(desk.bench, 0.1e-3)
     third = desk.run()
     assert "settling" in found(third, desk.tests[:2])
@@ -343,7 +366,7 @@ def test_other_commands_are_compared_by_their_parameters():
     tests = [replace(desk.run(), number=place) for place, desk in enumerate(desks, 1)]
     assert judge(tests[2], DEVICE, tests[:2]).verdict == "good"
     other = replace(Desk("acrylamide-30", 4, 0.010).run(), number=4)
-    assert "stiffness" in found(other, tests)["unusual"].words
+    assert "quality.unusual.stiffness" in {finding.words.code for finding in judge(other, DEVICE, tests).findings}
 
 
 def test_another_site_is_not_compared(good):
@@ -353,7 +376,9 @@ def test_another_site_is_not_compared(good):
 
 def test_a_surface_found_elsewhere(good):
     finding = found(replace(good, number=2, surface_position_m=good.surface_position_m + 2e-3), (good,))
-    assert "2.00 mm deeper" in finding["surface_changed"].words
+    words = finding["surface_changed"].words
+    assert says(words, "quality.surface_changed")
+    assert (words.template, words.values["size"]) == (TISSUE.deeper, pytest.approx(2.0))
 
 
 # -- whatever comes in -------------------------------------------------------------------------------------------
@@ -381,7 +406,7 @@ def test_any_record_can_be_judged(kind, signals):
 
 
 def test_a_defect_of_the_gate_costs_no_test(good, monkeypatch):
-    def broken(_evidence):
+    def broken(_prepared):
         raise ZeroDivisionError
 
     monkeypatch.setattr(gate, "CHECKS", (broken,))
@@ -390,7 +415,7 @@ def test_a_defect_of_the_gate_costs_no_test(good, monkeypatch):
     assert quality.verdict == "look"
 
 
-def test_a_session_whose_figures_make_no_sense_is_told_so(good):
+def test_a_session_with_impossible_values_is_not_good(good):
     senseless = replace(DEVICE, force_constant_n_per_a=0.0, coil_resistance_ohm=0.0)
     slow = replace(good, sample_rate_hz=0.5)
     for session in (Session(senseless, tests=(good,)), Session(DEVICE, tests=(slow,))):
@@ -428,14 +453,14 @@ def test_a_gate_remembers_no_more_than_it_should(good, monkeypatch):
 # -- kept with the test ------------------------------------------------------------------------------------------
 
 
-def test_the_verdict_is_worst_and_comes_first():
+def test_the_verdict_is_that_of_the_worst_finding():
     note, look = (QualityFinding(code, code, "Words.", "Advice.") for code in ("note", "look"))
     assert Quality((note,)).verdict == "good"
     assert Quality((look, note)).verdict == "look"
-    assert Quality((look, note)).headline == "Read this before you use the test"
+    assert Quality((look, note)).headline == HEADLINES["look"]
 
 
-def test_it_is_in_the_file_before_the_file_is_closed(tmp_path):
+def test_the_session_file_holds_the_result(tmp_path):
     instrument = connect()
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device)
     for _ in range(2):
@@ -465,12 +490,12 @@ def test_it_is_in_the_file_before_the_file_is_closed(tmp_path):
         "[" * 100_000,
     ],
 )
-def test_a_note_that_is_none_says_nothing(good, note):
+def test_an_invalid_note_is_ignored(good, note):
     notes = {} if note is None else {"quality": note}
     assert quality_of(replace(good, notes=notes)) is None
 
 
-def test_a_note_from_elsewhere_is_cut_to_what_it_may_be(good):
+def test_a_hostile_note_is_limited(good):
     sound = {"code": "c", "severity": "look", "words": "w" * 5000, "advice": "a", "value": 1e400}
     items = [{"severity": "fatal"}, 7, sound, {**sound, "words": None}, *[sound] * 200]
     kept = quality_of(replace(good, notes={"quality": json.dumps({"findings": items})}))
@@ -478,6 +503,26 @@ def test_a_note_from_elsewhere_is_cut_to_what_it_may_be(good):
     assert 0 < len(kept.findings) < 60
     assert len(kept.findings[0].words) == 1000
     assert kept.findings[0].value is None
+
+
+def test_stored_findings_keep_code_and_values(good):
+    ended = replace(good, status="aborted", notes=good.notes | reason_notes(Message("t.why", "at {x:.1f}", x=0.25)))
+    finding = found(ended)["ended_early"]
+    assert says(finding.words.values["reason"], "t.why", x=0.25)
+    kept = quality_of(replace(ended, notes=ended.notes | judge(ended, DEVICE).as_notes()))
+    again = next(item for item in kept.findings if item.code == "ended_early")
+    assert again == finding
+    assert says(again.words.values["reason"], "t.why", x=0.25)
+
+
+def test_findings_without_messages_still_read(good):
+    old = {"code": "c", "severity": "look", "words": "Words.", "advice": "Advice.", "value": 0.1}
+    notes = {"quality": json.dumps({"verdict": "look", "findings": [old]})}
+    assert quality_of(replace(good, notes=notes)).lines == ("Words. Advice.",)
+    long = {"template": "w" * 5000, "code": "c", "values": {}}
+    for messages in (None, 7, {"words": 3}, {"words": long, "advice": {"template": "{a}"}}):
+        notes = {"quality": json.dumps({"findings": [old | {"messages": messages}]})}
+        assert quality_of(replace(good, notes=notes)).lines == ("Words. Advice.",)
 
 
 def test_old_sessions_can_be_judged(good):

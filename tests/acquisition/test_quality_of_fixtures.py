@@ -1,4 +1,4 @@
-"""The quality gate on the calibration spring and on a free probe: its words are about these, not about skin."""
+"""The quality gate on the calibration spring and on a free probe: its texts name these, not skin."""
 
 import re
 from dataclasses import replace
@@ -8,6 +8,7 @@ import pytest
 from acquisition.simulated_tests import DEVICE, RATE, Desk, with_signal
 
 from tissueid.acquisition.quality import judge
+from tissueid.acquisition.quality.texts import SPRING
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
 
@@ -25,10 +26,10 @@ def swung(tissue, low_n, high_n):
     return replace(test, kind="spring", surface_position_m=np.nan)
 
 
-def test_a_spring_that_is_lost_is_not_told_to_raise_the_lowest_force():
+def test_lost_contact_with_a_spring_has_its_own_advice():
     finding = found(swung("left-posterior-forearm", -6.0, 6.0))["probe_lifted"]
-    assert finding.words.startswith("The probe left the calibration spring for ")
-    assert finding.advice.startswith("Fix the spring to the probe at both its ends, or set it deeper under the probe")
+    assert finding.words.template == SPRING.unpressed
+    assert finding.advice == SPRING.to_press
 
 
 def test_a_spring_that_is_fixed_to_the_probe_is_pulled_and_not_lost():
@@ -36,7 +37,7 @@ def test_a_spring_that_is_fixed_to_the_probe_is_pulled_and_not_lost():
 
 
 @pytest.mark.parametrize("kind", ["spring", "free_air"])
-def test_what_is_no_tissue_gets_no_advice_for_skin(kind):
+def test_fixtures_get_no_advice_for_skin(kind):
     desk = Desk("calibration-spring", seed=2)
     tests = [replace(desk.run(), kind=kind) for _ in range(2)]
     harmed = with_signal(tests[1], "position", tests[1].signals["position"] + 6e-4)

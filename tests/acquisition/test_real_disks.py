@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded
 from failing_disk import (
     a_sitting,
     posix,
@@ -67,9 +68,7 @@ def in_a_child(path: Path, limit: int, fill: str) -> tuple[int, str]:
 @posix
 def test_a_file_that_the_system_lets_grow_no_further(tmp_path):
     acknowledged, words = in_a_child(tmp_path / "s.h5", 1_000_000, "no")
-    assert words.startswith(
-        f"cannot write {tmp_path / 's.h5.journal'}: File too large. What was recorded before is kept"
-    )
+    assert words.startswith(f"cannot write {tmp_path / 's.h5.journal'}: File too large. ")
     assert acknowledged == 14_000  # 924 kB, and some 5 kB a second of whose they are
     position = recover(tmp_path / "s.h5")[1].test().signals["position"]
     np.testing.assert_array_equal(position, np.arange(acknowledged))
@@ -94,7 +93,7 @@ def small_disk(tmp_path):
 @pytest.mark.soak
 def test_a_file_system_that_is_really_full(tmp_path, small_disk):
     acknowledged, words = in_a_child(small_disk / "s.h5", 0, "fill")
-    assert "No space left on device. What was recorded before is kept" in words
+    assert "No space left on device. " in words
     out = tmp_path / "out.h5"
     with pytest.raises(OSError, match="No space left on device"):
         recover(small_disk / "s.h5")
@@ -111,7 +110,7 @@ def test_a_session_that_fills_the_file_system_leaves_no_half_of_it(small_disk):
     with (small_disk / "ballast").open("wb") as ballast:
         ballast.truncate(0)
         os.posix_fallocate(ballast.fileno(), 0, shutil.disk_usage(small_disk).free - 300_000)
-    with pytest.raises(JournalError, match=r"No space left on device.*is kept in"):
+    with pytest.raises(JournalError, check=coded("recording.kept", reason="No space left on device")):
         recorder.finish()
     assert sorted(path.name for path in small_disk.iterdir()) == ["ballast", "s.h5.journal"]
     (small_disk / "ballast").unlink()

@@ -4,15 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from coded import coded, says, shows
 from support import connect, connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.acquisition import NoiseChoice
-from tissueid.acquisition.resting import foresee, rest, temperature_c
+from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
 from tissueid.cli import main
 from tissueid.device import DESKTOP, HANDHELD
 from tissueid.errors import CancelledError
 from tissueid.sessions import read_session
+from tissueid.sessions.quality import quality_of
 from tissueid.stimuli.base import to_voltage
 
 
@@ -22,30 +24,31 @@ def command(device, most_n=10.5, seconds=4.0):
 
 
 def foreseen(repeats, rest_s=0.0, device=DESKTOP, begin_c=23.0, **noise):
-    return foresee(command(device, **noise), device, repeats=repeats, rest_s=rest_s, begin_c=begin_c, limit_c=80.0)
+    return predict_heating(
+        command(device, **noise), device, repeats=repeats, rest_s=rest_s, begin_c=begin_c, limit_c=80.0
+    )
 
 
 def test_the_coil_warms_as_its_heat_capacity_says():
     joules = float(np.sum(command(DESKTOP) ** 2)) / 2000.0 / 12.0
     first = foreseen(1).temperatures_c[0]
     assert first == pytest.approx(23.0 + joules / 16.5, abs=1.0)  # less what it lost, more what warm copper adds
-    assert foreseen(1).words == ""
+    assert foreseen(1).warning == ""
 
 
 def test_five_default_repeats_on_the_desktop_need_a_rest():
     found = foreseen(5)
     assert found.first_too_warm == 5
-    assert "test 5 of 5 warms the coil" in found.words
-    assert f"--rest {found.rest_s:.0f} keeps it below" in found.words
-    assert foreseen(4).words == ""
-    assert foreseen(5, rest_s=found.rest_s).words == ""
-    assert foreseen(5, rest_s=found.rest_s - 5.0).words != ""
+    assert says(found.warning, "test.needs_rest", test=5, count=5, rest=found.rest_s)
+    assert foreseen(4).warning == ""
+    assert foreseen(5, rest_s=found.rest_s).warning == ""
+    assert foreseen(5, rest_s=found.rest_s - 5.0).warning != ""
 
 
-def test_what_no_rest_helps_is_said():
+def test_heat_that_no_rest_prevents_is_reported():
     found = foreseen(1, begin_c=70.0)
     assert found.rest_s is None
-    assert "ask for less force, or shorter tests" in found.words
+    assert says(found.warning, "test.too_warm", test=1)
 
 
 def test_many_repeats_come_to_a_balance():
@@ -65,7 +68,7 @@ def test_rest_lasts_by_the_clock_of_the_instrument_and_can_be_cancelled():
     rest(instrument, 2.0, progress=seen.append)
     assert instrument._link.now - before == pytest.approx(2.0, abs=0.1)
     assert seen[-1] == 1.0
-    with pytest.raises(CancelledError, match="cancelled between two tests"):
+    with pytest.raises(CancelledError, check=coded("test.cancelled_between")):
         rest(instrument, 2.0, cancelled=lambda: True)
 
 
@@ -80,13 +83,15 @@ def run(tmp_path, *arguments):
     return main([*map(str, ["test", "--device", "x", "--site", "arm", *files, *arguments])])
 
 
-def test_without_rest_it_is_foretold_stopped_and_all_is_kept(desktop, tmp_path, capsys):
+def test_without_rest_a_warning_precedes_the_stop_and_the_recording_is_kept(desktop, tmp_path, capsys):
     assert run(tmp_path, "--repeats", 2, "--min-force", 8.5, "--max-force", 12) == 2
-    told = capsys.readouterr().err
-    assert "warning: by calculation test 2 of 2 warms the coil" in told
+    printed = capsys.readouterr().err
+    assert printed.startswith("warning: ")
+    assert shows(printed, "test.needs_rest", test=2, count=2)
     tests = read_session(tmp_path / "s.h5").tests
     assert [test.status for test in tests] == ["completed", "aborted"]
-    assert "it was the calculation that ended the test" in str(tests[-1].notes["quality"]).lower()
+    codes = {finding.words.code for finding in quality_of(tests[-1]).findings}
+    assert "quality.coil_warm.calculated" in codes
     assert (tmp_path / "s.json").read_text().count('"status": "completed"') == 1
 
 
@@ -100,7 +105,7 @@ def test_with_the_rest_that_is_advised_all_repeats_are_completed(desktop, tmp_pa
 
 def test_rest_without_repeats_is_refused(desktop, tmp_path, capsys):
     assert run(tmp_path, "--rest", 5) == 2
-    assert "it goes with --repeats" in capsys.readouterr().err
+    assert "it needs --repeats" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from coded import coded, holding
 from failing_disk import (
     ATTRIBUTES,
     Disk,
@@ -16,7 +17,7 @@ from support import connect
 
 from tissueid.acquisition import JournalError, SessionRecorder, run_guided_test
 from tissueid.acquisition import recorder as recording
-from tissueid.audit import AuditError, AuditLog, Trail, last_lines, verify
+from tissueid.audit import AuditError, AuditLog, AuditTrail, last_lines, verify
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import Run
@@ -25,7 +26,7 @@ from tissueid.sessions import read_session_head
 
 def test_a_sitting_is_logged_and_its_session_carries_the_head(tmp_path):
     log = AuditLog(tmp_path / "audit.jsonl")
-    a_sitting(tmp_path / "jane-doe.h5", trail=Trail(log, "clinician")).finish()
+    a_sitting(tmp_path / "jane-doe.h5", trail=AuditTrail(log, "clinician")).finish()
     lines = last_lines(log.path, 100)
     assert [line.what for line in lines] == [
         "audit.started",
@@ -46,12 +47,12 @@ def test_a_sitting_is_logged_and_its_session_carries_the_head(tmp_path):
 def test_how_a_test_ended_is_logged_without_names_of_files(tmp_path):
     log = AuditLog(tmp_path / "audit.jsonl")
     instrument = connect()
-    recorder = SessionRecorder(tmp_path / "jane.h5", instrument.device, trail=Trail(log, "clinician"))
+    recorder = SessionRecorder(tmp_path / "jane.h5", instrument.device, trail=AuditTrail(log, "clinician"))
 
     def press(progress):
         instrument._link.firmware.bench.button = progress.fraction > 0.5
 
-    with pytest.raises(Exception, match="button"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=press)
     refused = FirmwareFaultError("it refuses")
     recorder.prepare(1000, site="forearm")
@@ -94,18 +95,18 @@ class Late:
 
 
 @pytest.mark.parametrize(
-    ("owner", "name", "only", "told"),
+    ("owner", "name", "only", "expected"),
     [
         (SessionRecorder, "_check_room", "", []),
         (AuditLog, "record", "test.begun", ["test.begun", "test.stopped"]),
     ],
 )
 def test_a_test_that_is_cancelled_while_it_is_prepared_has_an_end_in_the_log_or_no_beginning(
-    tmp_path, monkeypatch, owner, name, only, told
+    tmp_path, monkeypatch, owner, name, only, expected
 ):
     log = AuditLog(tmp_path / "audit.jsonl")
     instrument = connect()
-    trail = Trail(log, "clinician")
+    trail = AuditTrail(log, "clinician")
     recorder = SessionRecorder(tmp_path / "s.h5", instrument.device, trail=trail)
     late = Late(monkeypatch, owner, name, only)
     monkeypatch.setattr("tissueid.audit.trail.SETTLE_S", 0.01)
@@ -115,17 +116,17 @@ def test_a_test_that_is_cancelled_while_it_is_prepared_has_an_end_in_the_log_or_
     late.go_on.set()
     late.gone.wait()
     for thread in threading.enumerate():
-        if thread.name in ("work beside the instrument", "audit"):
+        if thread.name in ("background work", "audit"):
             thread.join()
     trail.settle()
     whats = [line.what for line in last_lines(log.path, 100)]
-    assert whats == ["audit.started", "session.begun", *told, "session.broken_off"]
+    assert whats == ["audit.started", "session.begun", *expected, "session.broken_off"]
     recorder.abandon()
 
 
 def test_limits_other_than_the_default_are_logged(tmp_path):
     log = AuditLog(tmp_path / "audit.jsonl")
-    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), trail=Trail(log, "researcher"))
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), trail=AuditTrail(log, "researcher"))
     recorder.prepare(100)
     recorder.prepare(100, limits=recording.Limits())
     recorder.finish_or_discard()
@@ -136,8 +137,8 @@ def test_limits_other_than_the_default_are_logged(tmp_path):
 
 def test_what_cannot_be_logged_is_not_begun(tmp_path):
     (tmp_path / "file").touch()
-    trail = Trail(AuditLog(tmp_path / "file" / "audit.jsonl"), "clinician")
-    with pytest.raises(AuditError, match="Nothing is begun that cannot be logged"):
+    trail = AuditTrail(AuditLog(tmp_path / "file" / "audit.jsonl"), "clinician")
+    with pytest.raises(AuditError, check=coded("audit.unwritable")):
         SessionRecorder(tmp_path / "s.h5", DeviceDescription(), trail=trail)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
@@ -145,14 +146,14 @@ def test_what_cannot_be_logged_is_not_begun(tmp_path):
 def test_a_log_that_fails_during_a_test_does_not_break_it_off(tmp_path, monkeypatch):
     log = AuditLog(tmp_path / "audit.jsonl")
     instrument = connect()
-    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device, trail=Trail(log, "clinician"))
+    recorder = SessionRecorder(tmp_path / "s.h5", instrument.device, trail=AuditTrail(log, "clinician"))
     disk = Disk(monkeypatch, log.path)
 
     def fail(_):
         disk.fails_at = disk.calls + 1
 
     run_guided_test(instrument, guided(), recorder, surface_m=0.01, progress=fail)
-    with pytest.raises(AuditError, match="No space left on device"):
+    with pytest.raises(AuditError, check=coded("audit.unwritable", why="No space left on device")):
         run_guided_test(instrument, guided(), recorder, surface_m=0.01)
     assert not instrument._link.firmware.energised
     session = recorder.finish()
@@ -164,7 +165,7 @@ def test_a_log_that_fails_during_a_test_does_not_break_it_off(tmp_path, monkeypa
 def test_a_log_that_stands_still_does_not_hold_up_a_release(tmp_path, monkeypatch):
     hold = threading.Event()
     log = AuditLog(tmp_path / "audit.jsonl")
-    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), trail=Trail(log, "clinician"))
+    recorder = SessionRecorder(tmp_path / "s.h5", DeviceDescription(), trail=AuditTrail(log, "clinician"))
     recorder.prepare(100)
     monkeypatch.setattr(AuditLog, "record", lambda *_, **__: str(hold.wait()))
     recorder.begin_test(Run(0, 100), **ATTRIBUTES)

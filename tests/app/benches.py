@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import threading
 
-from tissueid.instrument import Found, SimulatedInstrument
+from tissueid.instrument import FoundInstrument, SimulatedInstrument
 
 WAIT_MS = 20_000
 
 
 def found(*, probe, opener=None):
     return [
-        Found("/dev/ttyACM7", "serial port", True if probe else None, "desktop indenter, TEST-7" if probe else ""),
-        Found("simulated://forearm", "simulation in this process", True),
-        Found("simulated://spring", "simulation in this process", True),
+        FoundInstrument(
+            "/dev/ttyACM7", "serial port", True if probe else None, "desktop indenter, TEST-7" if probe else ""
+        ),
+        FoundInstrument("simulated://forearm", "simulation in this process", True),
+        FoundInstrument("simulated://spring", "simulation in this process", True),
     ]
 
 

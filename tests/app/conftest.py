@@ -16,9 +16,10 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 
 from tissueid.app.emergency import EmergencyStop
 from tissueid.app.main_window import MainWindow
-from tissueid.app.surroundings import Surroundings
-from tissueid.calibration.in_force import calibrated
+from tissueid.app.services import AppServices
+from tissueid.calibration.active import calibrated
 from tissueid.instrument import SimulatedInstrument
+from tissueid.language import ENGLISH, set_language
 
 
 @pytest.fixture(scope="session")
@@ -50,15 +51,15 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
     monkeypatch.setattr("tissueid.app.identifying.analyse_all", analyse_once)
 
     def make(**changes):
-        around = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
-        around["apart"] = False
-        around["stop"] = lambda: EmergencyStop(clock.read)
-        around["calibrate"] = functools.partial(calibrated, folder=calibrations)
-        around["show_file"] = lambda _: True
-        around["first_page"] = "measure"
-        around["language"] = "en"
-        around["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
-        window = MainWindow(Surroundings(**(around | changes)))
+        services = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}
+        services["separate_process"] = False
+        services["stop"] = lambda: EmergencyStop(clock.read)
+        services["calibrate"] = functools.partial(calibrated, folder=calibrations)
+        services["show_file"] = lambda _: True
+        services["first_page"] = "measure"
+        services["language"] = "en"
+        services["settings"] = lambda: QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat)
+        window = MainWindow(AppServices(**(services | changes)))
         if not window.settings.contains("window/geometry"):
             window.resize(1280, 720)  # more than the screen of the offscreen platform has
         windows.append(window)
@@ -75,6 +76,7 @@ def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
         qtbot.waitUntil(lambda window=window: not window.isVisible(), timeout=WAIT_MS)
         window.deleteLater()
     windows.clear()
+    set_language(ENGLISH)  # it holds for the whole process: windows opened in another must not leave it behind
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
     gc.enable()
     gc.collect()
@@ -89,8 +91,8 @@ def window(open_window):
 @pytest.fixture(scope="session")
 def saved(tmp_path_factory):
     """A session with one completed test of 1.5 s."""
-    from tissueid.app.live import LiveSignals
-    from tissueid.app.measuring import measure
+    from tissueid.app.live_signals import LiveSignals
+    from tissueid.app.measurement_job import measure
     from tissueid.app.plan import Plan
 
     path = tmp_path_factory.mktemp("saved") / "saved.h5"
@@ -101,6 +103,6 @@ def saved(tmp_path_factory):
         EmergencyStop(),
         lambda _: SimulatedInstrument("baseline", seed=5),
         lambda _: None,
-        apart=False,
+        separate_process=False,
     )
     return path

@@ -43,7 +43,7 @@ def inside(card):
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
 def test_the_grid_lies_between_the_ground_and_the_colour_of_lines(card, theme):
-    card.paint_with(theme)
+    card.apply_theme(theme)
     drawn = inside(card)
     ground, line = colour(theme.panel), colour(theme.line)
     is_ground = (drawn == ground).all(axis=2)
@@ -58,7 +58,7 @@ def test_the_grid_lies_between_the_ground_and_the_colour_of_lines(card, theme):
 
 def test_a_curve_is_not_cut_by_the_grid(card):
     card.line("measured").setData(np.array([0.0, 10.0]), np.array([0.0, 0.0]))  # along a line of the grid
-    card.paint_with(LIGHT)
+    card.apply_theme(LIGHT)
     drawn = inside(card)
     assert (drawn == colour(LIGHT.measured)).all(axis=2).all(axis=1).any()
 

@@ -9,8 +9,8 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.conversation import CalibrationOutcome, Conversation
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import Calibration, Quantity, StaticPlan, read_calibration
 from tissueid.calibration.store import free_name
@@ -27,7 +27,7 @@ def spring(stage=True):
 def technicians(open_window, calibrations, audit_file, monkeypatch):
     """Opens windows for technicians who are short of time: not all steps of a static calibration."""
     quick = functools.partial(StaticPlan, steps=("electrical", "temperature"))
-    monkeypatch.setattr("tissueid.app.calibrating.StaticPlan", quick)
+    monkeypatch.setattr("tissueid.app.calibration_job.StaticPlan", quick)
     return functools.partial(open_window, role="technician", calibrations=calibrations, audit=AuditLog(audit_file))
 
 
@@ -67,7 +67,7 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
     assert window.ui.stop.hasFocus()
     assert not page.begin["sweep"].isEnabled()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.headline.text() == "Static calibration passed: good for use."
+    assert page.headline.text() == "Static calibration passed: ready for use."
     (path,) = calibrations.glob("*.toml")
     calibration = read_calibration(path)
     assert calibration.kind == "static"
@@ -126,11 +126,11 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
     page = page_of(window)
     press(qtbot, page.begin["static"])
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.headline.text() == "Static calibration passed: good for use."
+    assert page.headline.text() == "Static calibration passed: ready for use."
     assert window.ui.notice.isHidden()
     (path,) = calibrations.iterdir()
     assert read_calibration(path).verdict == "passed"
-    assert f"Its report could not be written ({error})" in page.said.text()
+    assert "Its report could not be written" in page.said.text()
     assert f"Saved in {path}." in page.said.text()
     assert not page.report.isEnabled()
     assert page.begin["static"].isEnabled()
@@ -197,7 +197,7 @@ def test_both_calibrations_in_full(qtbot, open_window, calibrations, audit_file,
     page = page_of(window)
     press(qtbot, page.begin[kind])
     qtbot.waitUntil(lambda: idle(window), timeout=10 * WAIT_MS)
-    assert page.headline.text() == f"{headline} passed: good for use."
+    assert page.headline.text() == f"{headline} passed: ready for use."
     (path,) = calibrations.glob("*.toml")
     assert read_calibration(path).verdict == "passed"
     assert path.with_suffix(".html").stat().st_size > 10_000
@@ -236,11 +236,11 @@ def test_a_failed_calibration_is_shown_as_one(qtbot, technicians, tmp_path):
 
 def test_a_question_ends_with_the_answer_or_with_stop():
     stop = EmergencyStop()
-    talk = Conversation(stop)
+    prompts = OperatorPrompts(stop)
     stop.press("stopped by key")
-    talk.ask("Do something.")
-    assert talk.stopped
-    assert talk.look().wanted == ""
+    prompts.prompt_and_wait("Do something.")
+    assert prompts.stopped
+    assert prompts.snapshot().instruction == ""
 
 
 def test_files_of_calibrations_are_never_written_over(tmp_path):
@@ -251,3 +251,13 @@ def test_files_of_calibrations_are_never_written_over(tmp_path):
     assert first == tmp_path / "TWIN-0-static-2026-03-04_05-06-07.toml"
     first.with_suffix(".html").touch()
     assert free_name(tmp_path, "../TWIN 0", "static", moment).name == "TWIN-0-static-2026-03-04_05-06-07_2.toml"
+
+
+def test_the_figures_and_the_verdict_of_a_calibration_are_said_in_german(qtbot, technicians):
+    window = technicians(language="de", opener=lambda _: spring())
+    page = page_of(window)
+    press(qtbot, page.begin["static"])
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert page.headline.text() == "Statische Kalibrierung bestanden: einsatzbereit."
+    labels = {page.figures.item(row, 0).text() for row in range(page.figures.rowCount())}
+    assert "Nullpunkt des Stromkanals" in labels

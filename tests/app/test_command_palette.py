@@ -7,8 +7,6 @@ from app.test_window import idle, press, type_site
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
 
-from tissueid.app.actions import declare
-
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -91,7 +89,7 @@ def test_start_leads_to_its_button_and_starts_nothing(qtbot, window):
 def test_no_action_that_energises_the_coil_begins_anything(qtbot, open_window):
     window = open_window(role="technician")
     type_site(qtbot, window)
-    leading = [action for action in declare(window) if action.energises]
+    leading = [action for action in window._actions() if action.energises]
     ui = window.ui
     assert len(leading) == 3 + len(ui.calibration.begin)
     for action in leading:
@@ -134,7 +132,7 @@ def test_it_covers_neither_start_nor_stop(qtbot, open_window, language):
 def test_titles_and_shortcuts_are_unique(window):
     for page in ("research", "gap", "instrument"):
         window.pages.show(page)
-    actions = declare(window)
+    actions = window._actions()
     for values in (
         [action.title for action in actions],
         [QKeySequence(action.keys).toString() for action in actions if action.keys],

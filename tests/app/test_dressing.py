@@ -9,8 +9,8 @@ from PySide6.QtWidgets import QAbstractSpinBox
 
 from tissueid.app.theme import DARK
 from tissueid.app.views.start.rows import Rows
-from tissueid.instrument import Found
-from tissueid.language import speak
+from tissueid.instrument import FoundInstrument
+from tissueid.language import set_language
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 @pytest.fixture(autouse=True)
 def english_again():
     yield
-    speak("en")
+    set_language("en")
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_what_is_too_long_all_the_same_is_wrapped_and_not_cut(qtbot):
 
 def test_health_on_the_first_page_is_not_cut(qtbot, open_window):
     def finder(**_):
-        return [Found("simulated://forearm", "simulation in this process", True), *found(probe=False)[1:]]
+        return [FoundInstrument("simulated://forearm", "simulation in this process", True), *found(probe=False)[1:]]
 
     for language in ("en", "de"):
         window = open_window(first_page="start", language=language, finder=finder)

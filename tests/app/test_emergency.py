@@ -6,13 +6,23 @@ import threading
 import numpy as np
 import pytest
 from app.benches import WAIT_MS, Clock, Gate
+from app.german import assert_german
 from app.test_window import idle, only_session, press, type_site, wait_for_result
+from coded import coded
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QDialog, QLineEdit, QVBoxLayout
 from support import connect
 
-from tissueid.app.emergency import NO_ANSWER, EmergencyStop, seconds_since_boot
-from tissueid.app.findings import find
+from tissueid.app.emergency import (
+    BY_BUTTON,
+    BY_CLOSING,
+    BY_DEFECT,
+    BY_KEY,
+    NO_ANSWER,
+    EmergencyStop,
+    seconds_since_boot,
+)
+from tissueid.app.session_jobs import find
 from tissueid.audit import AuditLog, last_lines
 from tissueid.errors import CancelledError
 from tissueid.instrument import CLINICAL, SimulatedInstrument
@@ -41,12 +51,23 @@ def _identified_at_once(some_findings, monkeypatch):
 def test_the_first_reason_stays():
     stop = EmergencyStop()
     assert not stop.check()
-    stop.press("stopped by key")
-    stop.press("the window was closed")
+    stop.press(BY_KEY)
+    stop.press(BY_CLOSING)
     assert stop.is_set()
-    assert stop.reason == "stopped by key"
-    with pytest.raises(CancelledError, match="stopped by key; the coil is released"):
+    assert stop.reason == BY_KEY
+    with pytest.raises(CancelledError, check=coded("stop.released", cause=BY_KEY)):
         stop.check()
+
+
+@pytest.mark.parametrize(
+    "reason", [BY_BUTTON, BY_KEY, BY_CLOSING, BY_DEFECT, NO_ANSWER], ids=lambda reason: reason.code
+)
+def test_every_reason_of_a_stop_is_german_in_a_german_window(reason):
+    stop = EmergencyStop()
+    stop.press(reason)
+    with pytest.raises(CancelledError) as stopped:
+        stop.check()
+    assert_german(stopped.value.message)
 
 
 @pytest.mark.parametrize(("late_s", "stopped"), [(0.99, False), (1.01, True), (36_000.0, True)])
@@ -54,7 +75,7 @@ def test_the_first_reason_stays():
 def test_a_window_that_misses_its_beat_has_stopped_the_test_even_when_it_comes_back(late_s, stopped, beat_again):
     clock = Clock()
     stop = EmergencyStop(clock.read)
-    clock.now += 100.0  # nobody beats yet: nothing is watched
+    clock.now += 100.0  # before the first beat nothing is watched
     assert not stop.is_set()
     stop.beat()
     clock.now += late_s
@@ -62,7 +83,7 @@ def test_a_window_that_misses_its_beat_has_stopped_the_test_even_when_it_comes_b
         stop.beat()
     assert stop.is_set() is stopped
     if stopped:
-        with pytest.raises(CancelledError, match=f"^{NO_ANSWER}$"):
+        with pytest.raises(CancelledError, check=coded("stop.no_answer")):
             stop.check()
 
 
@@ -197,7 +218,7 @@ def test_frames_that_cannot_be_drawn_are_no_beats(qtbot, open_window, clock, tmp
     begin(qtbot, window, gate)
     drawn = threading.Event()
 
-    def fail(_glance):
+    def fail(_snapshot):
         drawn.set()
         raise ZeroDivisionError
 
@@ -218,7 +239,7 @@ def test_a_defect_in_the_window_releases_the_coil(qtbot, open_window, bench, tmp
     gate = Gate(passed=300)
     window = open_window(wait=gate.wait)
     begin(qtbot, window, gate)
-    window.meet_defect(ZeroDivisionError())
+    window.on_defect(ZeroDivisionError())
     gate.opened.set()
     wait_for_result(qtbot, window)
     assert only_session(tmp_path)[1].test().notes["reason"].startswith("a defect in the window; ")

@@ -79,6 +79,22 @@ def test_a_dropped_record_is_imported_as_the_command_line_does(qtbot, open_windo
     assert window.findings.path == tmp_path / "messung.h5"
 
 
+def test_an_import_stays_on_the_page_where_it_was_begun(qtbot, open_window, record, tmp_path):
+    window = open_window()
+    window.pages.show("research")
+    view = window.ui.views["research"]
+    view.tabs.setCurrentWidget(view.analysis)
+    view.browser.bar.ask("nothing is called so", "", "", "")
+    window.files.open([record])
+    dialog = asked(qtbot, window)
+    press(qtbot, dialog.go)
+    qtbot.waitUntil(lambda: len(view.signals.loaded) == 1 and idle(window), timeout=WAIT_MS)
+    assert window.ui.page == "research"
+    assert [one.path for one in view.browser.chosen()] == [tmp_path / "messung.h5"]
+    assert view.tabs.currentWidget() is view.signals
+    assert "messung.h5" in window.ui.notice.text.text()
+
+
 def test_what_cannot_be_imported_is_said_in_the_dialog_which_stays(qtbot, open_window, record, tmp_path):
     window = open_window()
     window.files.open([record])

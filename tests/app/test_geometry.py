@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from app.benches import WAIT_MS, Clock, Gate, found
 from gap_records import recorded
 from PySide6.QtCore import QCoreApplication, QPoint, QRect, QSettings, Qt
+from PySide6.QtGui import QPainter, QPicture
 from PySide6.QtWidgets import (
     QAbstractButton,
     QAbstractScrollArea,
@@ -17,25 +19,33 @@ from PySide6.QtWidgets import (
     QComboBox,
     QLabel,
     QLineEdit,
+    QMainWindow,
+    QPushButton,
     QScrollArea,
     QScrollBar,
     QTabBar,
     QWidget,
 )
+from support import connect
 
-from tissueid.app.elided import ElidedLabel
+from firmware_sim.identity import Identity
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.emergency import EmergencyStop
+from tissueid.app.import_dialog import ImportDialog, preview_of
 from tissueid.app.layout import SMALLEST
 from tissueid.app.main_window import MainWindow
 from tissueid.app.notice import Notice
+from tissueid.app.operator_prompts import CalibrationOutcome
+from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.surroundings import Surroundings
-from tissueid.app.views.gap.diagnosing import Asked, Result
-from tissueid.app.views.gap.story import story_of
-from tissueid.calibration.in_force import calibrated
-from tissueid.gap import diagnose, observe
-from tissueid.gap.workers import Alone
+from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest
+from tissueid.app.views.gap.diagnosis_run import result_of
+from tissueid.calibration import Calibration, Quantity
+from tissueid.calibration.active import calibrated
+from tissueid.gap import diagnose, prepare
+from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import SimulatedInstrument
+from tissueid.language import current_language, set_language
 from tissueid.twin import catalogue as shelf
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -127,7 +137,8 @@ def fully_visible(widget):
 def overlaps(window):
     """Pairs of siblings of which one covers a part of the other."""
     found_pairs = []
-    for parent in [window.centralWidget(), *shown(window, QWidget)]:
+    top = window.centralWidget() if isinstance(window, QMainWindow) else window
+    for parent in [top, *shown(window, QWidget)]:
         if isinstance(parent, QAbstractScrollArea | QComboBox | QAbstractSpinBox | QTabBar | QLineEdit | QScrollBar):
             continue
         children = [item for item in parent.children() if isinstance(item, QWidget) and item.isVisible()]
@@ -147,6 +158,11 @@ def cut_texts(window):
         for button in shown(window, QAbstractButton)
         if button.text() and button.sizeHint().width() > button.width() + SLACK
     ]
+    for line in window.findChildren(QLineEdit):
+        if line.isVisible() and line.placeholderText() and not line.text():
+            needed = line.fontMetrics().horizontalAdvance(line.placeholderText())
+            if needed > line.contentsRect().width() - 2 * SLACK:
+                cut.append(f"{called(line)}: {line.placeholderText()!r} needs {needed}")
     for label in shown(window, QLabel):
         if isinstance(label, ElidedLabel) or not label.text():
             continue
@@ -158,13 +174,6 @@ def cut_texts(window):
         if needed > there + SLACK:
             cut.append(f"{called(label)} in {room.width()}x{room.height()} needs {needed}")
     return cut
-
-
-SIDEWAYS = {
-    "idle on measure:help",  # a dock leaves less than the page can be folded to
-    "idle on measure:help and log",
-}
-"""States in which a page may scroll sideways in a narrow window."""
 
 
 def scrolled_sideways(window):
@@ -182,13 +191,16 @@ def widest(widget):
     return [f"{called(most)} {most.minimumSizeHint().width()}", *widest(most)]
 
 
-def check(window, sideways=True):
+def check(window):
     unreachable = [
         f"{called(widget)}: {why}" for widget in shown(window, CONTROLS) if (why := out_of_reach(widget, window))
     ]
-    wrong = {"out of reach": unreachable, "overlapping": overlaps(window), "cut": cut_texts(window)}
-    if not sideways:
-        wrong["scrolled sideways"] = scrolled_sideways(window)
+    wrong = {
+        "out of reach": unreachable,
+        "overlapping": overlaps(window),
+        "cut": cut_texts(window),
+        "scrolled sideways": scrolled_sideways(window),
+    }
     wrong = {what: which for what, which in wrong.items() if which}
     assert not wrong, "\n".join(f"{what}: {item}" for what, which in wrong.items() for item in which)
 
@@ -223,14 +235,22 @@ def opened(tmp_path_factory, saved):
         close()
         folder = tmp_path_factory.mktemp("window")
         shutil.copy(saved, folder / "2026-01-15_10-30-00.h5")
-        gate = Gate(passed=60) if state == "testing" else None
+        gate = {"testing": Gate(passed=60), "calibrating-with-stage": Gate(passed=3000)}.get(state)
+        if state.startswith("calibrating"):
+            instrument = connect("calibration-spring", seed=3, identity=Identity(stage=gate is not None))
+            if gate is not None:
+                poll = instrument.poll
+                instrument.poll = lambda timeout_s: (gate.wait(timeout_s), poll(timeout_s))[1]
+            opener = lambda _: instrument  # noqa: E731
+        else:
+            opener = lambda _: SimulatedInstrument("forearm", seed=3)  # noqa: E731
         window = MainWindow(
-            Surroundings(
-                opener=lambda _: SimulatedInstrument("forearm", seed=3),
+            AppServices(
+                opener=opener,
                 finder=found,
                 folder=folder,
-                wait=(lambda _: None) if gate is None else gate.wait,
-                apart=False,
+                wait=gate.wait if state == "testing" else lambda _: None,
+                separate_process=False,
                 stop=lambda: EmergencyStop(Clock().read),  # no window has to keep up with these tests
                 calibrate=functools.partial(calibrated, folder=folder),
                 calibrations=folder,
@@ -246,8 +266,17 @@ def opened(tmp_path_factory, saved):
         return window
 
     make.gate = lambda wanted: next(gate for window, gate in windows.values() if window is wanted)
+
+    def calibration_waits(window):
+        """A calibration of a stage has come to its gate; one by hand asks for something."""
+        gate = make.gate(window)
+        return window.ui.calibration.done.isVisible if gate is None else gate.reached.is_set
+
+    make.calibration_waits = calibration_waits
+    before = current_language()
     yield make
     close()
+    set_language(before)
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +287,7 @@ def diagnosis():
     with pytest.MonkeyPatch.context() as patch:
         few = {name: every[name] for name in ("dry_friction", "directional_damping")}
         patch.setattr("tissueid.gap.search.all_effects", lambda: few)
-        return session, diagnose(observe(session, (), ()), Alone())
+        return session, diagnose(prepare(session, (), ()), SerialExecutor())
 
 
 @pytest.fixture
@@ -270,12 +299,23 @@ def in_state(qtbot, opened, request):
         settle()
 
     def make(language, state):
-        window = opened(language, "testing" if state.startswith("testing") else "idle")
+        window = opened(language, state.split(" ")[0])
         ui = window.ui
         ui.notice.retract()
         for panel in (window.panels.help, window.panels.log):
             panel.hide()
         _, _, page = state.rpartition(" on ")
+        if state.startswith("calibrating"):
+            window.pages.show("measure")
+            ui.pages.setCurrentWidget(ui.calibration)
+            if not window.testing:
+                ui.calibration.begin["static"].click()
+                qtbot.waitUntil(opened.calibration_waits(window), timeout=WAIT_MS)
+                window._frames.stop()
+                window._draw()
+            window.pages.show(page)
+            settle()
+            return window
         if state.startswith("testing"):
             if not window.testing:
                 ui.form.site.setEditText("left forearm")
@@ -294,13 +334,12 @@ def in_state(qtbot, opened, request):
             ui.form.fold.setChecked(part.startswith("settings"))
             if part.startswith("settings "):
                 ui.form.stimulus.fill(part.removeprefix("settings "))
+            if part.startswith("calibration "):
+                ui.calibration.show_outcome(outcome_of(part, window.services.folder))
             if part == "result" and window.findings is None:
-                window.open_session(window.around.folder / "2026-01-15_10-30-00.h5")
+                window.open_session(window.services.folder / "2026-01-15_10-30-00.h5")
                 idle(window)
-            for panel, button in (("help", window.panels.help_button), ("log", window.panels.log_button)):
-                if panel in part:
-                    button.click()
-            shown_part = {"result": ui.result, "calibration": ui.calibration}.get(part, ui.running)
+            shown_part = {"result": ui.result, "calibration": ui.calibration}.get(part.split(" ")[0], ui.running)
             ui.pages.setCurrentWidget(shown_part)
         elif name == "research":
             view = ui.views[name]
@@ -321,14 +360,17 @@ def in_state(qtbot, opened, request):
             page = ui.views[name]
             if page.history.result is None:
                 session, answer = request.getfixturevalue("diagnosis")
-                asked = Asked(Path("friction.h5"))
-                page.history.add(Result(asked, session.session_id, "", None, answer, story_of(answer, session)))
+                page.history.add(result_of(answer, session, DiagnosisRequest(Path("friction.h5"))))
             page.result.tabs.setCurrentIndex(int(part.removeprefix("diagnosed ")))
         elif name == "gap":
             ui.views[name].asking.fold.setChecked(part == "settings")
         elif name == "instrument":
-            ui.views[name].tabs.setCurrentIndex(int(part))
+            ui.views[name].tabs.setCurrentIndex(int(part) if part.isdigit() else 0)
         idle(window)
+        for panel, button in (("help", window.panels.help_button), ("log", window.panels.log_button)):
+            if panel in part:
+                button.click()
+        settle()
         return window
 
     return make
@@ -340,6 +382,8 @@ STATES = [
     "idle on measure:settings",
     "idle on measure:result",
     "idle on measure:calibration",
+    "idle on measure:calibration passed",
+    "idle on measure:calibration failed",
     "idle on measure:help",
     "idle on measure:help and log",
     "idle on research:signals",
@@ -355,6 +399,10 @@ STATES = [
     "testing on measure",
     "testing on start",
     "testing on research",
+    "calibrating-with-stage on measure",
+    "calibrating-by-hand on measure",
+    "calibrating-by-hand on research",
+    *(f"idle on {page}:help" for page in ("start", "research", "gap", "instrument")),
 ]
 
 
@@ -367,13 +415,134 @@ def test_everything_fits_or_scrolls_at_every_size(in_state, language, state):
         settle()
         try:
             assert window.size().toTuple() == size
-            check(window, sideways=state in SIDEWAYS)
+            check(window)
             if window.ui.page == "measure":
                 assert fully_visible(window.ui.start)
                 assert fully_visible(window.ui.stop)
             assert fully_visible(window.ui.halt) == (window.testing and window.ui.page != "measure")
         except AssertionError as error:
             raise AssertionError(f"at {size}: {error}") from None
+
+
+def outcome_of(part, folder):
+    """The outcome of a calibration with as many words as there may be."""
+    failed = part.endswith("failed")
+    figures = ("force_constant_n_per_a", "resistance_ohm", "inductance_h", "back_emf_v_s_per_m", "travel_m")
+    calibration = Calibration(
+        kind="sweep" if failed else "static",
+        model="desktop indenter",
+        serial_number="TEST-7",
+        date="2026-01-01T00:00:00Z",
+        software="1",
+        verdict="failed" if failed else "passed",
+        problems=(LONG, LONG) if failed else (),
+        quantities={name: Quantity(value=2.9, std=0.01, unit="N/A") for name in figures},
+    )
+    return CalibrationOutcome(calibration, folder / "calibration.toml", folder / "calibration.html", (LONG,))
+
+
+@pytest.fixture
+def import_dialog(qtbot, tmp_path):
+    """The dialog that imports a record of many long columns, over a window of a size."""
+
+    def make(described=False):
+        names = ["Zeit (s)", *(f"Kanal {k} mit einem langen Namen (mN)" for k in range(12))]
+        path = tmp_path / f"{'messung mit langem Namen ' * 4}.csv"
+        lines = [";".join(names), *(";".join(f"{k / 1000:.4f}" for _ in names) for k in range(9))]
+        path.write_text("\n".join(lines) + "\n")
+        preview = preview_of([path] * 7)
+        dialog = ImportDialog(replace(preview, described=described), tmp_path / "messung.h5")
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, False)
+        qtbot.addWidget(dialog)
+        dialog.show()
+        return dialog
+
+    before = current_language()
+    yield make
+    set_language(before)
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+@pytest.mark.parametrize("described", [False, True])
+@pytest.mark.parametrize("said", ["", LONG])
+def test_the_import_dialog_fits_every_screen(import_dialog, language, described, said):
+    set_language(language)
+    dialog = import_dialog(described)
+    if said:
+        dialog.say(said)
+    for size in SIZES:
+        dialog.resize(*size)
+        settle()
+        try:
+            assert dialog.size().toTuple() == size
+            check(dialog)
+            assert fully_visible(dialog.go)
+            assert fully_visible(dialog.cancel)
+        except AssertionError as error:
+            raise AssertionError(f"at {size}: {error}") from None
+
+
+@pytest.mark.parametrize("state", ["idle on measure:signals", "calibrating-by-hand on measure"])
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_the_command_palette_fits_and_follows_the_window(in_state, language, state):
+    window = in_state(language, state)
+    palette = window.commands
+    palette.toggle()
+    for size in SIZES[::-1]:
+        window.resize(*size)
+        settle()
+        check(window)
+        assert window.rect().adjusted(0, 0, 0, -FRAME).contains(palette.geometry()), size
+        assert fully_visible(palette.words), size
+        assert fully_visible(window.ui.stop), size
+        assert fully_visible(window.ui.start), size
+    palette.toggle()
+    assert palette.isHidden()
+
+
+@pytest.mark.parametrize("page", ["measure", "research"])
+def test_help_in_a_narrow_window_takes_the_place_of_the_page_and_gives_it_back(in_state, page):
+    window = in_state("en", f"idle on {page}:help")
+    window.resize(*SMALLEST)
+    settle()
+    reader, content = window.panels.help.reader, window.ui._main if page == "measure" else window.ui.stack
+    assert fully_visible(window.panels.help.close_button)
+    assert reader.width() > 300
+    assert reader.horizontalScrollBar().maximum() == 0
+    assert not content.isVisible()
+    window.resize(1440, 800)
+    settle()
+    assert content.isVisible()
+    assert reader.isVisible()
+    window.resize(*SMALLEST)
+    settle()
+    window.ui.rail.chosen.emit(page)
+    settle()
+    assert content.isVisible()
+    assert not reader.isVisible()
+    assert not window.panels.help_button.isChecked()
+
+
+def numbers_at(axis):
+    """The numbers that an axis shows in its present size."""
+    picture = QPicture()
+    painter = QPainter(picture)
+    try:
+        _, _, texts = axis.generateDrawSpecs(painter)
+    finally:
+        painter.end()
+    return [text for place, _, text in texts if axis.boundingRect().intersects(place)]
+
+
+def test_the_curve_of_a_calibration_has_numbers_on_both_axes(in_state):
+    window = in_state("en", "calibrating-with-stage on measure")
+    window.resize(1280, 720)
+    settle()
+    curve = window.ui.calibration.curve
+    assert curve.isVisible()
+    curve.grab()
+    for side in ("left", "bottom"):
+        assert len(numbers_at(curve.plot.getAxis(side))) > 1, side
 
 
 def places(window):
@@ -435,6 +604,21 @@ def test_a_result_is_shown_from_its_top(qtbot, in_state):
     assert [bar.value() for bar in bars] == [0, 0]
 
 
+def test_a_row_folds_where_its_parts_need_more_than_was_thought(qtbot):
+    holder = QWidget()
+    qtbot.addWidget(holder)
+    row = FoldingBox(100, holder)
+    row.setContentsMargins(0, 0, 0, 0)
+    parts = [QPushButton(text, holder) for text in ("Noch einmal messen (2 von 5)", "Fertig: diesen Test nehmen")]
+    for part in parts:
+        row.addWidget(part)
+    holder.show()
+    holder.resize(sum(part.sizeHint().width() for part in parts) - 20, 100)
+    settle()
+    assert parts[1].y() > parts[0].y()
+    assert all(part.width() >= part.sizeHint().width() for part in parts)
+
+
 def test_a_row_folds_where_it_has_no_room_and_unfolds_again(qtbot):
     holder = QWidget()
     qtbot.addWidget(holder)
@@ -449,4 +633,5 @@ def test_a_row_folds_where_it_has_no_room_and_unfolds_again(qtbot):
         settle()
         assert (parts[1].x() > parts[0].x()) == across
         assert row.sizeHint().width() > 280
+        assert not any(part.geometry().right() > holder.width() for part in parts)
         assert row.minimumSize().width() < 200

@@ -1,9 +1,8 @@
-"""The window in German: every text that the code says has its translation, and the pages show it."""
+"""Translations: every text of the program has one in every catalogue, and the pages show it."""
 
 import ast
-import re
 import string
-import tomllib
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -14,26 +13,10 @@ from tissueid import language
 from tissueid.app.help_panel import FOLDER
 from tissueid.app.language_choice import chosen
 from tissueid.app.views.start.view import WHAT_ROLES_DO
-from tissueid.language import _, plural, speak
+from tissueid.language import _, plural, set_language
+from tools import translations
 
 SOURCE = Path(language.__file__).parent
-IN_TEMPLATES = re.compile(r'\b_\("([^"]*)"\)')
-LOOKS_UP = {"_": 1, "marked": 1, "plural": 2}
-
-
-def literals():
-    """Every text that the code looks up, with the files that do."""
-    found = {}
-    for path in sorted(SOURCE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in LOOKS_UP:
-                for text in node.args[: LOOKS_UP[node.func.id]]:
-                    if isinstance(text, ast.Constant):
-                        found.setdefault(text.value, set()).add(path.relative_to(SOURCE).as_posix())
-    for path in sorted(SOURCE.rglob("*.j2")):
-        for text in IN_TEMPLATES.findall(path.read_text(encoding="utf-8")):
-            found.setdefault(text, set()).add(path.name)
-    return found
 
 
 def fields(text):
@@ -41,40 +24,65 @@ def fields(text):
     return sorted((name, spec, kind or "") for _text, name, spec, kind in parts if name is not None)
 
 
-@pytest.fixture(scope="module")
-def german():
-    return language.catalogue("de")
+def entries():
+    """Every text of every catalogue with its translation, plural forms one by one."""
+    for path in translations.paths():
+        for entry in translations.read(path):
+            if isinstance(entry.id, tuple):
+                yield from zip((entry.id[0], *entry.id[1:] * (len(entry.string) - 1)), entry.string, strict=True)
+            elif entry.id:
+                yield entry.id, entry.string
 
 
 @pytest.fixture(autouse=True)
 def english_again():
     yield
-    speak("en")
+    set_language("en")
 
 
-def test_every_text_has_a_german_entry_and_no_entry_is_unused(german):
-    said = literals()
-    assert len(said) > 250
-    assert {text: files for text, files in said.items() if text not in german} == {}
-    assert set(german) - set(said) == set()
+def test_every_text_is_translated_and_no_entry_is_unused():
+    assert len(translations.extracted()) > 250
+    assert translations.problems() == []
 
 
-def test_the_catalogue_says_each_text_once():
-    pages = tomllib.loads((language.FOLDER / "de.toml").read_text(encoding="utf-8"))
-    texts = [text for page in pages.values() for text in page]
-    assert sorted(texts) == sorted(set(texts))
+def test_an_update_changes_nothing_but_texts(tmp_path):
+    for path in translations.paths():
+        found = translations.updated(path, translations.extracted())
+        assert translations.text_of(found) == path.read_bytes()
 
 
-def test_placeholders_agree_and_are_named(german):
-    for english, said in german.items():
+def test_what_is_missing_unused_or_untranslated_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(translations, "FOLDER", tmp_path)
+    path = tmp_path / "fr" / translations.CATALOGUE
+    path.parent.mkdir(parents=True)
+    head = 'msgid ""\nmsgstr ""\n"Language: fr\\n"\n'
+    path.write_text(f'{head}\nmsgid "gone"\nmsgstr "parti"\n\nmsgid "Stiffness"\nmsgstr ""\n', encoding="utf-8")
+    found = translations.problems()
+    assert "fr: not used by the program: 'gone'" in found
+    assert "fr: not translated: 'Stiffness'" in found
+    assert "fr: not in the catalogue: 'Damping'" in found
+
+
+def test_texts_inside_f_strings_plurals_and_messages_are_extracted():
+    code = b"""f"{_('one')}"; plural("two", "twos", n); Message("code", "three {a}", a=marked("four"))"""
+    found = list(translations.from_python(BytesIO(code), translations.KEYWORDS, (), {}))
+    assert {(name, texts if isinstance(texts, str) else texts[:2]) for _line, name, texts, _ in found} == {
+        ("_", "one"),
+        ("plural", ("two", "twos")),
+        ("Message", ("code", "three {a}")),
+        ("marked", "four"),
+    }
+
+
+def test_placeholders_agree_and_are_named():
+    for english, said in entries():
         assert fields(english) == fields(said), english
         assert all(name.isidentifier() for name, _spec, _kind in fields(english)), english
 
 
-def test_a_mnemonic_stays_a_mnemonic_and_nothing_is_empty(german):
-    for english, said in german.items():
+def test_a_mnemonic_stays_a_mnemonic_and_spaces_at_the_ends_stay():
+    for english, said in entries():
         assert english.count("&") == said.count("&"), english
-        assert said.strip(), english
         assert english[0].isspace() == said[0].isspace(), english
 
 
@@ -94,14 +102,14 @@ def test_nothing_called_underscore_hides_the_lookup():
 
 def test_a_lookup_falls_back_and_knows_one_from_many():
     assert _("Stiffness") == "Stiffness"
-    speak("de")
+    set_language("de")
     assert _("Stiffness") == "Steifigkeit"
     assert _("no such text") == "no such text"
     one = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 1)
     assert one.format(count=1, names="A") == "Ein Gerät antwortet (A)"
     many = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 3)
     assert many.format(count=3, names="A") == "3 Geräte antworten (A)"
-    speak("en")
+    set_language("en")
     assert _("Stiffness") == "Stiffness"
 
 
@@ -122,9 +130,9 @@ def test_the_language_is_the_wanted_the_kept_or_the_systems(tmp_path, monkeypatc
 
 
 def test_a_language_that_is_not_known_is_english():
-    speak("de")
-    speak("tlh")
-    assert language.spoken() == "en"
+    set_language("de")
+    set_language("tlh")
+    assert language.current_language() == "en"
     assert _("Stiffness") == "Stiffness"
 
 

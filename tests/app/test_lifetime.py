@@ -12,7 +12,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
-from tissueid.app.surroundings import Surroundings
+from tissueid.app.services import AppServices
 from tissueid.app.theme import DARK, LIGHT
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 def live_and_die(qtbot, folder, saved, *, analyse):
     kept = functools.partial(QSettings, str(folder / "window.ini"), QSettings.Format.IniFormat)
     window = MainWindow(
-        Surroundings(finder=found, folder=folder, show_file=lambda _: True, first_page="measure", settings=kept)
+        AppServices(finder=found, folder=folder, show_file=lambda _: True, first_page="measure", settings=kept)
     )
     window.show()
     if analyse:
@@ -29,7 +29,7 @@ def live_and_die(qtbot, folder, saved, *, analyse):
         qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
         window.grab()
     for theme in (DARK, LIGHT):
-        window.ui.paint_with(theme)
+        window.ui.apply_theme(theme)
     made = counted(window)
     window.close()
     window.deleteLater()

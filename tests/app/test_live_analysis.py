@@ -12,8 +12,8 @@ from PySide6.QtWidgets import QLabel
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plan import Plan
 from tissueid.app.theme import DARK, LIGHT
-from tissueid.identification.online.live_view import METHODS, start_identifier, view
-from tissueid.identification.online.precision import precision
+from tissueid.identification.live.live_view import METHODS, start_identifier, view
+from tissueid.identification.live.precision import precision
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -112,7 +112,7 @@ def test_what_is_not_there_yet_is_said_in_its_place(panel):
     newest.view = seen(0.3)
     panel.show_live(newest)
     assert words(panel.impulse) == ""
-    assert words(panel.bode) == "Coherence takes 3 memories of 0.125 s: wait a little longer."
+    assert words(panel.bode) == "Coherence needs 3 memories of 0.125 s: wait for more data."
     assert words(panel.course) == words(panel.bode)
     newest.view = seen(4.0)
     panel.show_live(newest)
@@ -128,7 +128,7 @@ def test_a_problem_is_told_and_the_test_goes_on(panel):
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
 def test_it_can_be_read_in_both_palettes(panel, theme):
-    panel.paint_with(theme)
+    panel.apply_theme(theme)
     panel.show()
     panel.show_view(seen())
     image = panel.grab().toImage()

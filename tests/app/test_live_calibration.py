@@ -27,10 +27,10 @@ def test_a_static_calibration_draws_the_line_of_the_spring(instrument):
     assert counts == sorted(counts)
     assert counts[-1] > 10
     assert np.polyfit(current, position, 1)[0] == pytest.approx(3.0 / 1000.0, rel=0.03)
-    glance = live.glance()
-    assert glance.time_s.size == glance.position_m.size > 1000
-    assert glance.safety.position_m == pytest.approx(float(np.nanmedian(glance.position_m[-500:])), abs=1e-4)
-    assert glance.safety.temperature_c is not None
+    snapshot = live.snapshot()
+    assert snapshot.time_s.size == snapshot.position_m.size > 1000
+    assert snapshot.safety.position_m == pytest.approx(float(np.nanmedian(snapshot.position_m[-500:])), abs=1e-4)
+    assert snapshot.safety.temperature_c is not None
 
 
 def test_a_sweep_draws_a_point_at_each_position(instrument, tmp_path):

@@ -135,7 +135,7 @@ def test_axes_keep_the_unit_of_their_label(qtbot):
     qtbot.addWidget(card)
     card.show()
     for theme in (LIGHT, DARK, LIGHT):
-        card.paint_with(theme)
+        card.apply_theme(theme)
         card.plot.setXRange(0.0, 0.4)
         card.plot.setYRange(0.0, 2e-6)
         for side in ("bottom", "left"):

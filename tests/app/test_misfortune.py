@@ -21,7 +21,7 @@ from firmware_sim_process import firmware_process
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import SessionRecorder, journal_path, recover
-from tissueid.app.findings import find
+from tissueid.app.session_jobs import find
 from tissueid.instrument import open_instrument
 from tissueid.sessions import read_session
 from tissueid.wire import Flag
@@ -70,14 +70,14 @@ def mishap(monkeypatch, some_findings):
     def find_at_once(path, session, number):
         return dataclasses.replace(some_findings, path=path, session=session, test=session.test(number))
 
-    monkeypatch.setattr("tissueid.app.measuring.SessionRecorder", Recorder)
+    monkeypatch.setattr("tissueid.app.measurement_job.SessionRecorder", Recorder)
     monkeypatch.setattr("tissueid.app.main_window.find", find_at_once)
-    monkeypatch.setattr("tissueid.app.measuring.LiveIdentification.step", lambda _: None)
+    monkeypatch.setattr("tissueid.app.measurement_job.LiveIdentification.step", lambda _: None)
     return mishap
 
 
 @pytest.fixture
-def desk(open_window):
+def context(open_window):
     """A window that opens what is at the other end of a cable."""
     window = open_window(opener=open_instrument)
     window.ui.form.seconds.setValue(SECONDS)
@@ -184,23 +184,23 @@ def assert_kept(folder, words, reason):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_a_firmware_that_is_killed(qtbot, desk, mishap, device, tmp_path):
+def test_a_firmware_that_is_killed(qtbot, context, mishap, device, tmp_path):
     with firmware_process("--pty", *SPEED) as (url, process):
-        words = it_befalls(qtbot, desk, url, mishap, lambda _: (process.kill(), process.wait()))
+        words = it_befalls(qtbot, context, url, mishap, lambda _: (process.kill(), process.wait()))
     assert words.startswith(f"The connection to {url} broke")
     assert words.count("Check the cable") == 1
     assert_kept(tmp_path, words, "broke")
-    assert_the_next_test_runs(qtbot, desk, device, tmp_path)
+    assert_the_next_test_runs(qtbot, context, device, tmp_path)
 
 
 @pytest.mark.parametrize(("how", "said"), [("pull", "broke"), ("fall_silent", "went silent")])
-def test_a_cable_that_is_pulled_and_one_that_falls_silent(qtbot, desk, mishap, device, cable, tmp_path, how, said):
-    words = it_befalls(qtbot, desk, cable.url, mishap, getattr(cable, how))
+def test_a_cable_that_is_pulled_and_one_that_falls_silent(qtbot, context, mishap, device, cable, tmp_path, how, said):
+    words = it_befalls(qtbot, context, cable.url, mishap, getattr(cable, how))
     assert said in words
     assert_kept(tmp_path, words, said)
     cable.pull()
     assert_free(device)
-    assert_the_next_test_runs(qtbot, desk, device, tmp_path)
+    assert_the_next_test_runs(qtbot, context, device, tmp_path)
 
 
 def filled(patch):
@@ -214,22 +214,24 @@ def filled(patch):
     return fill
 
 
-def test_a_disk_that_fills_up(qtbot, desk, mishap, device, tmp_path, monkeypatch):
+def test_a_disk_that_fills_up(qtbot, context, mishap, device, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        words = it_befalls(qtbot, desk, device, mishap, filled(patch))
+        words = it_befalls(qtbot, context, device, mishap, filled(patch))
     (journal,) = tmp_path.iterdir()
     stays = f"The recording stays in {journal}; it is offered for recovery at the next start."
     assert words == f"No space left on device. {stays}"
     assert_free(device)
-    assert_the_next_test_runs(qtbot, desk, device, tmp_path)
+    assert_the_next_test_runs(qtbot, context, device, tmp_path)
     test = recover(journal)[1].test()
     assert (test.status, test.samples > 0) == ("recovered", True)
 
 
-def test_a_disk_that_is_full_before_the_first_sample_leaves_nothing(qtbot, desk, mishap, device, tmp_path, monkeypatch):
+def test_a_disk_that_is_full_before_the_first_sample_leaves_nothing(
+    qtbot, context, mishap, device, tmp_path, monkeypatch
+):
     with monkeypatch.context() as patch:
         mishap.before = filled(patch)
-        words = it_befalls(qtbot, desk, device, mishap, None)
+        words = it_befalls(qtbot, context, device, mishap, None)
     assert words == "No space left on device. Nothing was recorded."
     assert list(tmp_path.iterdir()) == []
     assert_free(device)

@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QPushButton
 
 from tissueid.acquisition import SessionRecorder, journal_path
 from tissueid.errors import InstrumentError, UnusableInputError
-from tissueid.instrument import Found, SimulatedInstrument
+from tissueid.instrument import FoundInstrument, SimulatedInstrument
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -40,6 +40,37 @@ def test_a_problem_waits_on_its_page(window):
     assert not shown(window)
 
 
+def test_news_go_when_another_action_begins_and_a_problem_when_it_succeeds(qtbot, window):
+    notice, button = window.ui.notice, window.ui.views["start"].use
+    notice.say("It is saved.")
+    button.pressed.emit()
+    assert not shown(window)
+    notice.say("The disk is full.", problem=True)
+    button.pressed.emit()
+    assert shown(window)
+    window.jobs.do(lambda: 1 / 0, window._logged, window._logged)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert shown(window)
+    window.jobs.do(lambda: 1, window._logged, window._logged)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert not shown(window)
+
+
+def test_what_an_action_says_itself_an_offer_and_a_defect_stay_when_it_succeeds(qtbot, window):
+    notice, button = window.ui.notice, window.ui.views["start"].use
+    for say in (
+        lambda: notice.say("The disk is full.", problem=True),
+        lambda: notice.say("One is unfinished.", offer="Recover"),
+        lambda: notice.say_everywhere("Defect."),
+    ):
+        say()
+        if not notice.text.text().startswith("The disk"):
+            button.pressed.emit()
+        window.jobs.do(lambda: 1, window._logged, window._logged)
+        qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+        assert shown(window)
+
+
 def test_an_offer_waits_on_its_page(window):
     window.ui.notice.say("One is unfinished.", offer="Recover")
     window.pages.show("start")
@@ -68,7 +99,7 @@ def test_newer_words_take_the_place_of_what_waits(window):
 
 def test_a_defect_is_said_on_every_page_until_it_is_dismissed(window, monkeypatch, tmp_path):
     monkeypatch.setattr("tissueid.app.words.user_log_path", lambda *_, **__: tmp_path)
-    window.meet_defect(ZeroDivisionError())
+    window.on_defect(ZeroDivisionError())
     for name in ("start", "measure", "instrument"):
         window.pages.show(name)
         assert "defect" in shown(window)
@@ -90,9 +121,9 @@ def test_what_was_wrong_in_the_form_is_no_longer_said_once_that_is_changed(qtbot
 
 def test_what_a_page_says_late_belongs_to_that_page(window):
     window.pages.show("instrument")
-    desk = window.ui.views["instrument"].desk
+    context = window.ui.views["instrument"].context
     window.pages.show("measure")
-    desk.say("It was read.", problem=True)
+    context.say("It was read.", problem=True)
     assert shown(window) == "It was read."
     window.pages.show("instrument")
     assert shown(window) == "It was read."
@@ -127,7 +158,7 @@ def measure_with(qtbot, open_window):
 
     def run(opener=lambda _: SimulatedInstrument("forearm"), before=lambda: None):
         def finder(**_):
-            return [Found(PORT, "desktop indenter", True), *found(probe=False)[1:]]
+            return [FoundInstrument(PORT, "desktop indenter", True), *found(probe=False)[1:]]
 
         window = open_window(opener=opener, finder=finder)
         form = window.ui.form
@@ -160,7 +191,7 @@ def test_a_folder_that_cannot_be_written_says_nothing_about_the_instrument(measu
     def refuse(*_, **__):
         raise UnusableInputError("cannot write there")
 
-    window = measure_with(before=lambda: monkeypatch.setattr("tissueid.app.measuring.SessionRecorder", refuse))
+    window = measure_with(before=lambda: monkeypatch.setattr("tissueid.app.measurement_job.SessionRecorder", refuse))
     assert shown(window) == "Cannot write there."
     assert window.ui.form.instrument.about.text() == "Ready: desktop indenter."
 
@@ -172,7 +203,7 @@ def test_an_instrument_that_fails_is_told_so_until_it_is_asked_anew(qtbot, measu
     window = measure_with(opener=silent)
     assert shown(window) == "It does not answer: check the cable."
     about = window.ui.form.instrument.about
-    assert about.text() == "desktop indenter: it failed the last time; “Find” asks it anew."
+    assert about.text() == "desktop indenter: it failed the last time; “Find” asks it again."
     press(qtbot, window.ui.form.instrument.refresh)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert about.text() == "Ready: desktop indenter."

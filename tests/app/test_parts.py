@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from tissueid.acquisition import Phase, Progress, journal_path
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.live import LiveSignals, decimated
-from tissueid.app.measuring import measure
-from tissueid.app.pacing import PacedInstrument
+from tissueid.app.live_signals import LiveSignals, decimated
+from tissueid.app.measurement_job import measure
 from tissueid.app.plan import Plan, dated_path, longest_stimulus_s
 from tissueid.app.words import in_words, sentence
 from tissueid.device import DeviceDescription
@@ -37,10 +36,10 @@ def test_time_is_that_of_the_session_and_negative_while_placing():
     live.add(Progress(Phase.PLACE, 0.5, samples(1000, 20)), DEVICE)
     live.add(Progress(Phase.PRELOAD, 0.1, samples(9000, 20)), DEVICE)
     live.add(Progress(Phase.RELEASE, 1.0, samples(0, 0)), DEVICE)
-    glance = live.look()
-    assert glance.phase is Phase.RELEASE
-    assert glance.time_s[[0, 19, 20, 39]] == pytest.approx([-1.2, -1.1905, 0.0, 0.0095])
-    assert glance.force_n[20] == 3.0 * 9000
+    snapshot = live.snapshot()
+    assert snapshot.phase is Phase.RELEASE
+    assert snapshot.time_s[[0, 19, 20, 39]] == pytest.approx([-1.2, -1.1905, 0.0, 0.0095])
+    assert snapshot.force_n[20] == 3.0 * 9000
 
 
 @given(st.lists(st.integers(1, 70), min_size=1, max_size=12))
@@ -51,7 +50,7 @@ def test_the_ring_holds_the_newest_samples_in_order(counts):
         live.add(Progress(Phase.STIMULUS, 0.5, samples(first, count)), DEVICE)
         first += count
     expected = np.arange(first)[-50:]
-    assert np.array_equal(live.look().force_n / 3.0, expected)
+    assert np.array_equal(live.snapshot().force_n / 3.0, expected)
 
 
 @given(st.integers(1, 5000), st.integers(1, 300), st.integers(0, 2**32 - 1))
@@ -72,34 +71,14 @@ def test_decimation_breaks_the_line_where_samples_are_lost():
     assert np.isfinite(y[(x < 0.48) | (x > 1.02)]).all()
 
 
-def test_the_simulation_is_held_to_real_time():
-    now = [100.0]
-    waits = []
-
-    def wait(seconds):
-        waits.append(seconds)
-        now[0] += seconds
-
-    paced = PacedInstrument(SimulatedInstrument(), wait, clock=lambda: now[0])
-    paced.load(np.zeros(4000))
-    paced.arm(PROFILES["clinical"])
-    paced.start()
-    for _ in range(100):
-        paced.poll(0.05)
-    assert now[0] == pytest.approx(101.0)
-    assert max(waits) == pytest.approx(0.01)
-    now[0] += 5.0  # a slow moment is not made up for by waiting
-    waits.clear()
-    paced.poll(0.05)
-    assert waits == []
-
-
 def plan(tmp_path, **changes):
     return Plan(**({"url": "x", "site": "here", "path": tmp_path / "s.h5", "seconds": 1.0} | changes))
 
 
-def run(chosen, instrument, stop=None, apart=False):
-    return measure(chosen, LiveSignals(), stop or EmergencyStop(), lambda _: instrument, lambda _: None, apart)
+def run(chosen, instrument, stop=None, separate_process=False):
+    return measure(
+        chosen, LiveSignals(), stop or EmergencyStop(), lambda _: instrument, lambda _: None, separate_process
+    )
 
 
 class Spy(SimulatedInstrument):
@@ -143,7 +122,7 @@ def test_a_lost_link_keeps_the_recorded_part(tmp_path):
 
 
 def test_a_port_that_cannot_be_closed_costs_no_data(tmp_path):
-    outcome = run(plan(tmp_path), Spy(close=True), apart=True)
+    outcome = run(plan(tmp_path), Spy(close=True), separate_process=True)
     assert not any(thread.name == "live identification" for thread in threading.enumerate())
     assert outcome.problem == "Input/output error."
     assert outcome.session.test().status == "completed"

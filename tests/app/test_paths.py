@@ -122,8 +122,7 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
 # -- the researcher ---------------------------------------------------------------------------------------------------
 
 
-def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_start, saved, tmp_path, monkeypatch):
-    monkeypatch.setattr("tissueid.app.views.researcher.history.user_data_path", lambda *_, **__: tmp_path / "data")
+def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_start, saved, tmp_path):
     before = saved.read_bytes()
     window = from_start("researcher", folder=saved.parent)
     assert window.ui.page == "research"
@@ -192,7 +191,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
 
 def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibrations, audit_file, monkeypatch):
     quick = functools.partial(StaticPlan, steps=("electrical", "temperature"))
-    monkeypatch.setattr("tissueid.app.calibrating.StaticPlan", quick)
+    monkeypatch.setattr("tissueid.app.calibration_job.StaticPlan", quick)
     window = from_start(
         "technician",
         opener=lambda _: connect("calibration-spring", seed=3, identity=Identity(stage=True)),
@@ -224,7 +223,7 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     assert window.testing
     assert window.ui.stop.hasFocus()
     rest(qtbot, window)
-    assert page.headline.text() == "Static calibration passed: good for use."
+    assert page.headline.text() == "Static calibration passed: ready for use."
     (path,) = calibrations.glob("*.toml")
     assert read_calibration(path).serial_number == "SIM-0001"
     qtbot.keyClick(window, Qt.Key.Key_5, CONTROL)
@@ -267,7 +266,7 @@ def test_from_a_session_to_a_twin_that_is_measured(qtbot, from_start, tmp_path, 
     qtbot.keyClick(page.asking.run, Qt.Key.Key_Return)
     assert page.asking.stop.isVisible()
     rest(qtbot, window)
-    assert page.result.headline.text().startswith("The gap is explained: dry friction in the bearing (")
+    assert page.result.headline.text().startswith("The gap is explained: Dry friction in the bearing (")
     press(qtbot, page.result.accept)
     answer(qtbot, window, tmp_path / "mine.toml")
     assert [item.name for item in read_twin(tmp_path / "mine.toml").effects] == ["dry_friction"]

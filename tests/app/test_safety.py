@@ -13,14 +13,14 @@ from PySide6.QtCore import Qt
 
 from tissueid.acquisition.quality import Quality, QualityFinding
 from tissueid.app.calibration_state import UNKNOWN, calibration_state
-from tissueid.app.gate import MOST_SHOWN, UNJUDGED, QualityGate
+from tissueid.app.quality_gate import MOST_SHOWN, UNJUDGED, QualityGate
 from tissueid.app.readouts import KEYS_LOST, KEYS_REACH, SafetyReadouts
 from tissueid.app.safety import Region, Safety, SafetyWatch, linear_region
 from tissueid.app.signals import LINEAR, OUTSIDE
 from tissueid.calibration import Calibration, Quantity, write_calibration
 from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
-from tissueid.instrument.thermal import Winding
+from tissueid.instrument.thermal import WindingTemperature
 from tissueid.sessions import read_session, write_session
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -42,12 +42,12 @@ def samples(count, **signals):
 
 def test_force_and_temperature_are_those_of_the_newest_quarter_of_a_second():
     watch = SafetyWatch(DEVICE, CLINICAL)
-    assert watch.look() == Safety(CLINICAL, region=Region(0.004, 0.0275))
+    assert watch.snapshot() == Safety(CLINICAL, region=Region(0.004, 0.0275))
     watch.take(samples(500, current=3.0))
     watch.take(samples(400, current=-1.0, temperature=40.0))
-    assert watch.look().force_n == pytest.approx(9.0)
+    assert watch.snapshot().force_n == pytest.approx(9.0)
     watch.take(samples(100, current=np.nan, position=np.nan, temperature=np.nan))
-    now = watch.look()
+    now = watch.snapshot()
     assert now.force_n == pytest.approx(3.0)
     assert now.temperature_c == 40.0
     assert not now.left_region
@@ -58,35 +58,35 @@ def test_the_coil_warms_by_calculation_whatever_its_sensor_says():
     for _ in range(60):
         for one in (watch, without):
             one.take(samples(2000, current=3.0))
-    now = watch.look()
+    now = watch.snapshot()
     assert now.temperature_c == 25.0
     assert now.model_c > 100.0
-    assert without.look().model_c is None
+    assert without.snapshot().model_c is None
 
 
 @pytest.mark.parametrize("resistance_ohm", [10.8, 12.0, 13.9])
 def test_the_temperature_by_calculation_does_not_hang_on_how_warm_the_coil_was_when_it_was_calibrated(resistance_ohm):
     """The judge of the host goes by the nominal resistance; what the window shows is the same."""
     watch = SafetyWatch(dataclasses.replace(DEVICE, coil_resistance_ohm=resistance_ohm), CLINICAL)
-    judged_by = Winding(DeviceDescription())
+    judged_by = WindingTemperature(DeviceDescription())
     for _ in range(60):
         block = samples(2000, current=2.0)
         watch.take(block)
         judged_by.take(block["current"], block["temperature"], 0.0)
-    assert watch.look().model_c == pytest.approx(judged_by.temperature_c, abs=1e-6)
+    assert watch.snapshot().model_c == pytest.approx(judged_by.temperature_c, abs=1e-6)
     assert judged_by.temperature_c > 60.0
 
 
 def test_contact_is_known_once_the_surface_is():
     watch = SafetyWatch(DEVICE, CLINICAL)
     watch.take(samples(100))
-    assert watch.look().contact is None
+    assert watch.snapshot().contact is None
     watch.surface_m = 0.010
-    assert watch.look().contact is True
+    assert watch.snapshot().contact is True
     watch.take(samples(100, position=0.0095))
-    assert watch.look().contact is False
+    assert watch.snapshot().contact is False
     watch.take(samples(500, position=0.0098))
-    assert watch.look().contact is True
+    assert watch.snapshot().contact is True
 
 
 @given(st.floats(0.0, 0.032), st.floats(0.0, 0.032))
@@ -96,7 +96,7 @@ def test_the_linear_region_is_left_for_the_rest_of_the_test(first, second):
     for position in (first, second, 0.012):
         watch.take(samples(20, position=position))
         outside = outside or not 0.004 <= position <= 0.0275
-        assert watch.look().left_region is outside
+        assert watch.snapshot().left_region is outside
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_without_a_region_nothing_is_outside(calibration):
     assert linear_region(device) is None
     watch = SafetyWatch(device, CLINICAL)
     watch.take(samples(10, position=0.03))
-    assert not watch.look().left_region
+    assert not watch.snapshot().left_region
 
 
 # -- what is read ---------------------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ def test_read_outs_are_quiet_until_something_comes_near_its_limit(readouts, chan
     labels = (readouts.force, readouts.coil, readouts.contact)
     assert tuple(label.text() for label in labels) == (force, coil, contact)
     assert tuple(label.property("level") or "" for label in labels) == levels
-    readouts.rest()
+    readouts.clear()
     assert [label.text() for label in labels] == ["—"] * 3
     assert readouts.keys.text() == "No test is running"
 
@@ -171,10 +171,10 @@ def test_numbers_change_four_times_a_second_and_contact_at_once(readouts):
 def test_it_is_said_when_the_keys_do_not_reach_the_window(readouts):
     readouts.expect()
     assert readouts.keys.text() == KEYS_REACH
-    readouts.tell_keys(reach=False)
+    readouts.show_key_reach(reach=False)
     assert readouts.keys.text() == KEYS_LOST
     assert readouts.keys.property("level") == "check"
-    readouts.tell_keys(reach=True)
+    readouts.show_key_reach(reach=True)
     assert readouts.keys.property("level") == ""
 
 
@@ -347,7 +347,7 @@ def test_run_again_runs_the_same_test_into_another_file(qtbot, open_window, tmp_
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
     assert window.ui.gate.headline.text() == "Do the test again"
-    assert any("left the skin" in words for words in window.ui.gate.words)
+    assert "probe_lifted" in {finding.code for finding in window.findings.quality.findings}
     press(qtbot, window.ui.gate.run_again)
     assert window.testing
     assert not window.ui.gate.isVisible()

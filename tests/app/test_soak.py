@@ -14,7 +14,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings
 from PySide6.QtWidgets import QApplication
 
 from tissueid.app.main_window import MainWindow
-from tissueid.app.surroundings import Surroundings
+from tissueid.app.services import AppServices
 from tissueid.app.theme import DARK, LIGHT
 from tissueid.audit import AuditLog
 
@@ -26,7 +26,7 @@ WARM = 40
 def live_and_die(qtbot, folder, saved, *, analyse):
     kept = functools.partial(QSettings, str(folder / "window.ini"), QSettings.Format.IniFormat)
     window = MainWindow(
-        Surroundings(
+        AppServices(
             finder=found,
             folder=folder,
             calibrations=folder,
@@ -46,8 +46,8 @@ def live_and_die(qtbot, folder, saved, *, analyse):
         qtbot.waitUntil(lambda: window.findings is not None and not window.jobs, timeout=WAIT_MS)
         window.grab()
     for theme in (DARK, LIGHT):
-        window.ui.paint_with(theme)
-        window.pages.paint_with(theme)
+        window.ui.apply_theme(theme)
+        window.pages.apply_theme(theme)
     made = counted(window)
     window.close()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)

@@ -14,8 +14,8 @@ from tissueid.app import units
 from tissueid.app.surface_geometry import MOST_POINTS, Pose, drawing_order, mesh_of, ticks
 from tissueid.app.surface_plot import SurfaceCanvas, SurfacePlot
 from tissueid.app.theme import DARK, LIGHT
-from tissueid.app.views.researcher.drawn import Drawn, Image
-from tissueid.app.views.researcher.kernels import KernelImage
+from tissueid.app.views.researcher.kernel_plot import KernelPlot
+from tissueid.app.views.researcher.plot_data import Image, PlotData
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -39,7 +39,7 @@ def image(values=None, count=24):
 def plot(qtbot):
     plot = SurfacePlot()
     qtbot.addWidget(plot)
-    plot.paint_with(LIGHT)
+    plot.apply_theme(LIGHT)
     plot.resize(640, 420)
     plot.show_image(image())
     plot.show()
@@ -219,7 +219,7 @@ def test_what_is_above_zero_has_one_colour_and_what_is_below_the_other(qtbot):
     for theme in (LIGHT, DARK):
         canvas = SurfaceCanvas()
         qtbot.addWidget(canvas)
-        canvas.paint_with(theme)
+        canvas.apply_theme(theme)
         canvas.resize(500, 400)
         canvas.show_image(image(ramp))
         canvas.pose = Pose(0.0, math.pi / 2.0)  # from above, the first axis to the right
@@ -237,7 +237,7 @@ def test_a_near_wall_hides_what_is_behind_it(qtbot):
     values[:, 4:8] = 0.0
     canvas = SurfaceCanvas()
     qtbot.addWidget(canvas)
-    canvas.paint_with(LIGHT)
+    canvas.apply_theme(LIGHT)
     canvas.resize(560, 420)
     canvas.show_image(image(values))
 
@@ -264,13 +264,13 @@ class Outcome:
 
     def __init__(self, label, *images):
         self.label = label
-        self.drawn = Drawn({}, {}, images, {})
+        self.plots = PlotData({}, {}, images, {})
 
 
 def test_an_image_turns_into_a_surface_and_back(qtbot):
-    kernels = KernelImage()
+    kernels = KernelPlot()
     qtbot.addWidget(kernels)
-    kernels.paint_with(LIGHT)
+    kernels.apply_theme(LIGHT)
     kernels.show()
     assert not kernels.raised.isVisible()  # there is nothing to raise
     kernels.offer([Outcome("a", image()), Outcome("b", image(count=12))])
@@ -292,9 +292,9 @@ def test_an_image_turns_into_a_surface_and_back(qtbot):
 
 
 def test_the_image_too_is_said_in_the_units_in_force(qtbot):
-    kernels = KernelImage()
+    kernels = KernelPlot()
     qtbot.addWidget(kernels)
-    kernels.paint_with(LIGHT)
+    kernels.apply_theme(LIGHT)
     lag, depth = np.linspace(0.0, 30.0, 20), np.linspace(5.0, 12.0, 60)
     along = Image("Kernels against depth", "mm/(N·s)", lag, depth, np.ones((20, 60)), "Lag (ms)", "Position (mm)")
     kernels.offer([Outcome("a", along)])

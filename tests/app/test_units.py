@@ -21,15 +21,15 @@ from tissueid.app.views.clinician.comparing import Comparison, Sighting
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, standing
 from tissueid.app.views.clinician.summary import SittingSummary
-from tissueid.app.views.gap.story import Fitted, Rival
-from tissueid.app.views.gap.which_tab import WhichTab
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.figure import FigurePlan
-from tissueid.app.views.researcher.figures_table import FiguresTable
-from tissueid.app.views.researcher.reading import Channel, Loaded
-from tissueid.app.views.researcher.saving import write_figure
+from tissueid.app.views.gap.candidates_tab import CandidatesTab
+from tissueid.app.views.gap.page_content import Fitted, Rival
+from tissueid.app.views.researcher.recorded_signal import RecordedSignal
+from tissueid.app.views.researcher.saved_files import write_figure
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.signal_figure import SignalFigure
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
-from tissueid.app.views.researcher.track import Track
+from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.calibration import Quantity
 from tissueid.records import Estimate
@@ -130,7 +130,7 @@ def test_a_plot_changes_its_numbers_and_not_its_curve(qtbot):
     card = PlotCard("Position", "Depth (mm)", "mm/N")
     qtbot.addWidget(card)
     line = card.line("measured")
-    card.paint_with(LIGHT)
+    card.apply_theme(LIGHT)
     line.setData(np.array([0.0, 20.0]), np.array([0.0, 4.0]))
     card.plot.setXRange(0.0, 20.0, padding=0.0)
     before = [axis_range[:] for axis_range in card.plot.viewRange()]
@@ -165,7 +165,7 @@ def test_a_logarithmic_axis_says_si_too(qtbot):
 def test_numbers_during_a_test_change_with_the_units(qtbot):
     panel = LiveAnalysis()
     qtbot.addWidget(panel)
-    panel.paint_with(LIGHT)
+    panel.apply_theme(LIGHT)
     view = seen()
     panel.show_view(view)
     mass = view.parameters["mass"].value
@@ -212,12 +212,14 @@ def test_the_mean_of_repeats_is_shown_in_the_units_and_printed_as_always(qtbot, 
 def loaded(tmp_path):
     rate = 1000.0
     time_s = np.arange(4000) / rate
-    track = Track(0.014 + 0.002 * np.sin(2.0 * np.pi * 50.0 * time_s), rate)
-    return [Loaded(Chosen(tmp_path / "s.h5", 1, "calf", "P-1", "P-1 #1"), 0.0, {Channel("position", "m"): track})]
+    track = RecordedSignal(0.014 + 0.002 * np.sin(2.0 * np.pi * 50.0 * time_s), rate)
+    return [
+        LoadedTest(SelectedTest(tmp_path / "s.h5", 1, "calf", "P-1", "P-1 #1"), 0.0, {Channel("position", "m"): track})
+    ]
 
 
 def test_signals_are_tabled_and_saved_in_the_units(qtbot, loaded, tmp_path):
-    table, channels = FiguresTable(), list(loaded[0].tracks)
+    table, channels = StatisticsTable(), list(loaded[0].tracks)
     qtbot.addWidget(table)
     table.show_stretch(loaded, channels, 0.0, 4.0)
     assert table.item(0, 1).text() == "14.0 ± 1.4"
@@ -225,7 +227,7 @@ def test_signals_are_tabled_and_saved_in_the_units(qtbot, loaded, tmp_path):
     table.take_units()
     assert table.horizontalHeaderItem(1).text() == "Position (m)"
     assert table.item(0, 1).text() == "0.0140 ± 0.0014"
-    path = write_figure(tmp_path / "figure.svg", FigurePlan(loaded, channels, 0.0, 4.0, channels[0]).draw)
+    path = write_figure(tmp_path / "figure.svg", SignalFigure(loaded, channels, 0.0, 4.0, channels[0]).draw)
     text = path.read_text(encoding="utf-8")
     assert "Position (m)" in text
     assert "(m²/Hz)" in text
@@ -249,7 +251,7 @@ def test_a_spectrum_is_six_decades_lower_in_square_metres(qtbot, loaded):
 
 
 def test_fitted_figures_of_an_effect_change_with_the_units(qtbot):
-    tab = WhichTab()
+    tab = CandidatesTab()
     qtbot.addWidget(tab)
     fitted = (Fitted("Backlash", Estimate(0.0012, 0.0001), "m"), Fitted("Friction", Estimate(0.25, None), "N"))
     tab._rivals = (Rival("Backlash", "mechanics", True, 0.9, "90 %", "95 %", "", "a step", "mend it", fitted),)
@@ -264,14 +266,14 @@ def test_fitted_figures_of_an_effect_change_with_the_units(qtbot):
 def test_sweeps_are_compared_in_the_units(qtbot):
     panel = SweepsPanel()
     qtbot.addWidget(panel)
-    panel.paint_with(LIGHT)
+    panel.apply_theme(LIGHT)
     panel.show_sweeps([sweep()])
     assert panel.remarks.text() == "Linear from 4.0 to 27.0 mm."
     units.use("si")
     panel.take_units()
     assert panel.remarks.text() == "Linear from 0.0040 to 0.0270 m."
     rows = [[panel.model.data(panel.model.index(row, column)) for column in (0, 5, 6)] for row in range(3)]
-    assert ["Linear region from", "0.004000 ± 0.000050", "m"] in rows
+    assert ["Start of the linear region", "0.004000 ± 0.000050", "m"] in rows
     older = sweep(date="2026-01-01T10:00:00+00:00")
     panel.show_sweeps([sweep(), older])
     assert panel.remarks.text().startswith("Over 0.0040 to 0.0270 m, where both are linear")
@@ -312,7 +314,7 @@ def test_the_choice_is_shown_at_once_on_every_page_and_kept(qtbot, open_window, 
     assert "kg" in tiles["Mass"].accessibleName()
     assert ui.signals.position._heading.text() == "Position (m)"
     assert ui.result.bode._heading.text() == "Bode magnitude (m/N)"
-    assert ui.analysis.curve.plot.getAxis("bottom").scale == pytest.approx(1e-3)
+    assert ui.result.impulse.plot.getAxis("left").scale == pytest.approx(1e-3)
 
     window.pages.show("instrument")  # made only now
     view = next(view for view in window.pages.views if view.name == "instrument")

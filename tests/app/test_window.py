@@ -10,10 +10,10 @@ from PySide6.QtCore import Qt
 from support import connect
 
 from tissueid.acquisition import SessionRecorder, journal_path
-from tissueid.app.gate import UNJUDGED
 from tissueid.app.instruments import Survey
-from tissueid.app.layout import RESEARCH_USE
-from tissueid.instrument import Found, Run, SimulatedInstrument
+from tissueid.app.quality_gate import UNJUDGED
+from tissueid.app.words import RESEARCH_USE
+from tissueid.instrument import FoundInstrument, Run, SimulatedInstrument
 from tissueid.sessions import read_session, write_session
 from tissueid.sessions.quality import NOTE, quality_of
 from tissueid.wire import Flag
@@ -91,7 +91,7 @@ def test_the_whole_path_by_mouse(qtbot, open_window, tmp_path):
     press(qtbot, ui.form.fold)
     assert ui.form.seconds.isVisible()
     ui.form.seconds.setValue(1.0)
-    ui.form.distribution.setCurrentIndex(1)
+    ui.form.distribution.setCurrentIndex(ui.form.distribution.findData("uniform"))
     assert ui.form.summary.text() == "Uniform noise, 0.5 to 10.5 N, 1 s, seed 1"
     ui.form.subject.setText("P-017")
     press(qtbot, ui.start)
@@ -138,7 +138,7 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     assert str(path) in window.ui.notice.text.text()
     gate, result = window.ui.gate, window.ui.result
     said = " ".join([gate.headline.text(), *gate.words, result.reasons.text(), result.facts.text()])
-    assert said.count("broken off") == 1  # once on the page, under one red light, with one button
+    assert said.count("The test was stopped") == 1  # once on the page, under one red light, with one button
     assert "ended early" not in said.lower()
     assert (gate.headline.text(), gate.light.property("level")) == ("Do the test again", "poor")
     assert (gate.run_again.isVisible(), gate.repeats.repeat.isVisible()) == (True, False)
@@ -415,7 +415,7 @@ def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
 
 
 def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_window, tmp_path):
-    known = Found("/dev/ttyACM7", "n/a", None, name="serial port")
+    known = FoundInstrument("/dev/ttyACM7", "n/a", None, name="serial port")
     window = open_window(finder=lambda **_: [known, *found(probe=False)[1:]])
     chooser = window.ui.form.instrument
     shown = [chooser.choice.itemData(place, Qt.ItemDataRole.AccessibleTextRole) for place in range(2)]
@@ -439,8 +439,8 @@ def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_wind
 
 
 def test_finding_says_which_instrument_answers():
-    ready = [Found(f"/dev/{name}", "serial port", True, name=f"indenter, {name}") for name in ("A1", "B2")]
-    simulated = Found("simulated://spring", "simulation in this process", True, name="simulation, spring")
+    ready = [FoundInstrument(f"/dev/{name}", "serial port", True, name=f"indenter, {name}") for name in ("A1", "B2")]
+    simulated = FoundInstrument("simulated://spring", "simulation in this process", True, name="simulation, spring")
     assert Survey([ready[0], simulated]).words.startswith("One instrument answers (indenter, A1); ")
     assert Survey([*ready, simulated]).words.startswith("2 instruments answer (indenter, A1; indenter, B2); ")
     assert Survey([simulated]).words.startswith("No instrument answers; ")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from audit_logs import a_log, rows
+from coded import shows
 
 from tissueid.acquisition import SessionRecorder
 from tissueid.audit import (
@@ -28,14 +29,13 @@ from tissueid.wire import Flag
 def test_a_whole_log_ends_with_status_0(audit_file, capsys):
     a_log(audit_file)
     assert main(["audit", "verify"]) == 0
-    assert "5 lines, all as they were written" in capsys.readouterr().out
+    assert "5 lines, none altered" in capsys.readouterr().out
 
 
 def test_a_broken_log_ends_with_status_2_and_one_line(path, tmp_path, capsys):
     path.write_bytes(path.read_bytes().replace(b"P1", b"P2"))
     assert main(["audit", "verify", "--log", str(path), "--json", str(tmp_path / "a.json")]) == 2
-    said = capsys.readouterr().err
-    assert said == f"tissueid: {path}: line 3 was changed: it does not have the hash that it says\n"
+    assert shows(capsys.readouterr().err, "audit.changed", line=3)
     answer = json.loads((tmp_path / "a.json").read_text())
     assert (answer["whole"], answer["lines"], answer["broken"]["damage"]) == (False, 2, "changed")
 
@@ -49,12 +49,12 @@ def test_sessions_and_calibrations_tell_of_an_end_that_was_cut_off(path, tmp_pat
     arguments = ["audit", "verify", "--log", str(path)]
     assert main([*arguments, str(session), str(calibration), str(none), "--head", head]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "none.h5 carries no head of the log" in said
+    assert "none.h5 contains no head of the log" in said
     assert "all 1 heads are in it" in said
     path.write_bytes(b"".join(rows(path)[:-1]))
     for file in (session, calibration):
         assert main([*arguments, str(file)]) == 2
-        assert "the log had line 5, and it ends with line 4: its end was cut off" in capsys.readouterr().err
+        assert shows(capsys.readouterr().err, "audit.cut_off", number=5, lines=4)
 
 
 def test_an_emptied_log_and_one_that_was_removed_are_no_logs_that_nothing_was_written_to(path, tmp_path, capsys):
@@ -65,16 +65,16 @@ def test_an_emptied_log_and_one_that_was_removed_are_no_logs_that_nothing_was_wr
     lines = rows(path)
     path.write_bytes(b"")
     assert main(["audit", "verify", "--log", str(path)]) == 2
-    assert "had line 5, and it ends with line 0" in capsys.readouterr().err
+    assert shows(capsys.readouterr().err, "audit.cut_off", number=5, lines=0)
     path.unlink()
     assert main(["audit", "verify", "--log", str(path)]) == 2
-    assert "its newest line was number 5, and it was removed or moved" in capsys.readouterr().err
+    assert "was removed or moved; its newest line had number 5" in capsys.readouterr().err
     AuditLog(path).record("clinician", "test.begun")
     moved = tmp_path / "2025.jsonl"
     moved.write_bytes(b"".join(lines))
     assert main(["audit", "verify", "--log", str(path)]) == 2
     said = capsys.readouterr().err
-    assert "line 2 says that lines up to 5 were in the log before" in said
+    assert shows(said, "audit.lines_missing", place=2, number=5)
     assert len(said.splitlines()) == 1
     assert main(["audit", "verify", "--log", str(path), "--after", str(moved)]) == 0
 
@@ -97,7 +97,7 @@ def test_refusals(tmp_path, capsys):
     a_log(tmp_path / "a.jsonl", 1)
     for arguments, words in (
         (["audit", "verify", "--log", str(tmp_path / "none")], "there is no audit log"),
-        (["audit", "show", "--log", str(tmp_path / "none")], "nothing has been logged yet, or it was moved"),
+        (["audit", "show", "--log", str(tmp_path / "none")], "nothing has been logged yet, or the log was moved"),
         (["audit", "verify", str(tmp_path / "x.toml")], "is not a calibration"),
         (["audit", "verify", str(tmp_path / "x.h5")], "no such file"),
         (["audit", "verify", "--log", str(tmp_path / "a.jsonl"), "--head", "5"], "NUMBER:HASH"),
@@ -136,7 +136,7 @@ def test_a_test_from_the_shell_is_logged(audit_file, tmp_path, capsys, monkeypat
     assert main(["audit", "verify", str(tmp_path / "s.h5")]) == 0
     audit_file.write_bytes(b"".join(rows(audit_file)[:-2]))
     assert main(["audit", "verify", str(tmp_path / "s.h5")]) == 2
-    assert "its end was cut off" in capsys.readouterr().err
+    assert shows(capsys.readouterr().err, "audit.cut_off")
 
 
 def test_a_test_that_cannot_be_logged_is_refused_and_leaves_nothing(tmp_path, monkeypatch, capsys):
@@ -144,30 +144,29 @@ def test_a_test_that_cannot_be_logged_is_refused_and_leaves_nothing(tmp_path, mo
     monkeypatch.setenv("TISSUEID_AUDIT", str(tmp_path / "file" / "audit.jsonl"))
     assert run_a_test(tmp_path / "s.h5") == 2
     said = capsys.readouterr().err.splitlines()[-1]
-    assert said.startswith("tissueid: cannot write the audit log ")
-    assert said.endswith("mend that, or name another file with TISSUEID_AUDIT")
+    assert shows(said, "audit.unwritable", variable="TISSUEID_AUDIT")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_a_log_in_a_folder_that_is_not_there_is_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TISSUEID_AUDIT", str(tmp_path / "missing" / "audit.jsonl"))
     assert run_a_test(tmp_path / "s.h5") == 2
-    assert f"there is no folder {tmp_path / 'missing'}" in capsys.readouterr().err
+    assert shows(capsys.readouterr().err, "file.no_folder", folder=str(tmp_path / "missing"))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_empty_log_is_said_to_be_empty(tmp_path, capsys):
     (tmp_path / "log").touch()
     assert main(["audit", "verify", "--log", str(tmp_path / "log")]) == 0
-    told = capsys.readouterr().out
-    assert "nothing has been logged yet" in " ".join(told.split())
-    assert "head:" not in told
+    result = capsys.readouterr().out
+    assert "nothing has been logged yet" in " ".join(result.split())
+    assert "head:" not in result
 
 
 def test_a_wrong_role_blames_the_option(capsys):
     assert main(["--role", "boss", "devices", "--no-probe"]) == 2
     said = capsys.readouterr().err
-    assert "--role is clinician or researcher or technician, not 'boss'" in said
+    assert "--role must be clinician or researcher or technician, got 'boss'" in said
 
 
 def test_a_recovery_is_logged_and_never_refused(audit_file, tmp_path, monkeypatch, capsys):

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import pytest
 from audit_logs import a_log, chain_by_hand, forget, rows
+from coded import coded, is_german, says
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissueid.audit import (
     AuditLog,
     Damage,
+    active_role,
     default_path,
     last_lines,
-    role_in_force,
     verification,
     verify,
 )
@@ -82,7 +83,7 @@ def test_values_of_all_kinds_are_kept(tmp_path, value, kept):
     assert verify(log.path).whole
 
 
-def test_values_beyond_all_bounds_are_told_by_their_hash(tmp_path):
+def test_too_long_values_are_replaced_by_their_hash(tmp_path):
     log = AuditLog(tmp_path / "a.jsonl")
     log.record("clinician", "x", new=["y" * 1000] * 1000)
     log.record("clinician", "z" * 5000)
@@ -91,10 +92,10 @@ def test_values_beyond_all_bounds_are_told_by_their_hash(tmp_path):
 
 
 def test_who_is_named_where_there_is_no_list_of_users(tmp_path, monkeypatch):
-    def nobody() -> str:
+    def no_user() -> str:
         raise KeyError("uid not found")
 
-    monkeypatch.setattr(getpass, "getuser", nobody)
+    monkeypatch.setattr(getpass, "getuser", no_user)
     assert audit_log.account() in (f"uid {os.getuid()}", "unknown")
 
 
@@ -105,12 +106,12 @@ def test_where_the_log_lies(monkeypatch, audit_file):
 
 
 def test_roles(monkeypatch):
-    assert role_in_force("researcher") == "researcher"
+    assert active_role("researcher") == "researcher"
     monkeypatch.setenv("TISSUEID_ROLE", "Technician")
-    assert role_in_force("researcher") == "technician"
+    assert active_role("researcher") == "technician"
     monkeypatch.setenv("TISSUEID_ROLE", "boss")
-    with pytest.raises(UnusableInputError, match="clinician or researcher or technician, not 'boss'"):
-        role_in_force("researcher")
+    with pytest.raises(UnusableInputError, check=coded("audit.role", variable="TISSUEID_ROLE", value="boss")):
+        active_role("researcher")
 
 
 # -- what is done to it --------------------------------------------------------------------------------------
@@ -184,20 +185,20 @@ def test_a_line_made_up_and_put_in_is_found(path):
     lines = rows(path)
     for place in range(1, len(lines)):
         before = json.loads(lines[place - 1])
-        made_up = before | {"number": place + 1, "subject": "nobody", "previous": before["hash"]}
+        made_up = before | {"number": place + 1, "subject": "P0", "previous": before["hash"]}
         del made_up["hash"]
         body = json.dumps(made_up, separators=(",", ":")).encode()[:-1]
         forged = body + f',"hash":"{sha256(body).hexdigest()}"}}\n'.encode()
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place:]]))
         broken = verify(path).broken
         assert broken.damage is Damage.INSERTED
-        assert broken.words == f"two lines have number {place + 1}: one of them is not part of the log"
+        assert says(broken.words, "audit.twice", line=place + 1)
         path.write_bytes(b"".join([*lines[:place], forged, *lines[place + 1 :]]))
         if place < len(lines) - 1:
             broken = verify(path).broken
             assert broken.damage is Damage.CHANGED
             assert broken.place == place + 1
-            assert "one of the two was exchanged" in broken.words
+            assert broken.words.code == "audit.exchanged"
 
 
 def test_rubbish_between_two_lines_is_found(path):
@@ -210,18 +211,19 @@ def test_rubbish_between_two_lines_is_found(path):
             assert broken.place <= place + 1
 
 
-def test_the_words_say_what_was_done(path):
+def test_the_message_names_the_damage(path):
     lines = rows(path)
-    for raw, words in (
-        ([*lines[:2], lines[2].replace(b"P1", b"P9"), *lines[3:]], "line 3 was changed"),
-        ([*lines[:2], *lines[3:]], "line 3 is not there"),
-        ([lines[0], *lines[4:]], "lines 2 to 4 are not there"),
-        ([*lines[:3], lines[1], *lines[3:]], "a copy of line 2 stands where line 4 should"),
-        ([lines[0], lines[2], lines[1], *lines[3:]], "line 3 stands where line 2 should, which comes later"),
-        (lines[3:], "lines 1 to 3 are not there"),
+    for raw, code, values in (
+        ([*lines[:2], lines[2].replace(b"P1", b"P9"), *lines[3:]], "audit.changed", {"line": 3}),
+        ([*lines[:2], *lines[3:]], "audit.removed", {"line": 3, "last": None}),
+        ([lines[0], *lines[4:]], "audit.removed", {"line": 2, "last": 4}),
+        ([*lines[:3], lines[1], *lines[3:]], "audit.copy", {"copied": 2, "line": 4}),
+        ([lines[0], lines[2], lines[1], *lines[3:]], "audit.reordered", {"found": 3, "line": 2}),
+        (lines[3:], "audit.removed", {"line": 1, "last": 3}),
     ):
         path.write_bytes(b"".join(raw))
-        assert verify(path).broken.words.startswith(words)
+        assert says(verify(path).broken.words, code, **values)
+        assert is_german(verify(path).broken.words)
 
 
 @given(st.data())
@@ -229,7 +231,7 @@ def test_the_words_say_what_was_done(path):
     max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_anything_that_is_done_to_a_log_is_found(tmp_path, found, data):
-    """Whatever is cut out and put in: unless the bytes are the same, or the end was cut off, it is told."""
+    """Detect every removed and inserted part, unless the bytes are the same or the end was cut off."""
     path = tmp_path / "a.jsonl"
     path.unlink(missing_ok=True)
     forget(path)

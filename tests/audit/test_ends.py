@@ -1,4 +1,4 @@
-"""The end of an audit log: what is cut off, made anew, left by a dying computer, or no log at all."""
+"""The end of an audit log: cut off, replaced, left unfinished by a crash, or another file."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from pathlib import Path
 
 import pytest
 from audit_logs import START, a_log, forget, rows
+from coded import coded, codes, holding, part_of, says
 
 from tissueid.audit import (
     AuditError,
     AuditLog,
+    AuditTrail,
     Damage,
-    Trail,
     check_head,
     last_lines,
     verification,
     verify,
 )
-from tissueid.audit.newest import newest_path
+from tissueid.audit.newest_head import newest_path
 from tissueid.errors import UnusableInputError
 
 
-def test_a_log_that_is_cut_off_is_told_by_a_head_from_elsewhere(path):
+def test_a_log_that_is_cut_off_is_detected_by_a_head_from_another_file(path):
     head = verify(path).head
     lines = rows(path)
     forget(path)  # by who may write both
@@ -32,13 +33,11 @@ def test_a_log_that_is_cut_off_is_told_by_a_head_from_elsewhere(path):
         assert verify(path).whole
         broken = verify(path, {head: "session.h5"}).broken
         assert broken.damage is Damage.CUT
-        assert broken.words == (
-            f"session.h5 was written when the log had line 5, and it ends with line {kept}: its end was cut off"
-        )
+        assert says(broken.words, "audit.cut_off", where="session.h5", number=5, lines=kept)
         assert verify(path, {head.partition(":")[2]: "it"}).broken.damage is Damage.CUT
 
 
-def test_a_log_made_anew_is_told_by_a_head_from_elsewhere(path):
+def test_a_new_log_is_detected_by_a_head_from_another_file(path):
     head = verify(path).head
     path.unlink()
     forget(path)
@@ -50,12 +49,16 @@ def test_a_log_made_anew_is_told_by_a_head_from_elsewhere(path):
         log.record("clinician", "test.begun")
     broken = verify(path, {head: "session.h5"}).broken
     assert broken.damage is Damage.FOREIGN
-    assert "another log, or one made anew" in broken.words
+    assert broken.words.code == "audit.other_log"
+
+
+def damaged_log(error):
+    return error.code in ("audit.last_line_damaged", "audit.end_damaged")
 
 
 @pytest.mark.parametrize("head", ["", "5", "5:abc", "x:" + "0" * 64, "0" * 63])
 def test_heads_that_are_none_are_refused(head):
-    with pytest.raises(UnusableInputError, match="NUMBER:HASH"):
+    with pytest.raises(UnusableInputError, check=coded("audit.head")):
         check_head(head)
 
 
@@ -66,9 +69,9 @@ def test_what_a_dying_computer_left_is_closed_off_and_nothing_after_it_is_lost(t
     for length in range(len(whole) - 1, second_last, -1):
         path.write_bytes(whole[:length])
         forget(path)
-        told = verify(path)
-        assert told.whole
-        assert len(told.remarks) == 1
+        result = verify(path)
+        assert result.whole
+        assert len(result.remarks) == 1
         AuditLog(path).record("clinician", "test.begun", subject="after")
         result = verify(path)
         assert result.whole
@@ -77,7 +80,8 @@ def test_what_a_dying_computer_left_is_closed_off_and_nothing_after_it_is_lost(t
             ["test.begun", "test.begun"] if complete else ["audit.closed_off", "test.begun"]
         )
         assert last_lines(path, 1)[0].subject == "after"
-        assert result.remarks == (() if complete else ("before line 3 a line was left unfinished, and closed off",))
+        assert codes(result.remarks) == ([] if complete else ["audit.closed_off"])
+        assert all(says(remark, "audit.closed_off", line=3) for remark in result.remarks)
 
 
 def test_a_computer_that_dies_again_and_again_while_it_closes_off(tmp_path):
@@ -120,7 +124,7 @@ def test_what_was_closed_off_cannot_be_changed(tmp_path):
     path.write_bytes(raw[:place] + b"2027" + raw[place + 4 :])
     broken = verify(path).broken
     assert broken.damage is Damage.INSERTED
-    assert "does not account for them" in broken.words
+    assert broken.words.code == "audit.foreign_bytes"
 
 
 @pytest.mark.parametrize(
@@ -129,9 +133,10 @@ def test_what_was_closed_off_cannot_be_changed(tmp_path):
 def test_nothing_is_added_to_a_log_whose_end_was_tampered_with(path, change):
     damaged = change(path.read_bytes())
     path.write_bytes(damaged)
-    with pytest.raises(AuditError, match=r"damaged.*'tissueid audit verify' tells more.*a new log is begun") as told:
+    with pytest.raises(AuditError, check=damaged_log) as caught:
         AuditLog(path).record("clinician", "test.begun")
-    assert "\n" not in str(told.value)
+    assert caught.value.message.values["verify"].command == "tissueid audit verify"
+    assert "\n" not in str(caught.value)
     assert path.read_bytes() == damaged
     assert not verify(path).whole
 
@@ -140,7 +145,7 @@ def test_nothing_is_added_to_a_log_whose_end_was_tampered_with(path, change):
 def test_nothing_is_added_to_another_file(tmp_path, foreign):
     path = tmp_path / "a.jsonl"
     path.write_bytes(foreign)
-    with pytest.raises(AuditError, match="damaged"):
+    with pytest.raises(AuditError, check=damaged_log):
         AuditLog(path).record("clinician", "test.begun")
     assert path.read_bytes() == foreign
     assert verify(path).broken.damage is Damage.FOREIGN
@@ -159,7 +164,7 @@ def test_a_log_that_was_moved_away_is_begun_again_and_says_so(path):
     moved.write_bytes(b"".join(rows(moved)[:-1]))
     assert verify(path, after=[moved]).broken.damage is Damage.CUT
     moved.write_bytes(b"something else\n")
-    with pytest.raises(UnusableInputError, match=r"2025\.jsonl: it does not begin"):
+    with pytest.raises(UnusableInputError, check=holding("audit.earlier_damaged", path=str(moved))):
         verify(path, after=[moved])
 
 
@@ -168,7 +173,7 @@ def test_a_log_that_is_cut_off_or_emptied_is_found_by_the_note_of_its_newest_lin
     path.write_bytes(b"".join(rows(path)[:kept]))
     broken = verify(path).broken
     assert broken.damage is Damage.CUT
-    assert f"had line 5, and it ends with line {kept}" in broken.words
+    assert says(broken.words, "audit.cut_off", number=5, lines=kept)
     AuditLog(path).record("clinician", "test.begun")  # which hides nothing
     assert verify(path).broken.damage is Damage.CUT
     assert "audit.lines_missing" in [line.what for line in last_lines(path, 9)]
@@ -185,7 +190,7 @@ def test_a_note_that_is_none_is_passed_over_and_written_again(path, note):
 @pytest.mark.parametrize("how", ["emptied", "removed", "replaced"])
 @pytest.mark.parametrize("noted", [True, False])
 def test_a_log_that_is_taken_away_while_it_is_in_use_is_said(path, how, noted):
-    trail = Trail(AuditLog(path), "clinician")
+    trail = AuditTrail(AuditLog(path), "clinician")
     trail.record("session.begun")
     path.unlink()
     if how != "removed":
@@ -196,7 +201,7 @@ def test_a_log_that_is_taken_away_while_it_is_in_use_is_said(path, how, noted):
     if not noted:
         forget(path)
     trail.note("test.begun")
-    assert f"lines up to 6, which were written before: {path} was emptied, removed or replaced" in trail.settle()
+    assert says(part_of(trail.settle(), "audit.replaced"), "audit.replaced", line=6, path=str(path))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
@@ -213,7 +218,7 @@ def test_a_log_that_is_too_large_is_refused_and_one_of_zeros_ends(path, monkeypa
         file.truncate(path.stat().st_size + 40_000_000)
     assert verify(path).broken.damage is Damage.CHANGED
     monkeypatch.setattr(verification, "MAX_BYTES", 1_000_000)
-    with pytest.raises(UnusableInputError, match="at most 1 MB are read"):
+    with pytest.raises(UnusableInputError, check=coded("audit.too_large", most=1.0)):
         verify(path)
 
 
@@ -221,6 +226,5 @@ def test_a_clock_that_is_set_back_is_remarked(path):
     AuditLog(path, lambda: START - timedelta(days=1)).record("clinician", "test.begun")
     result = verify(path)
     assert result.whole
-    assert result.remarks == (
-        "the clock goes back at line 6, from 2026-03-04T05:06:11.000Z to 2026-03-03T05:06:07.000Z",
-    )
+    (remark,) = result.remarks
+    assert says(remark, "audit.clock", line=6, old="2026-03-04T05:06:11.000Z", new="2026-03-03T05:06:07.000Z")

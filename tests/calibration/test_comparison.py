@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from coded import coded, codes, is_german, says
 
 from tissueid.calibration import Calibration, Quantity
 from tissueid.calibration.comparison import (
@@ -63,18 +64,24 @@ def static(days, value, **changes):
 
 
 @pytest.mark.parametrize(
-    ("share", "verdict", "words"),
+    ("share", "verdict", "code", "size", "known"),
     [
-        (1.0, "noise", "Force constant the same as on 2026-03-01."),
-        (1.002, "noise", "Force constant 0.2 % higher than on 2026-03-01, within the noise of the two."),
-        (0.988, "uncertainty", "Force constant 1.2 % lower than on 2026-03-01, within the uncertainty of ±1.4 %."),
-        (0.97, "beyond", "Force constant 3.0 % lower than on 2026-03-01, beyond the uncertainty of ±1.4 %."),
+        (1.0, "noise", "drift.none", None, None),
+        (1.002, "noise", "drift.higher", "0.2 %", None),
+        (0.988, "uncertainty", "drift.lower", "1.2 %", "1.4 %"),
+        (0.97, "beyond", "drift.lower", "3.0 %", "1.4 %"),
     ],
 )
-def test_a_drift_is_said_with_what_it_is_worth(share, verdict, words):
+def test_a_drift_has_its_significance(share, verdict, code, size, known):
     found = compare_sweeps(sweep(20, share), sweep(0))
     assert found.before.date.startswith("2026-03-01")
-    assert found.words == words
+    assert says(found.words, code, quantity="Force constant", date="2026-03-01")
+    assert is_german(found.words)
+    if size:
+        assert str(found.words.values["difference"]) == size
+        assert found.words.values["significance"].code == f"drift.{verdict}"
+    if known:
+        assert str(found.words.values["significance"].values["uncertainty"]) == known
     assert found.differences[0].verdict == verdict
     assert found.differences[0].relative == pytest.approx(share - 1.0)
     assert found.profile == pytest.approx(share - 1.0, abs=1e-9)
@@ -82,7 +89,9 @@ def test_a_drift_is_said_with_what_it_is_worth(share, verdict, words):
 
 def test_a_size_that_rounds_to_its_uncertainty_is_told_finer():
     found = compare_sweeps(sweep(0), sweep(9, 1.0145))
-    assert found.words == "Force constant 1.45 % higher than on 2026-03-01, beyond the uncertainty of ±1.41 %."
+    sizes = [found.words.values["difference"], found.words.values["significance"].values["uncertainty"]]
+    assert [str(size) for size in sizes] == ["1.45 %", "1.41 %"]
+    assert says(found.words, "drift.higher", date="2026-03-01")
 
 
 def test_the_noise_is_that_of_repeats_where_there_are_some():
@@ -97,7 +106,9 @@ def test_ends_of_the_linear_region_are_compared_in_millimetres():
     assert math.isnan(ends["linear_region_min_m"].relative)
     assert ends["linear_region_min_m"].absolute == pytest.approx(1.2e-3)
     said = drift_in_words(ends["linear_region_max_m"], "2026-03-01")
-    assert said == "Linear region to 2.00 mm nearer than on 2026-03-01, beyond the uncertainty of ±0.14 mm."
+    assert says(said, "drift.lower", quantity="End of the linear region")
+    assert said.values["difference"].value == pytest.approx(2.0)
+    assert str(said.values["significance"].values["uncertainty"]) == "0.14 mm"
     assert found.common_m == pytest.approx((0.0052, 0.025))
 
 
@@ -106,15 +117,17 @@ def test_what_has_no_deviation_is_not_judged():
     found = compare_sweeps(sweep(0), sweep(1, quantities=sweep().quantities | heavier))
     mass = next(item for item in found.differences if item.name == "moving_mass_kg")
     assert mass.verdict == "unknown"
-    assert drift_in_words(mass, "2026-03-01").endswith("10.0 % higher than on 2026-03-01, and no uncertainty is known.")
+    said = drift_in_words(mass, "2026-03-01")
+    assert str(said.values["difference"]) == "10.0 %"
+    assert said.values["significance"].code == "drift.unknown"
 
 
 def test_sweeps_that_are_not_of_one_kind_are_compared_with_a_remark():
     other = sweep(1, serial_number="B-2", verdict="failed", conditions={"spring_stiffness_n_per_m": 900.0})
-    remarks = " ".join(compare_sweeps(sweep(0), other).remarks)
-    assert "A-1 and B-2" in remarks
-    assert "Different springs" in remarks
-    assert "failed" in remarks
+    remarks = compare_sweeps(sweep(0), other).remarks
+    assert codes(remarks) == ["drift.instruments", "drift.springs", "drift.failed"]
+    assert says(remarks[0], "drift.instruments", one="A-1", other="B-2")
+    assert all(map(is_german, remarks))
 
 
 def test_sweeps_with_nothing_in_common_are_not_compared_along_the_stroke():
@@ -123,11 +136,11 @@ def test_sweeps_with_nothing_in_common_are_not_compared_along_the_stroke():
     assert math.isnan(found.profile)
     bare = compare_sweeps(sweep(0), sweep(1, tables={}, quantities={}))
     assert bare.differences == ()
-    assert bare.words == "One of the two sweeps holds no force constant."
+    assert bare.words.code == "drift.no_force_constant"
 
 
 def test_only_sweeps_are_compared():
-    with pytest.raises(UnusableInputError, match="only sweeps are compared"):
+    with pytest.raises(UnusableInputError, check=coded("drift.not_sweeps")):
         compare_sweeps(sweep(0), static(1, 12.0))
 
 
@@ -162,14 +175,16 @@ def test_a_trend_is_the_slope_over_the_dates():
     found = trend([static(days, 12.0 + 0.3 * days / 365.25) for days in (365, 0, 100, 200)], "coil_resistance_ohm")
     assert found.dates == tuple(sorted(found.dates))
     assert found.per_year.value == pytest.approx(0.3, rel=1e-6)
-    assert found.words == "Coil resistance: rises by 2.5 ± 0.0 % a year."
+    assert says(found.words, "trend.rises", slope=pytest.approx(2.46, abs=0.02))
+    assert str(found.words.values["std"]) == "0.0 %"
+    assert is_german(found.words)
 
 
 def test_a_trend_wants_three_days():
     found = trend([static(0, 12.0), static(1, 12.1)], "coil_resistance_ohm")
     assert found.per_year is None
-    assert "3 calibrations of different days" in found.words
+    assert says(found.words, "trend.too_few", least=3)
     steady = trend([static(days, 12.0) for days in (0, 10, 20)], "coil_resistance_ohm")
-    assert "no trend" in steady.words
-    with pytest.raises(UnusableInputError, match="no calibration holds"):
+    assert steady.words.code == "trend.none"
+    with pytest.raises(UnusableInputError, check=coded("trend.no_quantity", quantity="Force constant")):
         trend([static(0, 12.0)], "force_constant_n_per_a")

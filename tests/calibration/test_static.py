@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coded import coded, codes, holding, message
 from static_rig import ERRORS, EXPECTED, MASS_KG, TRUTH, Person, rig
 from support import connect
 
@@ -11,8 +12,10 @@ from tissueid.calibration import StaticPlan, calibrate_static, read_calibration,
 from tissueid.calibration.coil import Spring
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.findings import Findings, repeated
-from tissueid.calibration.line import straight_line
+from tissueid.calibration.labels import problems_of
+from tissueid.calibration.line_fit import straight_line
 from tissueid.calibration.sensors import mains, position_findings
+from tissueid.calibration.static_procedure import PUSH_ONLY
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
@@ -72,11 +75,11 @@ def test_residuals_are_kept(found, tmp_path):
     assert read_calibration(tmp_path / "a.toml") == found
 
 
-def test_another_spring_than_said_is_not_believed():
+def test_a_spring_of_another_stiffness_fails_the_calibration():
     instrument = rig()
     result = calibrate_static(instrument, StaticPlan(steps=QUICK, spring=Spring(1300.0, 0.02)))
     assert result.calibration.verdict == "failed"
-    assert any("force constant comes out as 3.7" in problem for problem in result.calibration.problems)
+    assert problems_of(result.calibration)[0].values["value"] == pytest.approx(3.75, abs=0.1)
 
 
 def test_without_a_known_position_scale_its_uncertainty_counts():
@@ -116,23 +119,23 @@ def test_turned_over_the_accelerometers_zero_is_known_too():
     assert figures["acceleration_offset_m_s2"] == pytest.approx(0.2, abs=0.01)
 
 
-def test_nobody_and_no_stage_is_refused_with_what_to_give():
-    with pytest.raises(UnusableInputError, match="--in-place"):
+def test_neither_person_nor_stage_is_refused():
+    with pytest.raises(UnusableInputError, check=coded("calibration.no_person")):
         calibrate_static(rig(stage=False), StaticPlan())
 
 
 def test_in_place_leaves_out_what_needs_a_person():
     result = calibrate_static(rig(stage=False), StaticPlan(steps=("electrical", "position", "range"), in_place=True))
     assert result.calibration.verdict == "passed"
-    assert any("position along the stroke was left out" in note for note in result.notes)
-    assert any("range of motion was left out" in note for note in result.notes)
+    assert {"calibration.skipped.position", "calibration.skipped.range"} <= set(codes(result.notes))
     assert "stroke_max_m" not in result.calibration.quantities
 
 
 def test_the_spring_must_stand_where_it_has_room():
     instrument = rig(stage=False, surface_m=0.029)
-    with pytest.raises(UnusableInputError, match=r"stands at 30\.\d mm"):
+    with pytest.raises(UnusableInputError, check=coded("calibration.spring_place", low=4.0, high=28.0)) as caught:
         calibrate_static(instrument, StaticPlan(in_place=True))
+    assert caught.value.message.values["position"].value == pytest.approx(30.5, abs=0.5)
 
 
 def test_a_thermometer_that_does_not_follow_heat_fails_it():
@@ -140,7 +143,8 @@ def test_a_thermometer_that_does_not_follow_heat_fails_it():
     instrument._link.firmware.bench.stuck = {"temperature"}
     result = calibrate_static(instrument, StaticPlan(steps=("temperature",)))
     assert result.calibration.verdict == "failed"
-    assert "thermometer rises by 0.00" in result.calibration.problems[0]
+    stuck = message(problems_of(result.calibration), "calibration.thermometer_stuck")
+    assert stuck.values["rise"].value == pytest.approx(0.0, abs=0.005)
 
 
 def test_a_supply_that_changes_meanwhile_fails_it():
@@ -148,11 +152,12 @@ def test_a_supply_that_changes_meanwhile_fails_it():
     bench = instrument._link.firmware.bench
 
     def sag(label, fraction):
-        if label == "at rest again":
+        if label.code == "calibration.step.rest_again":
             bench._converters._scale[1] = 0.97  # what the voltage channel makes of a volt
 
     result = calibrate_static(instrument, StaticPlan(steps=("electrical", "supply")), progress=sag)
-    assert any("voltage changed by" in problem for problem in result.calibration.problems)
+    drifts = [(problem.code, problem.values.get("quantity")) for problem in problems_of(result.calibration)]
+    assert ("calibration.supply_drift", "voltage") in drifts
 
 
 def test_repeats_are_averaged_and_their_spread_is_kept():
@@ -187,9 +192,9 @@ def test_cancelling_frees_the_coil():
     assert not firmware.energised
 
 
-def test_an_open_coil_is_said():
+def test_an_open_coil_is_refused():
     instrument = rig(parameters=PlantParameters(resistance_ohm=300.0, inductance_h=30e-3))
-    with pytest.raises(FirmwareFaultError, match="current does not follow the voltage"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.open_coil")):
         calibrate_static(instrument, StaticPlan(steps=("electrical",)))
 
 
@@ -219,40 +224,41 @@ def test_what_was_sampled_before_the_stage_moved_is_not_taken(monkeypatch):
     assert found.quantities["position_nonlinearity_m"].value < 3e-6
 
 
-def test_a_stage_the_wrong_way_round_is_a_failed_verdict(monkeypatch):
+def test_an_inverted_stage_fails_the_calibration(monkeypatch):
     instrument = rig(errors={})
     move = instrument.move_stage
     monkeypatch.setattr(instrument, "move_stage", lambda place: move(None if place is None else 0.032 - place))
     found = calibrate_static(instrument, StaticPlan(steps=("electrical", "force", "position", "range"))).calibration
     assert found.verdict == "failed"
-    assert any("reads as -1.0" in problem for problem in found.problems)
+    reading = message(problems_of(found), "calibration.position_gain").values["reading"]
+    assert reading == pytest.approx(-1.0, abs=0.05)
 
 
-def test_a_spring_that_is_not_fixed_and_pulled_is_said():
-    with pytest.raises(LimitError, match="--push-only"):
+def test_pulling_at_a_loose_spring_is_refused():
+    with pytest.raises(LimitError, check=coded("calibration.spring_missing", action=PUSH_ONLY)):
         calibrate_static(SimulatedInstrument("spring"), StaticPlan(steps=QUICK))
 
 
 def test_another_fixture_than_the_spring_is_asked_for_on_an_instrument_too():
     instrument = connect("left-posterior-forearm")
-    with pytest.raises((LimitError, FirmwareFaultError), match="is the calibration spring under the probe"):
+    with pytest.raises((LimitError, FirmwareFaultError), check=coded("calibration.spring_missing")):
         calibrate_static(instrument, StaticPlan(steps=QUICK))
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"),
+    ("wrong", "code"),
     [
-        ({"steps": ("dance",)}, "no step 'dance'"),
-        ({"steps": ()}, "name a step"),
-        ({"repeats": 0}, "1 to 100 times"),
-        ({"spring": Spring(1.0, 0.02)}, "10 to 100000 N/m"),
-        ({"weights_kg": (2.0,)}, "1 to 300 g"),
-        ({"gauges_m": (0.01, 0.01, 0.02)}, "3 to 50 different heights"),
-        ({"ambient_c": 80.0}, "-10 to 50"),
+        ({"steps": ("dance",)}, "calibration.step"),
+        ({"steps": ()}, "calibration.no_step"),
+        ({"repeats": 0}, "calibration.repeats"),
+        ({"spring": Spring(1.0, 0.02)}, "calibration.spring"),
+        ({"weights_kg": (2.0,)}, "calibration.weights"),
+        ({"gauges_m": (0.01, 0.01, 0.02)}, "calibration.gauges"),
+        ({"ambient_c": 80.0}, "calibration.ambient"),
     ],
 )
-def test_a_plan_that_cannot_be_done_is_refused(wrong, words):
-    with pytest.raises(UnusableInputError, match=words):
+def test_an_impossible_plan_is_refused(wrong, code):
+    with pytest.raises(UnusableInputError, check=coded(code)):
         StaticPlan(**wrong)
 
 
@@ -265,11 +271,11 @@ def test_mains_are_found_and_noise_is_not_taken_for_them():
     assert amplitude == pytest.approx(0.3, abs=0.08)
 
 
-def test_a_position_sensor_that_is_not_straight_fails_it():
+def test_a_nonlinear_position_sensor_fails_the_calibration():
     places = np.linspace(0.003, 0.029, 9)
     bent = places + 3e-3 * np.sin(places / 0.032 * 2 * np.pi)
     result = position_findings(places, straight_line(places, bent, 1e-3), Estimate(0.0))
-    assert any("not straight" in problem for problem in result.problems)
+    assert "calibration.nonlinear" in codes(result.problems)
 
 
 @pytest.mark.soak

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded, codes, message, says
 
 from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.findings import Findings, quantity, repeated
-from tissueid.calibration.levels import Levels, noise_of_mean
-from tissueid.calibration.procedure import LEVELS_V, StaticPlan
 from tissueid.calibration.sensors import (
     acceleration_findings,
     position_findings,
@@ -17,6 +16,8 @@ from tissueid.calibration.sensors import (
     supply_findings,
     temperature_findings,
 )
+from tissueid.calibration.static_procedure import LEVELS_V, StaticPlan
+from tissueid.calibration.step_levels import Levels, noise_of_mean
 from tissueid.calibration.stroke import Crossing, range_findings
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -106,7 +107,7 @@ def test_good_levels_have_no_problem():
 @pytest.mark.parametrize(("leak_a", "said"), [(0.008, False), (0.012, True)])
 def test_current_without_voltage_is_bounded(leak_a, said):
     found = electrical_findings(held(zero_a=leak_a), still(), DEVICE)
-    assert any("mA flow where no voltage is" in problem for problem in found.problems) == said
+    assert ("calibration.leak" in codes(found.problems)) == said
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.008, False), (0.013, True)])
@@ -115,7 +116,9 @@ def test_a_bent_line_is_bounded(share, said):
     off -= np.polyval(np.polyfit(COMMAND_V, off, 1), COMMAND_V)
     bend = 2.0 * share * off / np.abs(off).max()
     found = electrical_findings(held(current_a=COMMAND_V / 12.0 + bend), still(), DEVICE)
-    assert any("current against voltage is not a straight line" in problem for problem in found.problems) == said
+    assert ("calibration.bent" in codes(found.problems)) == said
+    if said:
+        assert message(found.problems, "calibration.bent").values["line"] == "current against voltage"
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.008, False), (0.012, True)])
@@ -124,42 +127,45 @@ def test_hysteresis_is_bounded(share, said):
     rising = np.concatenate([[1], np.sign(np.diff(COMMAND_V))])
     levels = held(position_m=held().position_m + 0.5 * share * swing * rising)
     found = force_by_spring(levels, DEVICE, Spring(), None, 0.0)
-    assert any("apart from either side" in problem for problem in found.problems) == said
+    assert ("calibration.hysteresis" in codes(found.problems)) == said
 
 
 @pytest.mark.parametrize(("ohm", "said"), [(14.2, False), (14.6, True), (9.8, False), (9.4, True)])
-def test_resistance_is_believed_within_a_fifth(ohm, said):
+def test_resistance_must_be_within_a_fifth_of_nominal(ohm, said):
     found = electrical_findings(held(ohm=ohm), still(), DEVICE)
-    assert any("coil's resistance comes out as" in problem for problem in found.problems) == said
+    assert ("calibration.off_nominal" in codes(found.problems)) == said
+    if said:
+        assert message(found.problems, "calibration.off_nominal").values["nominal"] == 12.0
 
 
-def test_a_clipped_supply_is_said():
+def test_a_clipped_supply_fails_the_calibration():
     voltage = np.clip(COMMAND_V, -9.6, 9.6)
     found = electrical_findings(held(voltage_v=voltage, current_a=voltage / 12.0), still(), DEVICE)
-    assert any("9.60 V where 12.00 V were to be expected: check its supply" in line for line in found.problems)
-    assert any("voltage against the command: 2 of 13 points left out" in line for line in found.notes)
+    clipped = message(found.problems, "calibration.clipped").values
+    assert (clipped["voltage"], clipped["expected"]) == pytest.approx((9.6, 12.0), abs=0.005)
+    assert says(found.notes[-1], "calibration.left_out", line="voltage against the command", count=2, points=13)
     once = np.minimum(COMMAND_V, 11.8)
     found = electrical_findings(held(voltage_v=once, current_a=once / 12.0), still(), DEVICE)
-    assert any("check its supply" in line for line in found.problems)
+    assert "calibration.clipped" in codes(found.problems)
 
 
-def test_a_current_the_wrong_way_round_is_said():
-    with pytest.raises(UnusableInputError, match="reads against the voltage"):
+def test_an_inverted_current_is_refused():
+    with pytest.raises(UnusableInputError, check=coded("calibration.inverted")):
         electrical_findings(held(ohm=-12.0), still(), DEVICE)
-    with pytest.raises(UnusableInputError, match="no current flows"):
+    with pytest.raises(UnusableInputError, check=coded("calibration.no_current")):
         electrical_findings(held(ohm=1e6), still(), DEVICE)
 
 
-def test_a_force_constant_of_the_wrong_sign_is_a_verdict_and_no_error():
+def test_a_negative_force_constant_fails_the_calibration_without_an_error():
     found = force_by_spring(held(constant=-3.0), DEVICE, Spring(), Estimate(1.0, 0.01), 0.0)
     assert found.quantities["force_constant_n_per_a"].std > 0
-    assert any("comes out as -3" in problem for problem in found.problems)
+    assert message(found.problems, "calibration.off_nominal").values["value"] == pytest.approx(-3.0)
     backwards = force_by_spring(held(), DEVICE, Spring(), Estimate(-1.0, 0.01), 0.0)
-    assert any("comes out as -3" in problem for problem in backwards.problems)
+    assert message(backwards.problems, "calibration.off_nominal").values["value"] == pytest.approx(-3.0)
     assert quantity(-1.0, "N", -0.5).std == 0.5
 
 
-def test_with_weights_the_spring_is_not_judged_and_the_weights_are():
+def test_with_weights_the_weights_are_checked_and_not_the_spring():
     series = [held(), held(shift_m=0.05 * GRAVITY_M_S2 / 1000.0), held(shift_m=0.1 * GRAVITY_M_S2 / 1000.0)]
     spring = Spring(1400.0, 0.02)
     assert force_by_spring(series[0], DEVICE, spring, None, 0.0).problems
@@ -169,22 +175,23 @@ def test_with_weights_the_spring_is_not_judged_and_the_weights_are():
     assert found.value("force_constant_n_per_a") == pytest.approx(3.0)
     assert force_by_weights(series, (0.0, 0.1, 0.2), DEVICE, 1.0, 0.0).problems
     bent = force_by_weights(series, (0.0, 0.05, 0.104), DEVICE, 1.0, 0.0)
-    assert any("weights agree on no line" in problem for problem in bent.problems)
+    assert codes(bent.problems) == ["calibration.weights_line"]
 
 
 # -- the sensors ----------------------------------------------------------------------------------------------
 
 
-def test_a_position_that_never_changes_is_said():
+def test_a_position_that_never_changes_is_refused():
     places = np.linspace(0.003, 0.029, 9)
-    with pytest.raises(UnusableInputError, match="reads the same at every place"):
+    with pytest.raises(UnusableInputError, check=coded("calibration.position_stuck")):
         position_line(places, [still(200) for _ in places])
 
 
-def test_a_stage_the_wrong_way_round_fails_it():
+def test_an_inverted_stage_fails_the_calibration():
     places = np.linspace(0.003, 0.029, 9)
     line = position_line(places, [still(200, position=0.032 - place) for place in places])
-    assert any("reads as -1.000 mm" in problem for problem in position_findings(places, line, None).problems)
+    reading = message(position_findings(places, line, None).problems, "calibration.position_gain").values["reading"]
+    assert reading == pytest.approx(-1.0)
 
 
 @pytest.mark.parametrize(("jump_c", "said"), [(1.8, False), (2.2, True)])
@@ -192,19 +199,19 @@ def test_a_jump_of_the_thermometer_is_bounded(jump_c, said):
     rest = still()
     rest["temperature"][2000:] += jump_c
     found = temperature_findings(rest, held(), None)
-    assert any("the thermometer jumps" in problem for problem in found.problems) == said
+    assert ("calibration.thermometer_jumps" in codes(found.problems)) == said
 
 
 @pytest.mark.parametrize(("off_c", "said"), [(9.8, False), (10.2, True)])
 def test_the_thermometers_zero_is_bounded(off_c, said):
     found = temperature_findings(still(temperature=20.0 + off_c), held(), 20.0)
-    assert any("in a room of" in problem for problem in found.problems) == said
+    assert ("calibration.thermometer_off" in codes(found.problems)) == said
 
 
 @pytest.mark.parametrize(("gain", "said"), [(1.14, False), (1.16, True), (0.86, False), (0.84, True)])
 def test_the_accelerometer_is_bounded(gain, said):
     found = acceleration_findings(still(acceleration_x=gain * GRAVITY_M_S2), None)
-    assert any("times gravity at rest" in problem for problem in found.problems) == said
+    assert ("calibration.accelerometer" in codes(found.problems)) == said
     assert found.value("acceleration_gain") == pytest.approx(gain, abs=1e-3)
 
 
@@ -219,24 +226,27 @@ def test_noise_is_bounded_in_every_channel(channel):
         rest = still()
         rest[channel] = rest[channel].mean() + share * bound * random.standard_normal(rest.size)
         found = supply_findings(electrical, electrical, rest, rest, DEVICE)
-        assert any("too noisy at rest" in problem for problem in found.problems) == said, share
+        assert ("calibration.noisy" in codes(found.problems)) == said, share
 
 
 @pytest.mark.parametrize(
-    ("name", "drift", "words"),
+    ("name", "drift", "quantity"),
     [
-        ("coil_resistance_ohm", 0.005 * 12.0, "resistance changed by"),
-        ("voltage_gain", 0.005, "voltage changed by"),
-        ("current_offset_a", 0.005, "current zero changed by"),
+        ("coil_resistance_ohm", 0.005 * 12.0, "resistance"),
+        ("voltage_gain", 0.005, "voltage"),
+        ("current_offset_a", 0.005, "zero of the current"),
     ],
 )
-def test_drift_of_the_supplies_is_bounded(name, drift, words):
+def test_drift_of_the_supplies_is_bounded(name, drift, quantity):
     first = electrical_findings(held(), still(), DEVICE)
     exact = {key: found.model_copy(update={"std": 0.0}) for key, found in first.quantities.items()}
     for share, said in ((0.95, False), (1.05, True)):
         moved = exact[name].model_copy(update={"value": exact[name].value + share * drift})
         found = supply_findings(Findings(exact), Findings(exact | {name: moved}), still(), still(), DEVICE)
-        assert any(words in problem for problem in found.problems) == said, share
+        drifts = [
+            problem.values["quantity"] for problem in found.problems if problem.code == "calibration.supply_drift"
+        ]
+        assert (quantity in drifts) == said, share
 
 
 @pytest.mark.parametrize(("drift_m", "said"), [(18e-6, False), (22e-6, True), (-22e-6, True)])
@@ -244,7 +254,7 @@ def test_drift_of_the_position_is_bounded(drift_m, said):
     electrical = electrical_findings(held(), still(), DEVICE)
     again = still(position=0.016 + drift_m)
     found = supply_findings(electrical, electrical, still(), again, DEVICE)
-    assert any("position at rest changed by" in problem for problem in found.problems) == said
+    assert ("calibration.position_drift" in codes(found.problems)) == said
     by_hand = supply_findings(electrical, electrical, still(), again, DEVICE, same_place=False)
     assert by_hand.problems == ()
     assert "supply_position_drift_m" not in by_hand.quantities
@@ -269,11 +279,11 @@ def test_the_length_of_the_stroke_is_bounded(share, said):
         force_constant_n_per_a=3.0,
         zero_a=0.0,
     )
-    assert any("the probe moves" in problem for problem in found.problems) == said
+    assert ("calibration.stroke" in codes(found.problems)) == said
     assert found.value("moving_weight_n") == pytest.approx(0.6)
 
 
-def test_a_stroke_the_wrong_way_round_is_a_verdict_and_no_error():
+def test_an_inverted_stroke_fails_the_calibration_without_an_error():
     found = range_findings(
         crossings(0.032),
         DEVICE,
@@ -283,7 +293,7 @@ def test_a_stroke_the_wrong_way_round_is_a_verdict_and_no_error():
         zero_a=0.0,
     )
     assert found.quantities["moving_weight_n"].std > 0
-    assert any("the probe moves -32.0 mm" in problem for problem in found.problems)
+    assert str(message(found.problems, "calibration.stroke").values["found"]) == "-32.0 mm".replace("-", "−")
 
 
 # -- repeats --------------------------------------------------------------------------------------------------
@@ -300,7 +310,7 @@ def test_repeats_make_only_what_is_random_smaller():
     assert repeated(scaled).quantities["force_constant_n_per_a"].std == pytest.approx(0.015, rel=0.01)
 
 
-def test_what_a_later_step_finds_anew_shares_nothing():
+def test_a_later_step_replaces_the_common_uncertainty():
     one = Findings({"a": Quantity(value=1.0, std=0.5)}, shared={"a": 0.5})
     both = one + Findings({"a": Quantity(value=2.0, std=0.1)})
     assert both.shared == {}
@@ -309,5 +319,5 @@ def test_what_a_later_step_finds_anew_shares_nothing():
 
 @pytest.mark.parametrize("heights", [(0.0, 0.01, float("nan")), (0.0, 0.01, float("inf")), (0.0, 0.01, -0.01)])
 def test_gauges_of_no_height_are_refused(heights):
-    with pytest.raises(UnusableInputError, match="gauge blocks are 0 to 200 mm high"):
+    with pytest.raises(UnusableInputError, check=coded("calibration.gauge_height", limit=200.0)):
         StaticPlan(gauges_m=heights)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded, holding, says
 from support import connect_scenario
 
 from firmware_sim.coil import profile_values
@@ -15,13 +16,14 @@ from firmware_sim.scenario import Scenario
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import put_in_force, read_calibration, write_calibration
 from tissueid.calibration import sweep as procedure
-from tissueid.calibration.moved_by_hand import wait_until_there
+from tissueid.calibration.manual_positioning import wait_until_there
 from tissueid.calibration.store import Stored
 from tissueid.calibration.sweep import Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.errors import CancelledError, FirmwareFaultError, UnusableInputError
 from tissueid.instrument import SimulatedInstrument
+from tissueid.messages import Quantity
 from tissueid.sessions import read_session
 
 SPRING = Scenario(preset="calibration-spring", coil="finite", seed=3)
@@ -95,7 +97,9 @@ def test_it_finds_what_the_device_really_is(swept):
 
 def test_no_swing_came_to_an_end_and_positions_without_room_are_said(swept):
     assert all(0.3e-3 < point.peak_to_peak_m < 7e-3 for point in swept.result.points)
-    assert [remark[:19] for remark in swept.result.remarks] == ["31.3 mm was left ou"]
+    (remark,) = swept.result.remarks
+    assert says(remark, "sweep.left_out")
+    assert str(remark.values["position"]) == "31.3 mm"
     assert swept.result.points[0].position_m == pytest.approx(1.3e-3, abs=0.4e-3)
     assert swept.result.points[0].peak_to_peak_m < 1.1e-3
 
@@ -133,16 +137,16 @@ def test_an_end_that_is_hit_is_tried_again_at_half_and_then_left_out(tmp_path, m
     rehearsed = Rehearsed(tmp_path, replace(SHORT, from_m=0.0015, to_m=0.0055))
     tests = rehearsed.tests()
     assert [test.mean_position_m for test in tests] == pytest.approx([0.0055], abs=3e-4)
-    assert rehearsed.sweep.remarks == [
-        "1.5 mm was left out: the probe came to an end of its stroke, and at half the force again"
-    ]
+    (remark,) = rehearsed.sweep.remarks
+    assert says(remark, "sweep.left_out", position=Quantity(1.5, "mm", 1))
+    assert remark.values["reason"].code == "sweep.end_twice"
     statuses = [test.status for test in read_session(rehearsed.path).tests]
     assert statuses == ["aborted", "aborted", "completed"]
 
 
-def test_without_a_stage_and_without_anybody_it_refuses_before_anything_moves(tmp_path):
+def test_without_stage_and_person_it_refuses_before_anything_moves(tmp_path):
     rehearsed = Rehearsed(tmp_path, SHORT, SPRING.model_copy(update={"stage": False}))
-    with pytest.raises(UnusableInputError, match="no motorised stage, so somebody has to move"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.no_person")):
         rehearsed.sweep.run()
     assert rehearsed.recorder.tests_begun == 0
 
@@ -178,7 +182,7 @@ def test_a_person_is_waited_for_until_the_probe_stands_still_at_the_place(tmp_pa
 
 def test_a_person_may_give_up(tmp_path):
     instrument = connect_scenario(SPRING)
-    with pytest.raises(CancelledError, match="the coil is free"):
+    with pytest.raises(CancelledError, check=coded("cancelled.coil_free")):
         wait_until_there(instrument, 0.030, cancelled=lambda: instrument._link.now > 1.0)
 
 
@@ -201,7 +205,7 @@ def test_the_stop_button_is_not_taken_for_an_end_of_the_stroke(tmp_path):
             rehearsed.bench.button = True
 
     rehearsed = Rehearsed(tmp_path, SHORT, progress=press)
-    with pytest.raises(FirmwareFaultError, match="button"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         rehearsed.sweep.run()
     assert rehearsed.sweep.remarks == []
 
@@ -217,26 +221,26 @@ def test_a_spring_that_only_pushes_is_refused(tmp_path):
     instrument = SimulatedInstrument("spring")  # nothing holds the probe to it
     recorder = SessionRecorder(tmp_path / "sweep.h5", instrument.device)
     Sweep(instrument, SweepPlan(from_m=0.008, to_m=0.024, step_m=4e-3, seconds=1.0), recorder).run()
-    with pytest.raises(UnusableInputError, match="see that the spring is fixed at both ends"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.nonlinear")):
         analyse_sweep(sweep_tests(recorder.finish()), instrument.device)
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "code"),
     [
-        ({"from_m": 0.02, "to_m": 0.01}, "from a position to a greater one"),
-        ({"step_m": 1e-4}, "0.5 to 5 mm"),
+        ({"from_m": 0.02, "to_m": 0.01}, "sweep.range"),
+        ({"step_m": 1e-4}, "sweep.step"),
         ({"to_m": 0.1, "step_m": 0.5e-3, "from_m": 0.0}, None),
-        ({"seconds": 0.1}, "1 to 20 s"),
-        ({"repeats": 0}, "1 to 100 times"),
-        ({"swing_m": 0.02}, "0.3 to 5 mm"),
+        ({"seconds": 0.1}, "sweep.seconds"),
+        ({"repeats": 0}, "sweep.repeats"),
+        ({"swing_m": 0.02}, "sweep.swing"),
     ],
 )
-def test_what_cannot_be_swept_is_refused(options, words):
-    if words is None:
+def test_an_impossible_sweep_is_refused(options, code):
+    if code is None:
         assert len(SweepPlan(**options).positions_m) == 201
         return
-    with pytest.raises(UnusableInputError, match=words):
+    with pytest.raises(UnusableInputError, check=coded(code)):
         SweepPlan(**options)
 
 

@@ -5,11 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from coded import coded, is_german, message, says
 from spring_rig import Rig, swept
 
 from tissueid.calibration.flux import fit_flux
 from tissueid.calibration.force_balance import fit_balance
-from tissueid.calibration.force_profile import linear_region
+from tissueid.calibration.force_constant_profile import linear_region
+from tissueid.calibration.labels import problems_of
 from tissueid.calibration.spline_basis import SplineBasis
 from tissueid.calibration.sweep_analysis import SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
@@ -112,29 +114,35 @@ def test_ten_thousand_samples_a_second():
 
 
 @pytest.mark.parametrize(
-    ("rig", "cause", "words"),
+    ("rig", "cause"),
     [
-        (Rig(current_gain=1.05), "current", "the current channel's scale"),
-        (Rig(position_gain=1.03), "position", "the position channel's scale explains it, for the stage"),
-        (Rig(voltage_gain=1.05), "voltage", "the voltage channel's scale"),
-        (Rig(stiffness=1050.0), "spring", "the spring's stiffness"),
-        (Rig(), None, "they agree"),
+        (Rig(current_gain=1.05), "current"),
+        (Rig(position_gain=1.03), "position"),
+        (Rig(voltage_gain=1.05), "voltage"),
+        (Rig(stiffness=1050.0), "spring"),
+        (Rig(), None),
     ],
     ids=["current", "position", "voltage", "spring", "none"],
 )
-def test_where_the_two_disagree_it_says_which_scale_is_off(rig, cause, words):
+def test_a_disagreement_names_the_wrong_scale(rig, cause):
     found = result_of(rig, tuple(FEW), GOOD_SPRING)
     assert found.agreement.cause == cause
-    assert words in found.agreement.words
+    said = found.agreement.words
+    assert said.code == ("sweep.agree" if cause is None else "sweep.scales")
+    assert cause is None or said.values["cause"].code == f"sweep.cause.{cause}"
+    assert said.values["comparison"].values["difference"].value == pytest.approx(
+        100.0 * abs(found.agreement.ratio.value - 1.0)
+    )
+    assert is_german(said)
     assert found.passed == (cause is None)
 
 
-def test_without_a_stage_position_and_spring_cannot_be_told_apart():
+def test_without_a_stage_position_and_spring_are_not_distinguishable():
     tests = [replace(test, stage_m=float("nan")) for test in recorded(Rig(position_gain=1.03), tuple(FEW))]
     found = analyse_sweep(tests, NOMINAL, GOOD_SPRING)
     assert found.agreement.stage is None
     assert found.agreement.cause == "spring"
-    assert "or the position channel's scale" in found.agreement.words
+    assert found.agreement.words.values["cause"].code == "sweep.cause.spring"
 
 
 def test_a_region_ends_where_the_sweep_ends():
@@ -164,7 +172,7 @@ def test_lost_samples_are_passed_over():
     assert found.force_constant.at(places) == pytest.approx(TRUE.k(places), rel=0.015)
 
 
-def test_repeats_are_told_apart_and_together():
+def test_repeats_are_analysed_alone_and_together():
     tests = [*swept(TRUE, FEW, 1.0, 1), *swept(TRUE, FEW, 1.0, 2, sweep=1)]
     found = analyse_sweep(tests, NOMINAL)
     assert [len(run.points) for run in found.repeats] == [5, 5]
@@ -175,14 +183,14 @@ def test_repeats_are_told_apart_and_together():
 
 
 @pytest.mark.parametrize(
-    ("places", "words"),
+    ("places", "code", "values"),
     [
-        (FEW[:4], "needs 5 positions or more, and 4 could be measured"),
-        (np.linspace(10e-3, 22e-3, 5), "must reach over the middle half of the stroke, 8 to 24 mm"),
+        (FEW[:4], "sweep.too_few", {"least": 5, "count": 4}),
+        (np.linspace(10e-3, 22e-3, 5), "sweep.too_short", {"low": 8.0, "high": 24.0}),
     ],
 )
-def test_too_little_of_the_stroke_is_refused(places, words):
-    with pytest.raises(UnusableInputError, match=words):
+def test_too_little_of_the_stroke_is_refused(places, code, values):
+    with pytest.raises(UnusableInputError, check=coded(code, **values)):
         analyse_sweep(swept(TRUE, places, 1.0), NOMINAL)
 
 
@@ -192,32 +200,35 @@ def test_a_spring_that_does_not_run_free_is_refused():
         replace(test, position=test.position + test.swing_m * random.standard_normal(test.position.size))
         for test in swept(TRUE, FEW, 1.0)
     ]
-    with pytest.raises(UnusableInputError, match="see that the spring is fixed at both ends and runs free"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.nonlinear")):
         analyse_sweep(tests, NOMINAL)
 
 
 def test_a_coil_far_from_nominal_is_not_put_in_force():
     found = result_of(Rig(force_constant=2.2), tuple(FEW))
     assert not found.passed
-    assert "should be near 3.00 N/A" in found.problems[0]
+    assert says(found.problems[0], "sweep.force_constant", nominal=3.0)
 
 
 @pytest.mark.parametrize(
-    ("rig", "spring", "words"),
+    ("rig", "spring", "code", "value"),
     [
-        (Rig(), SweptSpring(1000.0, 0.003, 0.200), "moving_mass_kg is -0.000"),
-        (Rig(inductance=2e-3), GOOD_SPRING, "coil_inductance_h is 0.002"),
-        (Rig(damping=8.0), GOOD_SPRING, "more than 50 % from the nominal 3.5"),
-        (Rig(resistance=18.0), GOOD_SPRING, "the resistance is 18.0 ohm and should be near 12.0 ohm"),
-        (Rig(force_constant=-3.0), GOOD_SPRING, "the force constant is -3.00 N/A"),
-        (Rig(position_gain=-1.0), GOOD_SPRING, "for each millimetre that the stage moves, the position reads -1.00 mm"),
+        (Rig(), SweptSpring(1000.0, 0.003, 0.200), "sweep.implausible", None),
+        (Rig(inductance=2e-3), GOOD_SPRING, "sweep.implausible", 0.002),
+        (Rig(damping=8.0), GOOD_SPRING, "sweep.implausible", 8.0),
+        (Rig(resistance=18.0), GOOD_SPRING, "sweep.resistance", 18.0),
+        (Rig(force_constant=-3.0), GOOD_SPRING, "sweep.force_constant", -3.0),
+        (Rig(position_gain=-1.0), GOOD_SPRING, "sweep.stage", -1.0),
     ],
     ids=["mass", "inductance", "damping", "resistance", "coil reversed", "position reversed"],
 )
-def test_figures_that_cannot_be_fail_the_verdict_in_words(rig, spring, words):
+def test_implausible_figures_fail_the_sweep(rig, spring, code, value):
     made = as_calibration(analyse_sweep(swept(rig, FEW, 1.0), NOMINAL, spring))
     assert made.verdict == "failed"
-    assert any(words in problem for problem in made.problems)
+    problem = message(problems_of(made), code)
+    assert is_german(problem)
+    held = problem.values if code != "sweep.implausible" else problem.values["reason"].values
+    assert value is None or value == pytest.approx(held.get("value", held.get("reading")), rel=0.05)
     assert sweep_report(made).level == "poor"
 
 
@@ -229,30 +240,30 @@ def test_figures_are_held_against_what_the_device_says_of_itself_and_not_against
 
 @pytest.mark.parametrize("reversed_one", ["current_gain", "voltage_gain"])
 def test_a_current_that_goes_against_the_voltage_is_refused(reversed_one):
-    with pytest.raises(UnusableInputError, match="the current channel the right way round"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.conductance")):
         analyse_sweep(swept(Rig(**{reversed_one: -1.0}), FEW, 1.0), NOMINAL)
 
 
 def test_tests_at_different_rates_are_refused():
     tests = [*recorded(Rig(), tuple(FEW))[:4], *swept(Rig(rate=4000.0), FEW[4:], 1.0)]
-    with pytest.raises(UnusableInputError, match="recorded at 2000 to 4000 samples a second"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.rates", lowest=2000.0, highest=4000.0)):
         analyse_sweep(tests, NOMINAL)
 
 
 @pytest.mark.parametrize(
-    ("device", "words"),
+    ("device", "code", "name"),
     [
-        ({"coil_resistance_ohm": 0.0}, "coil_resistance_ohm is 0: that cannot be"),
-        ({"coil_resistance_ohm": np.nan}, "coil_resistance_ohm is nan: that cannot be"),
-        ({"moving_mass_kg": np.inf}, "moving_mass_kg is inf: that cannot be"),
-        ({"calibration": {"nominal_coil_inductance_h": "none"}}, "coil_inductance_h is nan: that cannot be"),
-        ({"model": ""}, "the instrument's model is ''"),
-        ({"serial_number": "D-7\nD-8"}, "the instrument's serial number is"),
-        ({"serial_number": 201 * "7"}, "a line of 1 to 200 characters"),
+        ({"coil_resistance_ohm": 0.0}, "sweep.device_figure", "coil_resistance_ohm"),
+        ({"coil_resistance_ohm": np.nan}, "sweep.device_figure", "coil_resistance_ohm"),
+        ({"moving_mass_kg": np.inf}, "sweep.device_figure", "moving_mass_kg"),
+        ({"calibration": {"nominal_coil_inductance_h": "none"}}, "sweep.device_figure", "coil_inductance_h"),
+        ({"model": ""}, "sweep.device_name", "model"),
+        ({"serial_number": "D-7\nD-8"}, "sweep.device_name", "serial number"),
+        ({"serial_number": 201 * "7"}, "sweep.device_name", "serial number"),
     ],
 )
-def test_a_device_that_cannot_be_is_refused(device, words):
-    with pytest.raises(UnusableInputError, match=words):
+def test_an_impossible_device_is_refused(device, code, name):
+    with pytest.raises(UnusableInputError, check=coded(code, name=name)):
         analyse_sweep(recorded(Rig(), tuple(FEW)), replace(NOMINAL, **device))
 
 
@@ -263,16 +274,16 @@ def test_tests_that_tell_nothing_are_refused():
         replace(test, position=place + np.resize(flicker, test.position.size))
         for test, place in zip(recorded(Rig(), tuple(FEW)), still, strict=True)
     ]
-    with pytest.raises(UnusableInputError, match="see that the spring"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.nonlinear")):
         analyse_sweep(tests, NOMINAL)
 
 
-def test_what_cannot_be_solved_is_said(monkeypatch):
+def test_a_singular_problem_is_refused(monkeypatch):
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")
 
     monkeypatch.setattr("tissueid.calibration.sweep_analysis.fit_flux", singular)
-    with pytest.raises(UnusableInputError, match="do not tell what the coil is"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.undetermined")):
         analyse_sweep(recorded(Rig(), tuple(FEW)), NOMINAL)
 
 
@@ -300,52 +311,55 @@ def test_a_test_is_taken_from_a_session_with_what_is_not_known():
 
 
 @pytest.mark.parametrize(
-    ("kept", "words"),
+    ("kept", "code", "values"),
     [
-        (kept_test(voltage=None), "test 7 has no voltage"),
-        (kept_test(notes={"sweep": np.nan}), "test 7 says that it is of sweep nan"),
-        (kept_test(notes={"sweep": np.inf}), "of sweep inf"),
-        (kept_test(notes={"sweep": 1.5}), "of sweep 1.5"),
-        (kept_test(notes={"sweep": "first"}), "of sweep first"),
-        (kept_test(rate=1e9), "test 7: a sweep is recorded at 1000 to 20000 samples a second, not at 1e"),
-        (kept_test(rate=100.0), "not at 100"),
-        (kept_test(rate=np.nan), "not at nan"),
-        (kept_test(preload_s=1e300), "lasts 0.5 to 60 s, not 0 s"),
-        (kept_test(current=np.full(2000, 1e200)), "the current goes to 1e.200: no instrument measures that"),
-        (kept_test(position=1e3 * GOOD_SIGNALS["position"]), "check the units"),
-        (kept_test(current=np.zeros(2000)), "the current does not change"),
-        (kept_test(voltage=np.full(2000, 5.0)), "the voltage does not change"),
-        (kept_test(position=np.full(2000, np.inf)), "most samples of a test were lost"),
+        (kept_test(voltage=None), "sweep.no_channel", {"channel": "voltage"}),
+        (kept_test(notes={"sweep": np.nan}), "sweep.number", {}),
+        (kept_test(notes={"sweep": np.inf}), "sweep.number", {"sweep": np.inf}),
+        (kept_test(notes={"sweep": 1.5}), "sweep.number", {"sweep": 1.5}),
+        (kept_test(notes={"sweep": "first"}), "sweep.number", {"sweep": "first"}),
+        (kept_test(rate=1e9), "sweep.sample_rate", {"lowest": 1000.0, "highest": 20000.0, "rate": 1e9}),
+        (kept_test(rate=100.0), "sweep.sample_rate", {"rate": 100.0}),
+        (kept_test(rate=np.nan), "sweep.sample_rate", {}),
+        (kept_test(preload_s=1e300), "sweep.length", {"least": 0.5, "most": 60.0, "seconds": 0.0}),
+        (kept_test(current=np.full(2000, 1e200)), "sweep.too_large", {"channel": "current", "value": 1e200}),
+        (kept_test(position=1e3 * GOOD_SIGNALS["position"]), "sweep.too_large", {"channel": "position"}),
+        (kept_test(current=np.zeros(2000)), "sweep.constant", {"channel": "current"}),
+        (kept_test(voltage=np.full(2000, 5.0)), "sweep.constant", {"channel": "voltage"}),
+        (kept_test(position=np.full(2000, np.inf)), "sweep.lost", {}),
     ],
 )
-def test_a_test_that_no_sweep_leaves_is_refused(kept, words):
-    with pytest.raises(UnusableInputError, match=words):
+def test_an_impossible_test_is_refused(kept, code, values):
+    with pytest.raises(UnusableInputError, check=coded("sweep.test", number=7)) as caught:
         SweepTest.of_session(kept)
+    assert says(caught.value.message.values["reason"], code, **values)
+    assert is_german(caught.value.message)
 
 
 def test_samples_lost_in_between_everywhere_are_refused():
     tests = list(recorded(Rig(), tuple(FEW)))
     tests[1] = replace(tests[1], current=np.where(np.arange(tests[1].current.size) % 3, tests[1].current, np.nan))
     tests[1] = replace(tests[1], voltage=np.where(np.arange(tests[1].current.size) % 3, tests[1].voltage, np.nan))
-    with pytest.raises(UnusableInputError, match="too many samples of a test were lost"):
+    with pytest.raises(UnusableInputError, check=coded("sweep.many_lost")):
         analyse_sweep(tests, NOMINAL)
 
 
-def test_a_weak_repeat_is_said_and_counts_with_the_others():
+def test_a_weak_repeat_gives_a_remark_and_counts_with_the_others():
     tests = [*recorded(TRUE, tuple(FEW)), *(replace(test, sweep=1) for test in swept(TRUE, FEW[:3], 1.0, 3))]
     tests += [replace(test, sweep=2) for test in swept(TRUE, FEW, 1.0, 4)]
     found = analyse_sweep(tests, NOMINAL, remarks=("one before",))
     assert found.passed
     assert [run.runs for run in found.repeats] == [(1,), (3,)]
     assert found.remarks[0] == "one before"
-    assert "run 2 is too little by itself" in found.remarks[1]
+    assert says(found.remarks[1], "sweep.weak_run", run=2)
+    assert found.remarks[1].values["reason"].code == "sweep.too_few"
     made = as_calibration(found)
     assert made.conditions["repeats"] == 3.0
     assert made.tables["repeats"]["run"] == (1.0, 3.0)
 
 
-def test_what_cannot_be_kept_of_a_sweep_is_said():
-    with pytest.raises(UnusableInputError, match=r"cannot be kept: 'conditions\.session_id'"):
+def test_a_field_that_cannot_be_stored_is_named():
+    with pytest.raises(UnusableInputError, check=coded("sweep.not_stored", field="conditions.session_id")):
         as_calibration(result_of(Rig(), tuple(FEW)), conditions={"session_id": 1000 * "x"})
 
 

@@ -5,12 +5,13 @@ import time
 
 import numpy as np
 import pytest
+from coded import shows
 from spring_rig import Rig, swept
 from support import connect_scenario
 
 from firmware_sim.scenario import Scenario
 from tissueid.calibration import read_calibration
-from tissueid.calibration.moved_by_hand import Standing
+from tissueid.calibration.manual_positioning import Standing
 from tissueid.calibration.sweep import Sweep
 from tissueid.cli import main
 from tissueid.device import DeviceDescription
@@ -78,7 +79,7 @@ def test_it_runs_unattended_and_leaves_calibration_report_session_and_answer(dev
     told = capsys.readouterr().out
     assert "linear from 8.0" in told
     assert "or less to 24.0" in told
-    assert "passed: good for use" in told
+    assert "Dynamic sweep passed: ready for use" in told
     assert read_calibration(again).quantities == made.quantities
     assert device[-1]._link.firmware.bench.tissue.surface_m == pytest.approx(0.0154, abs=0.3e-3)  # and its sag
     assert main(["calibrate", "show", str(again), "--report", str(tmp_path / "shown.html")]) == 0
@@ -100,15 +101,14 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
     out = tmp_path / "sweep.toml"
     assert sweep("--device", "spring", "--out", out, *SHORT) == 0
     assert asked == pytest.approx([8e-3, 12e-3, 16e-3, 20e-3, 24e-3])
-    assert "Move the spring so that the probe stands at 12.0 mm" in capsys.readouterr().err
+    assert "Move the spring until the probe is at 12.0 mm" in capsys.readouterr().err
     assert read_calibration(out).conditions["by"] == "hand"
 
 
 def test_without_a_stage_and_a_terminal_it_refuses(device, tmp_path, capsys):
     device[0] = SPRING.model_copy(update={"stage": False})
     said = complaint(capsys, "--device", "spring", "--out", tmp_path / "sweep.toml", *SHORT)
-    assert "no motorised stage" in said
-    assert "run this on a terminal" in said
+    assert shows(said, "sweep.no_person")
     assert not list(tmp_path.iterdir())
 
 
@@ -147,11 +147,11 @@ def test_what_goes_wrong_leaves_no_calibration_and_keeps_the_session(device, tmp
     monkeypatch.setattr(Sweep, "_measure", second)
     assert sweep("--device", "spring", "--out", out, "--session", kept, *SHORT) != 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "what was measured is kept" in said
-    assert "the stage stays at 7.4 mm: bring it back to mid-stroke before a test" in said
+    assert f"the recording is saved in {kept}" in said
+    assert "the stage stays at 7.4 mm: move it to mid-stroke before a test" in said
     assert not out.exists()
     assert [test.status for test in read_session(kept).tests] == ["completed"]
-    assert "needs 5 positions or more, and 1 could be measured" in complaint(capsys, "--kept", kept, "--out", out)
+    assert shows(complaint(capsys, "--kept", kept, "--out", out), "sweep.too_few", least=5, count=1)
 
 
 def test_after_a_failure_the_stage_is_back_in_mid_stroke(device, tmp_path, monkeypatch, capsys):
@@ -170,10 +170,10 @@ def test_after_a_failure_the_stage_is_back_in_mid_stroke(device, tmp_path, monke
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "name the instrument with --device, or a sweep that was kept with --kept"),
-        (["--device", "spring", "--kept", "x.h5"], "not both"),
-        (["--kept", "x.h5", "--session", "y.h5"], "does not go with --kept"),
-        (["--device", "spring", "--from", "20", "--to", "10"], "from a position to a greater one"),
+        ([], "give either --device, or --kept for a saved sweep"),
+        (["--device", "spring", "--kept", "x.h5"], "give either --device, or --kept"),
+        (["--kept", "x.h5", "--session", "y.h5"], "--session saves a new recording: leave it out with --kept"),
+        (["--device", "spring", "--from", "20", "--to", "10"], "must end at a larger position"),
         (["--device", "spring", "--step", "0.1"], "0.5 to 5 mm"),
         (["--device", "spring", "--spring", "1"], "10 to 100000 N/m"),
         (["--device", "spring", "--spring-uncertainty", "60"], "better than 50 %"),
@@ -189,7 +189,7 @@ def test_what_cannot_be_used_is_said_in_a_line(device, tmp_path, capsys, argumen
 def test_another_file_is_not_written_over(device, tmp_path, capsys):
     out = tmp_path / "notes.txt"
     out.write_text("mine", encoding="utf-8")
-    assert "not written over" in complaint(capsys, "--device", "spring", "--out", out)
+    assert "not overwritten" in complaint(capsys, "--device", "spring", "--out", out)
     assert out.read_text(encoding="utf-8") == "mine"
 
 
@@ -235,13 +235,13 @@ def test_a_kept_sweep_carries_its_time_as_utc_and_the_static_calibration_that_co
 @pytest.mark.parametrize(
     ("about", "device", "words"),
     [
-        ({"created": "yesterday"}, {}, "'yesterday': that is no time"),
-        ({"created": ""}, {}, "that is no time"),
-        ({"created": "0001-01-01T00:00:00+14:00"}, {}, "that is no time"),
-        ({"created": "0001-01-01T00:00:00Z"}, {}, "there was no such instrument then"),
-        ({"session_id": 1000 * "x"}, {}, "the sweep cannot be kept: 'conditions.session_id'"),
+        ({"created": "yesterday"}, {}, "the date of the session is not valid: 'yesterday'"),
+        ({"created": ""}, {}, "the date of the session is not valid: ''"),
+        ({"created": "0001-01-01T00:00:00+14:00"}, {}, "is not valid: '0001-01-01T00:00:00+14:00'"),
+        ({"created": "0001-01-01T00:00:00Z"}, {}, "the date of the session is not plausible: 1"),
+        ({"session_id": 1000 * "x"}, {}, "the sweep cannot be stored: field 'conditions.session_id'"),
         ({}, {"serial_number": "D-7\nD-8"}, "it must be a line of 1 to 200 characters"),
-        ({}, {"coil_resistance_ohm": 0.0}, "coil_resistance_ohm is 0: that cannot be"),
+        ({}, {"coil_resistance_ohm": 0.0}, "coil_resistance_ohm is 0, which is impossible"),
     ],
 )
 def test_a_foreign_session_that_cannot_be_used_is_said_in_a_line(tmp_path, capsys, about, device, words):
@@ -262,6 +262,7 @@ def test_a_foreign_session_that_cannot_be_used_is_said_in_a_line(tmp_path, capsy
 def test_one_file_for_two_things_is_refused_before_anything_is_done(device, tmp_path, monkeypatch, capsys, arguments):
     monkeypatch.chdir(tmp_path)
     named = [argument.format(tmp_path.name) for argument in arguments]
-    assert "is named for two things" in complaint(capsys, "--device", "spring", "--out", "sweep.toml", *named)
+    said = complaint(capsys, "--device", "spring", "--out", "sweep.toml", *named)
+    assert f"{arguments[1]} is named for two outputs" in said
     assert len(device) == 1
     assert not list(tmp_path.iterdir())

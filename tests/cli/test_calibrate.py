@@ -6,9 +6,11 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from coded import message, says
 
 from tissueid.calibration import keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.file import utc_date
+from tissueid.calibration.labels import problems_of
 from tissueid.calibration.store import VARIABLE
 from tissueid.cli import main
 
@@ -41,7 +43,7 @@ def test_static_leaves_a_calibration_a_page_and_json(kept):
     assert found.conditions["ambient_c"] == 25.0
     assert str(found.conditions["audit_head"])
     page = (kept / "a.html").read_text()
-    assert "The calibration passed" in page
+    assert "Static calibration passed" in page
     assert "Force constant" in page
     assert page.count("<svg") == 4
     answer = json.loads((kept / "a.json").read_text())
@@ -73,7 +75,7 @@ def test_show_tells_it(kept, capsys):
     assert main(["calibrate", "show", str(kept / "a.toml"), "--report", str(kept / "again.html")]) == 0
     out = capsys.readouterr().out
     assert "Coil resistance" in out
-    assert "passed: good for use" in out
+    assert "passed: ready for use" in out
     assert "<svg" in (kept / "again.html").read_text()
     assert main(["calibrate", "show", str(kept / "a.toml"), "--json", "-"]) == 0
     assert json.loads(capsys.readouterr().out)["kind"] == "static"
@@ -118,17 +120,17 @@ def test_an_empty_folder_is_said(tmp_path, capsys):
 def test_refusals_say_what_to_give(tmp_path, capsys):
     out = ["--out", tmp_path / "a.toml"]
     static = ["calibrate", "static", "--device", SPRING]
-    assert "no step 'x'" in complaint(capsys, *static, *out, "--steps", "x")
+    assert "there is no step 'x'" in complaint(capsys, *static, *out, "--steps", "x")
     assert "--push-only" in complaint(capsys, *static, *out, "--steps", "electrical")
-    assert "need a person on a terminal" in complaint(capsys, *static, *out, "--weight", 50)
-    assert "--in-place asks nobody" in complaint(capsys, *static, *out, "--in-place", "--gauge", 5)
+    assert "need a person at a terminal" in complaint(capsys, *static, *out, "--weight", 50)
+    assert "--in-place runs without a person" in complaint(capsys, *static, *out, "--in-place", "--gauge", 5)
     for other in ("--json", "--report"):
-        assert "named for two things" in complaint(capsys, *static, *out, other, tmp_path / "." / "a.toml")
-    assert "0 to 200 mm high" in complaint(capsys, *static, *out, "--gauge", 0, "--gauge", 5, "--gauge", "nan")
+        assert "named for two outputs" in complaint(capsys, *static, *out, other, tmp_path / "." / "a.toml")
+    assert "must be 0 to 200 mm" in complaint(capsys, *static, *out, "--gauge", 0, "--gauge", 5, "--gauge", "nan")
     assert "no folder" in complaint(capsys, *static, "--out", tmp_path / "b" / "a.toml")
     (tmp_path / "notes.toml").write_text("title = 'mine'\n")
-    assert "not written over" in complaint(capsys, *static, "--out", tmp_path / "notes.toml")
-    assert "no folder of calibrations" in complaint(capsys, "calibrate", "list", "--calibrations", tmp_path / "x")
+    assert "not overwritten" in complaint(capsys, *static, "--out", tmp_path / "notes.toml")
+    assert "no calibration folder" in complaint(capsys, "calibrate", "list", "--calibrations", tmp_path / "x")
     assert "No such file" in complaint(capsys, "calibrate", "show", tmp_path / "x.toml")
     assert not (tmp_path / "a.toml").exists()
 
@@ -137,25 +139,25 @@ def test_a_failed_calibration_is_kept_and_says_so(tmp_path, capsys):
     arguments = [*STATIC, "--out", str(tmp_path / "a.toml"), "--steps", "force", "--spring", "1400"]
     assert main(arguments) == 2
     told = capsys.readouterr()
-    assert "never put in force" in told.out
+    assert "never used" in told.out
     assert told.err.strip().splitlines()[-1] == (
-        f"tissueid: the static calibration failed, and is kept in {tmp_path / 'a.toml'}"
+        f"tissueid: the static calibration failed; it is saved in {tmp_path / 'a.toml'}"
     )
     found = read_calibration(tmp_path / "a.toml")
     assert found.verdict == "failed"
-    assert "more than 20 % apart" in found.problems[0]
+    assert says(problems_of(found)[0], "calibration.off_nominal", percent=20.0)
 
 
 def test_a_failed_calibration_goes_beside_one_that_passed(kept, tmp_path, capsys):
-    out, beside, answer = (tmp_path / name for name in ("a.toml", "a.failed.toml", "a.json"))
+    out, failed, answer = (tmp_path / name for name in ("a.toml", "a.failed.toml", "a.json"))
     out.write_bytes((kept / "a.toml").read_bytes())
     failing = [*STATIC, "--out", str(out), "--json", str(answer), "--steps", "force", "--spring", "1400"]
     for _ in range(2):  # a failed one is written over by the next
         assert main(failing) == 2
-        assert f"kept in {beside}; {out}, which passed, is left as it was" in capsys.readouterr().err.splitlines()[-1]
+        assert f"saved in {failed}; {out}, which passed, is unchanged" in capsys.readouterr().err.splitlines()[-1]
     assert out.read_bytes() == (kept / "a.toml").read_bytes()
-    assert read_calibration(beside).verdict == "failed"
-    assert json.loads(answer.read_text())["file"] == str(beside)
+    assert read_calibration(failed).verdict == "failed"
+    assert json.loads(answer.read_text())["file"] == str(failed)
     assert sorted(path.name for path in tmp_path.glob("*.toml")) == ["a.failed.toml", "a.toml"]
 
 
@@ -169,11 +171,11 @@ def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
     assert read_calibration(tmp_path / "a.failed.toml").verdict == "passed"
 
 
-def test_figures_are_told_in_units_that_people_read(kept, capsys):
+def test_values_are_printed_in_display_units(kept, capsys):
     assert main(["calibrate", "show", str(kept / "a.toml")]) == 0
     lines = {line.strip().split("  ")[0]: line.split()[-1] for line in capsys.readouterr().out.splitlines() if line}
-    assert lines["Reading of position for one ampere"] == "mm/A"
-    assert lines["Relative uncertainty of force, the reference's included"] == "%"
+    assert lines["Position reading per ampere"] == "mm/A"
+    assert lines["Relative uncertainty of force, including the reference"] == "%"
 
 
 class Terminal(io.StringIO):
@@ -192,4 +194,5 @@ def test_a_person_at_the_terminal_is_told_what_to_do(tmp_path, monkeypatch, caps
     assert "Turn the instrument over" in told
     assert "Turn the instrument back" in told
     # The simulation stays as it is: it was not turned over, which shows.
-    assert "0.00 times gravity" in read_calibration(tmp_path / "a.toml").problems[0]
+    gain = message(problems_of(read_calibration(tmp_path / "a.toml")), "calibration.accelerometer").values["gain"]
+    assert gain == pytest.approx(0.0, abs=0.005)

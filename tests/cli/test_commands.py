@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from golden.golden_page import check_golden_page
 from outside_data import RIG
 
 from tissueid.cli import main
@@ -137,25 +138,25 @@ def test_devices_lists_the_simulation(capsys):
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "SESSION"], "never overwritten"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER/no/a.h5"], "no folder"),
         ([*A_TEST, "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
-        ([*A_TEST, "--limits", "none"], "limits are"),
+        ([*A_TEST, "--limits", "none"], "--limits must be"),
         ([*A_TEST, "--seconds", "nan"], "seconds"),
         ([*A_TEST, "--seconds", "1e9"], "seconds"),
-        (["identify", "SESSION", "--engine", "lms", "--json", "SESSION"], "holds something else"),
-        (["identify", "SESSION", "--engine", "lms", "--json", "RUBBISH"], "holds something else"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "SESSION"], "already exists and has other content"),
+        (["identify", "SESSION", "--engine", "lms", "--json", "RUBBISH"], "already exists and has other content"),
         (["identify", "SESSION", "--engine", "lms", "--memory", "0.1", "--option", "memory=0.1"], "given twice"),
         (["identify", "SESSION", "--engine", "lms", "--input", "position"], "the same signal"),
-        (["report", "SESSION", "--out", "SESSION"], "holds something else"),
+        (["report", "SESSION", "--out", "SESSION"], "already exists and has other content"),
         (["report", "SESSION", "--out", "FOLDER"], "is a folder"),
-        ([*A_TEST, "--json", "SESSION"], "holds something else"),
+        ([*A_TEST, "--json", "SESSION"], "already exists and has other content"),
         ([*A_TEST, "--json", "FOLDER/a.h5"], "cannot be the same file"),
         ([*A_TEST, "--seconds", "29.6"], "lasts 30.1 s in all, preload included; the limit is 30 s"),
         ([*A_TEST, "--min-force", "-13"], "reaches 13.0 N; the limit is 12 N"),
         ([*A_TEST, "--subject", " "], "the subject must be one line"),
         (["test", "--device", "simulated://forearm", "--site", "a\x1bb", "--out", "FOLDER/a.h5"], "the site must be"),
-        (["test", "--device", "simulated://forearm?sed=3", "--site", "x", "--out", "FOLDER/a.h5"], "asks for sed"),
+        (["test", "--device", "simulated://forearm?sed=3", "--site", "x", "--out", "FOLDER/a.h5"], "parameter sed;"),
         (["test", "--device", "socket://127.0.0.1", "--site", "x", "--out", "FOLDER/a.h5"], "socket://HOST:PORT"),
         (["test", "--device", "/dev/null", "--site", "x", "--out", "FOLDER/a.h5"], "not a serial port"),
-        (["test", "--device", "", "--site", "x", "--out", "FOLDER/a.h5"], "say which instrument"),
+        (["test", "--device", "", "--site", "x", "--out", "FOLDER/a.h5"], "the address of the instrument is empty"),
         (["test", "--device", "simulated://forearm", "--site", "x", "--out", "FOLDER"], "is a folder"),
         (["demo", "--out", "RUBBISH"], "is not a folder"),
         (["demo", "--out", "FOLDER/d", "--preset", "moon"], "no preset 'moon'"),
@@ -326,3 +327,10 @@ def test_the_demo_leaves_its_three_files(tmp_path, capsys):
     session = read_session(out / "session.h5")
     assert session.instrument.calibration["verdict"] == "passed"
     assert not any("samples_lost" in test.notes for test in session.tests)
+
+
+def test_identify_reads_as_its_golden_page(session_file, capsys, monkeypatch):
+    """Renew the page by ``python tests/golden/renew.py``."""
+    monkeypatch.setenv("COLUMNS", "400")
+    assert main(["identify", str(session_file), "--engine", "wiener"]) == 0
+    check_golden_page("command-identify", capsys.readouterr().out.splitlines())

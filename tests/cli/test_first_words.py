@@ -43,7 +43,7 @@ def test_a_session_that_cannot_be_read_points_to_its_journal(
     assert main(["report", str(path), "--out", str(tmp_path / "page.html")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"tissueid recover {journal}" in line
-    assert ("move it away" in line) == written
+    assert ("is damaged" in line) == written
 
 
 class _Flushed(io.StringIO):

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_records import DEVICE, changed, recorded
+from golden.golden_page import check_golden_page
 
-from firmware_sim.drawing import main as record
+from firmware_sim.laboratory.drawing import main as record
 from tissueid.cli import main
-from tissueid.gap.blind_check import Piece
+from tissueid.gap.blind_check import BlindScenario
 from tissueid.sessions import Session, write_session
 from tissueid.twin import catalogue as shelf
 
@@ -156,7 +157,7 @@ def test_what_cannot_be_diagnosed_is_refused_in_one_line(session, says, tmp_path
     ("options", "says"),
     [
         (("--fit", "7"), "no test 7"),
-        (("--fit", "one"), "numbers of tests"),
+        (("--fit", "one"), "test numbers separated by commas"),
         (("--check", "1"), "none is left to be fitted"),
     ],
 )
@@ -220,7 +221,7 @@ def test_nothing_is_scored_when_labels_change_under_the_seal(
     monkeypatch.setattr("tissueid.cli.gap_blind.answers", cheat)
     arguments = ["--n", "1", "--full-share", "0", "--workers", "1", "--json", str(tmp_path / "score.json")]
     assert main(["gap", "blind-check", *arguments]) == 2
-    assert "altered while they were sealed" in capsys.readouterr().err
+    assert "altered while sealed" in capsys.readouterr().err
     assert not (tmp_path / "score.json").exists()
 
 
@@ -247,7 +248,7 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     blind = ["gap", "blind-check", "--workers", "1", "--keep", str(kept)]
     answered: list[str] = []
 
-    def diagnosed(piece: Piece) -> dict:
+    def diagnosed(piece: BlindScenario) -> dict:
         if answered == ["scenario-0001"]:
             answered.append("interrupted")
             raise KeyboardInterrupt
@@ -256,9 +257,9 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
         where = {"stage": "drive"}
         return {"verdict": "no_gap", "gap": gap, "where": where, "ranking": [], "combination": [], "oracle": 0.1}
 
-    monkeypatch.setattr(Piece, "diagnosed", diagnosed)
+    monkeypatch.setattr(BlindScenario, "diagnosed", diagnosed)
     assert main([*blind, "--n", "2", "--seed", "9", "--full-share", "0"]) == 130
-    assert "the same command with --resume goes on" in capsys.readouterr().err.replace("\n", " ")
+    assert "continue by the same command with --resume" in capsys.readouterr().err.replace("\n", " ")
     assert "was begun with --n 2, not 3" in refused(capsys, *blind, "--resume", "--n", 3)
     assert main([*blind, "--resume", "--seed", "9", "--out", str(page), "--json", str(out)]) == 0
     assert answered == ["scenario-0001", "interrupted", "scenario-0002"]
@@ -269,14 +270,14 @@ def test_a_check_that_was_interrupted_goes_on(tmp_path: Path, capsys, monkeypatc
     capsys.readouterr()
     (kept / "scenario-0002.json").unlink()
     assert main([*blind, "--resume"]) == 2
-    assert "other scenarios than its labels" in capsys.readouterr().err.replace("\n", " ")
+    assert f"the scenarios in {kept} do not match its labels" in capsys.readouterr().err.replace("\n", " ")
     (kept / "labels.json").write_text("{}")
-    assert "altered while they were sealed" in refused(capsys, *blind, "--resume")
+    assert "altered while sealed" in refused(capsys, *blind, "--resume")
 
 
 def test_a_check_cannot_go_on_where_there_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert "folder of --keep" in refused(capsys, "gap", "blind-check", "--resume")
-    assert "leave --resume out" in refused(capsys, "gap", "blind-check", "--resume", "--keep", tmp_path)
+    assert "add --keep DIR" in refused(capsys, "gap", "blind-check", "--resume")
+    assert "omit --resume" in refused(capsys, "gap", "blind-check", "--resume", "--keep", tmp_path)
 
 
 def test_an_accepted_effect_becomes_part_of_a_twin_and_a_line_of_the_log(tmp_path: Path, audit_file: Path) -> None:
@@ -286,3 +287,12 @@ def test_an_accepted_effect_becomes_part_of_a_twin_and_a_line_of_the_log(tmp_pat
     line = json.loads(audit_file.read_text().splitlines()[-1])
     assert (line["what"], line["new"]["effects"]) == ("twin.accepted", ["dry_friction"])
     assert (line["new"]["name"], line["new"]["version"]) == ("bench", 1)
+
+
+def test_a_diagnosis_reads_as_its_golden_page(
+    session_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Renew the page by ``python tests/golden/renew.py``."""
+    monkeypatch.setenv("COLUMNS", "400")
+    assert main(["gap", "diagnose", str(session_file), "--workers", "1"]) == 0
+    check_golden_page("command-gap-diagnose", capsys.readouterr().out.splitlines())

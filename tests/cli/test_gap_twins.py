@@ -6,7 +6,7 @@ import pytest
 import tomli_w
 
 from tissueid.cli import main
-from tissueid.twin.figures import Instrument, Tissue
+from tissueid.twin.chain_parameters import Instrument, Tissue
 
 TWIN = {
     "format": "tissueid-twin",
@@ -62,13 +62,16 @@ def test_a_saved_twin_is_an_instrument(twin, tmp_path):
     ("arguments", "reason"),
     [
         (["gap", "accept", "SESSION", "--out", "FOLDER/no/a.toml"], "no folder"),
-        (["gap", "accept", "SESSION", "--out", "FOLDER/a.txt"], "written to a .toml"),
+        (["gap", "accept", "SESSION", "--out", "FOLDER/a.txt"], "must end in .toml: a.txt"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "luck"], "no such file"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *(2 * ["--effect", "latency"])], "is named twice"),
         (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", *FIVE], "at most 4 effects, not 5"),
-        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "latency", "--fit", "one"], "--fit takes"),
-        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--json", "FOLDER/a.toml"], "named for two things"),
-        (["gap", "diagnose", "SESSION", "--out", "FOLDER/a", "--json", "FOLDER/a"], "named for two things"),
+        (
+            ["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--effect", "latency", "--fit", "one"],
+            "--fit must be",
+        ),
+        (["gap", "accept", "SESSION", "--out", "FOLDER/a.toml", "--json", "FOLDER/a.toml"], "named for two outputs"),
+        (["gap", "diagnose", "SESSION", "--out", "FOLDER/a", "--json", "FOLDER/a"], "named for two outputs"),
         (["gap", "diagnose", "SESSION", "--twin", "FOLDER/none.toml"], "cannot read"),
         (["twin", "show", "FOLDER/none.toml"], "cannot read"),
         (["twin", "list", "FOLDER/none"], "no folder"),

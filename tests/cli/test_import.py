@@ -10,7 +10,7 @@ from outside_data import REAL
 
 from tissueid.cli import main
 from tissueid.sessions import Session, Test, read_session, write_session
-from tissueid.sessions.imports.attributes import unknown_device
+from tissueid.sessions.imports.export_attributes import unknown_device
 
 MAP = ["--map", "force=force:N", "--map", "position=disp:mm"]
 
@@ -125,22 +125,22 @@ def test_a_column_s_name_is_no_markup(tmp_path, capsys):
     [
         (["nothing.csv", *MAP], "nothing.csv: no such file"),
         (["FOLDER", *MAP], "is a folder"),
-        (["TABLE"], "say what its columns are, such as --map force=COLUMN:UNIT"),
-        (["TABLE", *MAP, "--rate", "0"], "--rate is a rate"),
-        (["TABLE", *MAP, "--rate", "nan"], "--rate is a rate"),
-        (["TABLE", *MAP, "--resample", "-1"], "--resample is a rate"),
-        (["TABLE", *MAP, "--kind", "fast"], "there is no 'fast'; there are stochastic, quiet"),
+        (["TABLE"], "choose what its columns are ('--map ROLE=COLUMN:UNIT')"),
+        (["TABLE", *MAP, "--rate", "0"], "--rate must be a rate"),
+        (["TABLE", *MAP, "--rate", "nan"], "--rate must be a rate"),
+        (["TABLE", *MAP, "--resample", "-1"], "--resample must be a rate"),
+        (["TABLE", *MAP, "--kind", "fast"], "'fast' is not known: choose one of stochastic, quiet"),
         (["TABLE", *MAP, "--kind", "quiet", "--kind", "quiet"], "--kind is given 2 times"),
-        (["TABLE", *MAP, "--configuration", "sideways"], "there is no 'sideways'"),
-        (["TABLE", *MAP, "--preload", "-1"], "--preload is 0 s or more"),
-        (["TABLE", *MAP, "--surface", "inf"], "--surface is a position"),
+        (["TABLE", *MAP, "--configuration", "sideways"], "'sideways' is not known"),
+        (["TABLE", *MAP, "--preload", "-1"], "--preload must be 0 s or more"),
+        (["TABLE", *MAP, "--surface", "inf"], "--surface must be a position"),
         (["TABLE", *MAP, "--instrument", "colour=red"], "--instrument is KEY=VALUE"),
         (["TABLE", *MAP, "--instrument", "stroke_m=wide"], "stroke_m is a number"),
         (["TABLE", *MAP, "--instrument", "stroke_m=nan"], "stroke_m is a number"),
         (["TABLE@0:99999", *MAP], "row 99999 is beyond the 1500 rows"),
         (["TABLE", "--map", "force=torque:N", *MAP[2:]], "no column 'torque'"),
         (["TABLE", "--map", "force=force:mm", *MAP[2:]], "force is measured in N"),
-        (["TABLE", "TABLE@9:3", *MAP], "nothing in rows 9:3"),
+        (["TABLE", "TABLE@9:3", *MAP], "rows 9:3 of 1500 are empty"),
         ([*MAP], "FILE"),
     ],
 )
@@ -157,7 +157,7 @@ def test_nothing_is_written_over(table, tmp_path, capsys):
     assert out.read_text() == "mine"
     assert "no folder" in complaint(capsys, "import", table, "--out", tmp_path / "no" / "s.h5", *MAP)
     new = tmp_path / "n.json"
-    assert "two things" in complaint(capsys, "import", table, "--out", new, *MAP, "--json", new)
+    assert "two outputs" in complaint(capsys, "import", table, "--out", new, *MAP, "--json", new)
 
 
 def test_export_and_back(table, tmp_path, capsys):
@@ -189,7 +189,9 @@ def test_export_refuses_in_one_line(table, tmp_path, capsys):
     assert "no format 'xls'" in complaint(
         capsys, "export", tmp_path / "s.h5", "--out", tmp_path / "x", "--format", "xls"
     )
-    assert "new folder" in complaint(capsys, "export", tmp_path / "s.h5", "--out", tmp_path, "--format", "csv")
+    assert "new or an empty folder" in complaint(
+        capsys, "export", tmp_path / "s.h5", "--out", tmp_path, "--format", "csv"
+    )
 
 
 def test_both_are_in_the_audit_log_without_names_of_files(table, tmp_path, audit_file):

@@ -34,7 +34,7 @@ def test_a_test_ends_with_its_verdict(session):
     _, told = session
     assert [test["verdict"] for test in told["tests"]] == ["good", "good"]
     assert [finding["code"] for finding in told["tests"][0]["quality"]] == ["calibration_none"]
-    assert set(told["tests"][0]["quality"][0]) == {"code", "severity", "words", "advice", "value"}
+    assert set(told["tests"][0]["quality"][0]) == {"code", "severity", "words", "advice", "value", "messages"}
 
 
 def test_a_site_that_looks_like_markup_is_shown_as_it_is(session, tmp_path, capsys):
@@ -51,7 +51,7 @@ def test_a_saved_session_is_judged_anew(session, tmp_path, capsys):
     assert main(["quality", str(path), "--json", str(answer)]) == 0
     printed = capsys.readouterr().out
     assert "test 1: Good test" in printed
-    assert "note: No calibration was in force" in printed
+    assert "note: The instrument was not calibrated" in printed
     tests = json.loads(answer.read_text())["tests"]
     assert [(test["test"], test["verdict"], test["verdict_when_recorded"]) for test in tests] == [
         (1, "good", "good"),
@@ -71,7 +71,7 @@ def test_what_is_judged_anew_is_the_recording_and_not_the_note(session, tmp_path
     write_session(tmp_path / "stuck.h5", replace(saved, tests=(spoilt,)))
     answer = tmp_path / "q.json"
     assert main(["quality", str(tmp_path / "stuck.h5"), "--json", str(answer)]) == 0
-    assert "REPEAT: The reading of the position stood still" in capsys.readouterr().out
+    assert "REPEAT: The position reading did not change for" in capsys.readouterr().out
     test = json.loads(answer.read_text())["tests"][0]
     assert (test["verdict"], test["verdict_when_recorded"]) == ("repeat", "good")
 
@@ -86,7 +86,7 @@ def test_engines_warn_of_a_test_that_was_to_be_repeated(session, tmp_path, capsy
     for command in (["identify", "--engine", "lms"], ["compare", "--engines", "lms,spectral"]):
         arguments = [command[0], str(tmp_path / "bad.h5"), *command[1:], "--test"]
         assert main([*arguments, "1", "--json", str(answer)]) == 0
-        assert "asked to repeat test 1: The reading stood still." in capsys.readouterr().out.replace("\n", " ")
+        assert "advised to repeat test 1: The reading stood still." in capsys.readouterr().out.replace("\n", " ")
         assert len(json.loads(answer.read_text())["quality_warnings"]) == 1
         assert main([*arguments, "2"]) == 0
         assert "asked to repeat" not in capsys.readouterr().out

@@ -30,9 +30,9 @@ def test_a_report_of_the_same_session_may_be_written_again(tmp_path):
     check_report(page, session)
     page.write_text(HEAD.format(OWN), encoding="utf-8")
     check_report(page, session)
-    with pytest.raises(UnusableInputError, match="report of something else"):
+    with pytest.raises(UnusableInputError, match="not a report of this session"):
         check_report(page, replace(session, session_id="another"))
-    with pytest.raises(UnusableInputError, match="report of something else"):
+    with pytest.raises(UnusableInputError, match="not a report of this session"):
         check_report(page, replace(session, session_id=""))
 
 
@@ -55,7 +55,7 @@ def test_a_report_of_another_session_is_not_replaced(
     words = [word for word in command if not word.startswith("--") and not word.endswith(".html")]
     options = list(command[len(words) :])
     assert main([*words, str(session_file), *options, str(kept)]) == 2
-    assert "report of something else" in " ".join(capsys.readouterr().err.split())
+    assert "not a report of this session" in " ".join(capsys.readouterr().err.split())
     assert kept.read_text(encoding="utf-8") == content
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["s.h5", name])
 
@@ -66,6 +66,6 @@ def test_the_report_of_an_earlier_calibration_is_not_replaced(tmp_path, capsys, 
     kept.write_text(HEAD.format("of a calibration"), encoding="utf-8")
     arguments = ["calibrate", kind, "--device", "simulated://spring", "--out", str(tmp_path / "c.toml")]
     assert main([*arguments, "--report", str(kept)]) == 2
-    assert "is there already" in " ".join(capsys.readouterr().err.split())
+    assert "already exists" in " ".join(capsys.readouterr().err.split())
     assert kept.read_text(encoding="utf-8") == HEAD.format("of a calibration")
     check_new(tmp_path / "new.html")

@@ -134,14 +134,14 @@ def test_people_get_tables(capsys: pytest.CaptureFixture[str]):
     printed = capsys.readouterr().out
     for kind in SHORT:
         assert kind in printed
-    assert "while the test runs" in printed
+    assert "during the test" in printed
     assert main(["stimulus", "noise", "--options"]) == 0
     printed = capsys.readouterr().out
-    for words in ("cutoff_hz", "whole number, 1 or more, up to 12", "gaussian, uniform, rayleigh", "2⁶³ − 1"):
+    for words in ("cutoff_hz", "whole number, 1 or more, up to 12", "binary, exponential, gaussian", "2⁶³ − 1"):
         assert words in printed
     assert main(["stimulus", "noise", "--seconds", "0.5"]) == 0
     printed = capsys.readouterr().out
-    for words in ("Crest factor", "Steepest edge", "Coil warms by", "Autocorrelation"):
+    for words in ("Crest factor", "Steepest edge", "Heating of the coil", "Autocorrelation"):
         assert words in printed
 
 
@@ -168,19 +168,19 @@ def test_the_device_that_is_named_is_the_one_that_is_designed_for(capsys: pytest
     ("arguments", "words"),
     [
         (["whistle"], "no stimulus 'whistle': choose one of"),
-        (["--seed", "3"], "say which stimulus"),
-        (["noise", "--options", "--seed", "3"], "say which stimulus"),
+        (["--seed", "3"], "name a stimulus"),
+        (["noise", "--options", "--seed", "3"], "name a stimulus"),
         (["noise", "--option", "colour=red"], "option 'colour'"),
         (["noise", "--option", "colour"], "NAME=VALUE"),
         (["noise", "--option", "order=two"], "option 'order'"),
         (["noise", "--seconds", "2", "--option", "seconds=3"], "seconds is given twice, by --seconds and by --option"),
-        (["multisine", "--seconds", "2"], "takes no --seconds; 'tissueid stimulus multisine --options' lists"),
+        (["multisine", "--seconds", "2"], "has no option --seconds; 'tissueid stimulus multisine --options' lists"),
         (["noise", "--seconds", "nan"], "seconds"),
         (["noise", "--seconds", "-1"], "seconds"),
         (["noise", "--seconds", "600", "--option", "sample_rate=1e6"], "is the most"),
         (["noise", "--option", "sample_rate=4000"], "4000 samples a second and the instrument 2000"),
         (["noise", "--seconds", "30"], "lasts 30.0 s; there is room for 29.5 s"),
-        (["noise", "--min-force", "1", "--max-volts", "9"], "as force or as voltage: give the range in one of them"),
+        (["noise", "--min-force", "1", "--max-volts", "9"], "either as force or as voltage"),
         (["noise", "--min-force", "5", "--max-force", "2"], "must be below the greatest"),
         (["noise", "--max-force", "13"], "reaches 13.0 N; the limit is 12 N"),
         (["noise", "--max-force", "16", "--limits", "research"], "reaches 16.0 N; the limit is 15 N"),
@@ -194,20 +194,20 @@ def test_the_device_that_is_named_is_the_one_that_is_designed_for(capsys: pytest
             "no signal has this autocorrelation: its spectrum would be negative",
         ),
         (["interchange", "--option", "distribution=binary"], "autocorrelation"),
-        (["noise", "--limits", "none"], "limits are"),
+        (["noise", "--limits", "none"], "--limits must be"),
         (["noise", "--device", "/dev/none"], "cannot open /dev/none"),
-        (["noise", "--plot", "FOLDER/plot.jpg"], "a plot ends in"),
+        (["noise", "--plot", "FOLDER/plot.jpg"], "the file name of a plot must end in"),
         (["noise", "--plot", "FOLDER/no/plot.png"], "no folder"),
-        (["noise", "--plot", "LETTER.png"], "holds something else"),
-        (["noise", "--csv", "LETTER.png"], "holds something else"),
-        (["noise", "--csv", "-"], "only JSON goes to standard output"),
-        (["noise", "--out", "SAVED"], "never written over"),
+        (["noise", "--plot", "LETTER.png"], "already exists and has other content"),
+        (["noise", "--csv", "LETTER.png"], "already exists and has other content"),
+        (["noise", "--csv", "-"], "only JSON can go to standard output"),
+        (["noise", "--out", "SAVED"], "never overwritten"),
         (["noise", "--out", "FOLDER/a.json", "--json", "FOLDER/a.json"], "have the same name"),
         (["FOLDER/none.json"], "no such file"),
         (["RUBBISH"], "damaged, or not a saved stimulus"),
         (["HUGE"], "larger than 4 MB"),
-        (["SAVED", "--seed", "4"], "its options are in it"),
-        (["SAVED", "--limits", "clinical", "--option", "order=2"], "its options are in it"),
+        (["SAVED", "--seed", "4"], "contains its options"),
+        (["SAVED", "--limits", "clinical", "--option", "order=2"], "contains its options"),
         (["rtig", "--csv", "FOLDER/a.csv"], "no samples before its test"),
         (["rtig", "--device", "socket://localhost:1"], "'tissueid test --stimulus rtig' plays it"),
         (["rtig", "--device", "simulated://moon"], "no simulated tissue"),

@@ -23,7 +23,7 @@ from tissueid import wire
 from tissueid.acquisition import SessionRecorder, recover
 from tissueid.errors import LinkLostError
 from tissueid.instrument import SIGNALS, Limits, Run, SerialInstrument
-from tissueid.instrument.link import broken, unopened
+from tissueid.instrument.link import broken_error, open_error
 from tissueid.sessions import Session
 from tissueid.wire import MessageType, State
 
@@ -37,7 +37,7 @@ LONGEST_WAIT_S = 2.0
 
 
 class TruthBench(Bench):
-    """A bench that keeps what really happened: the plant's own state beside the codes, sample by sample."""
+    """A bench that keeps what really happened: the state of the plant as well as the codes, sample by sample."""
 
     firmware: Firmware
 
@@ -119,7 +119,7 @@ class FaultyLink(LoopbackLink):
         try:
             data = super().read(timeout_s)
         except LinkLostError as error:
-            raise broken(self.name, OSError(errno.ENODEV, "")) from error
+            raise broken_error(self.name, OSError(errno.ENODEV, "")) from error
         for frame in self._heard.feed(data):
             # An answer that the host had not heard before gets it further; what else comes may not.
             if frame.type in (MessageType.ACK, MessageType.HELLO_ACK) and frame.payload not in self._answered:
@@ -139,7 +139,7 @@ class FaultyLink(LoopbackLink):
 
     def write(self, data: bytes) -> None:
         if not self.plugged:
-            raise broken(self.name, OSError(errno.ENODEV, ""))
+            raise broken_error(self.name, OSError(errno.ENODEV, ""))
         super().write(data)
         for frame in self._said.feed(data):
             self.sent[frame.type] += 1
@@ -159,7 +159,7 @@ class FaultyLink(LoopbackLink):
         self.heard_s = self.now
 
     def run_for(self, seconds: float) -> None:
-        """Nobody waits for anything meanwhile."""
+        """Nothing is awaited during this time."""
         before = self.longest_wait_s
         super().run_for(seconds)
         self.longest_wait_s = before
@@ -221,13 +221,13 @@ class Desk:
         """How many samples had been taken when the newest fault began."""
 
     def open(self) -> WatchedInstrument:
-        """Open the instrument anew.
+        """Open the instrument again.
 
         Raises:
             InstrumentError: it is not there.
         """
         if not self.link.plugged:
-            raise unopened(self.link.name, OSError(errno.ENOENT, ""))
+            raise open_error(self.link.name, OSError(errno.ENOENT, ""))
         self.link._answered.clear()
         return WatchedInstrument(self.link)
 
@@ -248,7 +248,7 @@ class Desk:
         self.link.moments.append((moment, lambda: void(self.befall(fault))))
 
     def settle(self, seconds: float = 1.5) -> None:
-        """Nobody talks to the device for a while."""
+        """Let time pass without requests to the device."""
         self.link.run_for(seconds)
 
     def energised_since(self, first: int, last: int | None = None) -> float:
@@ -315,11 +315,11 @@ class Desk:
 
 
 def void(_: object) -> None:
-    """Nobody wants it."""
+    """Ignore the samples."""
 
 
 @contextmanager
 def virtual_time() -> Iterator[None]:
-    """Work beside the instrument takes none of its time: how much would depend on this machine."""
-    with patch("tissueid.acquisition.guided.meanwhile", lambda _instrument, work, _cancelled=None: work()):
+    """Run background work at once: its duration would depend on this machine."""
+    with patch("tissueid.acquisition.guided.run_while_polling", lambda _instrument, work, _cancelled=None: work()):
         yield

@@ -111,7 +111,7 @@ class _Sitting:
         return self.report
 
     def _one_test(self, instrument: WatchedInstrument, recorder: WatchedRecorder) -> None:
-        """A test of either kind; now and then somebody stops it, or enough is known, or the probe is placed first."""
+        """A test of either kind; sometimes it is cancelled, or enough is known, or the probe is placed first."""
         rng, link = self.rng, self.link
         make = feedback if rng.random() < 0.4 else open_loop
         test = make(seconds=rng.uniform(0.5, 2.5), seed=rng.randrange(100))

@@ -4,12 +4,14 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded
 from faults.cells import PRELOAD_S, SURFACE_M, feedback, open_loop
 from faults.desk import Desk, virtual_time
 
 from tissueid.acquisition import SessionRecorder, journal_path, recover, run_guided_test
 from tissueid.errors import FirmwareFaultError
-from tissueid.instrument.interface import empty_samples, until_released
+from tissueid.instrument.interface import empty_samples, trim_at_release
+from tissueid.instrument.replies import describe_faults
 from tissueid.sessions import read_session
 from tissueid.wire import Fault, Flag
 
@@ -27,7 +29,10 @@ def stopped_host(tmp_path, seconds, test=None):
         if item.fraction > 0.5 and waiting:
             desk.link.run_for(waiting.pop())
 
-    with virtual_time(), pytest.raises(FirmwareFaultError, match="the computer was silent for too long"):
+    with (
+        virtual_time(),
+        pytest.raises(FirmwareFaultError, check=coded("instrument.released", why=describe_faults(Fault.WATCHDOG))),
+    ):
         run_guided_test(instrument, test or open_loop(SECONDS), recorder, surface_m=SURFACE_M, progress=progress)
     instrument.close()
     return recorder.finish().test(), desk, recorder
@@ -67,7 +72,7 @@ def test_a_journal_with_samples_after_the_release_is_recovered_without_them(tmp_
         if number == 20:
             desk.firmware.brown_out()
             desk.link.to_host = lambda data: data
-        instrument._watch.stop_due = instrument._watch.error = None
+        instrument._monitor.stop_due = instrument._monitor.error = None
         instrument._pump(0.05)
         recorder.add(instrument._stream.drain())
     played = desk.firmware._player.played
@@ -91,7 +96,7 @@ def test_samples_that_were_lost_before_the_release_are_not_taken_for_played():
         return samples
 
     played, lost, free = block(0, 20, Flag.PLAYING), block(20, 20, 0), block(40, 20, Flag.ENERGISED)
-    assert until_released(np.concatenate([played, lost, free])).size == 20
-    assert until_released(np.concatenate([played, lost])).size == 40, "nothing says that it was released"
-    assert until_released(np.concatenate([played, lost, played, free])).size == 60
-    assert until_released(np.concatenate([free, played])).size == 0
+    assert trim_at_release(np.concatenate([played, lost, free])).size == 20
+    assert trim_at_release(np.concatenate([played, lost])).size == 40, "nothing says that it was released"
+    assert trim_at_release(np.concatenate([played, lost, played, free])).size == 60
+    assert trim_at_release(np.concatenate([free, played])).size == 0

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from coded import coded, holding
 from faults.cells import ADVICE, fault
 from faults.desk import LIMITS, LONGEST_WAIT_S, Desk
 
 from tissueid import wire
 from tissueid.errors import FirmwareFaultError, InstrumentError, LinkLostError
-from tissueid.instrument.answers import describe_faults
+from tissueid.instrument.replies import describe_faults
 from tissueid.wire import Fault, MessageType
 
 
@@ -31,7 +32,7 @@ def without(kind):
 def test_nothing_is_energised_where_no_samples_arrive(desk):
     instrument = loaded(desk)
     desk.link.to_host = without(MessageType.DATA)
-    with pytest.raises(LinkLostError, match=r"no samples arrive from loopback: check the cable, and connect again"):
+    with pytest.raises(LinkLostError, check=coded("link.no_samples", port="loopback")):
         instrument.arm(LIMITS)
     assert not desk.bench.energised().any()
 
@@ -42,9 +43,9 @@ def test_answers_are_no_samples(desk):
     instrument.start()
     desk.link.to_host = without(MessageType.DATA)
     began = desk.link.now
-    with pytest.raises(LinkLostError, match=r"silent for 0\.5 s"):
+    with pytest.raises(LinkLostError, check=holding("link.silent", seconds=0.5)):
         while True:
-            instrument._talk.send(MessageType.STATUS_REQUEST)
+            instrument._channel.send(MessageType.STATUS_REQUEST)
             instrument.poll(0.05)
     assert desk.link.now - began < 0.6
     instrument.close()
@@ -54,7 +55,7 @@ def test_answers_are_no_samples(desk):
 def test_a_restart_is_the_reason_why_a_request_is_refused(desk):
     instrument = loaded(desk)
     desk.befall(fault("reset"))
-    with pytest.raises(FirmwareFaultError, match="restarted by itself"):
+    with pytest.raises(FirmwareFaultError, check=coded("instrument.restarted")):
         instrument.arm(LIMITS)
         instrument.start()
 
@@ -64,7 +65,7 @@ def test_a_device_that_does_not_answer_is_given_up_in_time(desk):
     instrument.arm(LIMITS)
     desk.befall(fault("drops", share=1.0, direction="to_device", seconds=100.0))
     began = desk.link.now
-    with pytest.raises(InstrumentError, match=r"does not answer START|silent for too long"):
+    with pytest.raises(InstrumentError, check=holding("fault.watchdog")):
         instrument.start()
     instrument.release()
     assert desk.link.now - began < LONGEST_WAIT_S
@@ -83,5 +84,5 @@ def test_what_arrived_while_a_stimulus_was_sent_does_not_wait_for_the_run(desk):
 
 
 @pytest.mark.parametrize("one", [item for item in Fault if item])
-def test_every_fault_is_told_with_what_to_do_about_it(one):
+def test_every_fault_is_described_with_a_remedy(one):
     assert ADVICE.search(describe_faults(one))

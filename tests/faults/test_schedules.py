@@ -9,8 +9,8 @@ BLOCK = 10
 
 def check(seed, seconds, folder):
     report = run_schedule(seed, folder, seconds)
-    told = "\n".join(f"  {fault.model_dump(exclude_defaults=True)}" for fault in schedule(seed, seconds))
-    assert report.problems == [], f"seed {seed}, {seconds:g} s:\n{told}\n" + "\n".join(report.problems)
+    result = "\n".join(f"  {fault.model_dump(exclude_defaults=True)}" for fault in schedule(seed, seconds))
+    assert report.problems == [], f"seed {seed}, {seconds:g} s:\n{result}\n" + "\n".join(report.problems)
     return report
 
 

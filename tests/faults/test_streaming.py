@@ -51,7 +51,7 @@ def gentle(seconds):
 
 
 def stream(url, path, seconds):
-    """Tests back to back for so many seconds of the device's time; what the program held after each.
+    """Run tests back to back for a time of the device, s; return the memory of the program after each.
 
     The second figure is by how much more, in bytes, it held at its most while the session was written.
     """

@@ -2,19 +2,21 @@
 
 import numpy as np
 import pytest
+from coded import says
 from faults.cells import SURFACE_M, fault, feedback, open_loop, rest
 from faults.desk import Desk
 
 from tissueid import wire
 from tissueid.acquisition import run_guided_test
 from tissueid.errors import FirmwareFaultError, InstrumentError
-from tissueid.wire import MessageType, State
+from tissueid.instrument.replies import describe_faults
+from tissueid.wire import Fault, MessageType, State
 
 STIMULUS_SAMPLES = 2600
 
 
 class Deaf:
-    """A line that loses the next so many STATUS messages on their way to the host."""
+    """A line that loses the next ``most`` STATUS messages on their way to the host."""
 
     def __init__(self, most=np.inf):
         self.lost, self._most = 0, most
@@ -49,14 +51,14 @@ def stopped_test(tmp_path, at, deaf):
     rest(instrument, 0.2)
     instrument.close()
     (test,) = recorder.finish().tests
-    return test, str(caught.value)
+    return test, caught.value.message
 
 
 @pytest.mark.parametrize("lost", [1, 2, 10, 50])
 def test_what_the_device_says_is_asked_for_until_it_comes(tmp_path, lost):
     deaf = Deaf(lost)
     test, message = stopped_test(tmp_path, 1000, deaf)
-    assert "the supply voltage sagged: check the power supply" in message
+    assert says(message, "instrument.released", why=describe_faults(Fault.BROWN_OUT))
     assert deaf.lost == lost
     assert test.status == "aborted"
     assert 1000 < test.samples < 1100 + 25 * lost
@@ -65,7 +67,7 @@ def test_what_the_device_says_is_asked_for_until_it_comes(tmp_path, lost):
 @pytest.mark.parametrize("before_the_end", [1500, 300, 60, 30])
 def test_without_a_word_from_the_device_its_samples_tell(tmp_path, before_the_end):
     test, message = stopped_test(tmp_path, STIMULUS_SAMPLES - before_the_end, Deaf())
-    assert message == "the instrument stopped the test by itself; the coil is free: measure again"
+    assert says(message, "instrument.stopped")
     assert test.status == "aborted"
     stopped_at = STIMULUS_SAMPLES - before_the_end
     assert stopped_at < test.samples <= stopped_at + 40, "what came after the release is no part of the test"
@@ -90,7 +92,7 @@ def test_a_device_that_is_heard_again_when_its_run_is_over_is_sent_no_more_set_p
 
 
 def end_unseen(tmp_path, *, trips, words_lost):
-    """A test whose last 40 samples and more are lost, with so many of the device's next words; it may have stopped."""
+    """Run a test whose last samples and the next ``words_lost`` STATUS messages are lost; it may have stopped."""
     desk = Desk(seed=2)
     instrument = desk.open()
     recorder = desk.recorder(tmp_path / "sitting.h5", instrument)
@@ -113,8 +115,8 @@ def end_unseen(tmp_path, *, trips, words_lost):
     error = None
     try:
         run_guided_test(instrument, open_loop(seed=1), recorder, surface_m=SURFACE_M)
-    except InstrumentError as told:
-        error = told
+    except InstrumentError as caught:
+        error = caught
     desk.link.to_host = lambda data: data
     rest(instrument, 0.2) if error is None else instrument.clear_faults()
     instrument.close()
@@ -123,25 +125,24 @@ def end_unseen(tmp_path, *, trips, words_lost):
 
 
 @pytest.mark.parametrize("trips", [True, False])
-def test_a_test_whose_end_nobody_saw_and_nobody_tells_of_is_not_complete(tmp_path, trips):
+def test_a_test_whose_unseen_end_is_not_confirmed_is_not_complete(tmp_path, trips):
     test, error = end_unseen(tmp_path, trips=trips, words_lost=np.inf)
     assert test.status == "aborted"
     received = np.flatnonzero(np.isfinite(np.asarray(test.signals["position"])))
     missing = STIMULUS_SAMPLES - 1 - received[-1]
-    assert f"the last {missing} samples of the test never arrived" in str(error)
-    assert "check the cable" in str(error)
+    assert says(error.message, "instrument.end_unseen", missing=missing)
     assert test.notes["reason"] == str(error)
     assert 30 <= missing <= 70
 
 
-def test_a_stop_that_nobody_saw_is_told_when_it_is_asked_for(tmp_path):
+def test_an_unseen_stop_is_reported_by_the_requested_status(tmp_path):
     test, error = end_unseen(tmp_path, trips=True, words_lost=2)
     assert isinstance(error, FirmwareFaultError)
-    assert "the supply voltage sagged" in str(error)
+    assert error.faults == Fault.BROWN_OUT
     assert test.status == "aborted"
 
 
-def test_a_test_whose_end_nobody_saw_is_complete_where_the_device_says_so(tmp_path):
+def test_a_test_whose_unseen_end_is_confirmed_is_complete(tmp_path):
     test, error = end_unseen(tmp_path, trips=False, words_lost=2)
     assert error is None
     lost = np.isnan(np.asarray(test.signals["position"]))

@@ -209,7 +209,7 @@ def test_a_channel_error_is_a_gain_and_an_offset(name):
     k = NAMES.index(name)
     step = bench.channels[k].gain
     if name == "command":
-        assert np.array_equal(found, expected)  # it is recorded as told, and other volts come out
+        assert np.array_equal(found, expected)  # the command is recorded, and other volts come out
         volts = [decoded(block, b, "voltage") for block, b in zip(blocks, (sound, bench), strict=True)]
         assert np.abs(volts[1] - 1.012 * volts[0] - 0.01).max() < 0.05 * 0.012 * 60 + 2 * bench.channels[1].gain
         return
@@ -232,7 +232,7 @@ def test_nominal_and_real_figures_stand_side_by_side():
     assert (bench.nominal.resistance_ohm, bench.parameters.resistance_ohm) == (12.0, 12.31)
     current = decoded(bench.block(np.full(2000, 12.0), energised=True), bench, "current")
     assert current[1000:].mean() == pytest.approx(12.0 / 12.31, abs=2e-3)
-    assert Bench("linear-demo", parameters=real).nominal == real  # a device knows itself unless told otherwise
+    assert Bench("linear-demo", parameters=real).nominal == real  # the nominal values are the true ones by default
 
 
 def test_the_temperature_sensor_lags_behind_the_winding():

@@ -17,7 +17,7 @@ from firmware_sim.tissue import FREE_AIR
 STROKE = 0.032
 
 
-def told(capsys, *options):
+def printed(capsys, *options):
     assert main(["--coil-profile", *options]) == 0
     return json.loads(capsys.readouterr().out)
 
@@ -28,7 +28,7 @@ def spring_at(surface_m, **options):
 
 
 def test_the_finite_coil_is_the_thesis_s(capsys):
-    values = told(capsys, "--coil", "finite")
+    values = printed(capsys, "--coil", "finite")
     position, constant = np.array(values["position_m"]), np.array(values["force_constant_n_per_a"])
     assert (position[0], position[-1]) == (0.0, STROKE)
     length = values["linear_region_max_m"] - values["linear_region_min_m"]
@@ -44,7 +44,7 @@ def test_the_finite_coil_is_the_thesis_s(capsys):
 
 
 def test_the_ideal_coil_is_linear_all_along(capsys):
-    values = told(capsys)
+    values = printed(capsys)
     assert set(values["force_constant_n_per_a"]) == {3.0}
     assert (values["linear_region_min_m"], values["linear_region_max_m"]) == (0.0, STROKE)
 
@@ -52,9 +52,9 @@ def test_the_ideal_coil_is_linear_all_along(capsys):
 def test_the_profile_follows_the_true_figures(tmp_path, capsys):
     path = tmp_path / "scenario.toml"
     path.write_text('coil = "finite"\n[truth]\nforce_constant_n_per_a = 2.93\n', encoding="utf-8")
-    values = told(capsys, "--scenario", str(path))
+    values = printed(capsys, "--scenario", str(path))
     assert values["plateau_n_per_a"] == pytest.approx(2.93, rel=1e-6)
-    nominal = told(capsys, "--coil", "finite")
+    nominal = printed(capsys, "--coil", "finite")
     for name in ("linear_region_min_m", "linear_region_max_m"):
         assert values[name] == nominal[name]
     shares = np.divide(values["force_constant_n_per_a"], nominal["force_constant_n_per_a"])

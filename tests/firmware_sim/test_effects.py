@@ -14,19 +14,9 @@ from firmware_sim.laboratory import BaselineFigures, Laboratory
 from firmware_sim.plant import Plant, PlantParameters
 from firmware_sim.presets import load_preset
 from firmware_sim.scenario import load_scenario
+from tissueid.twin.catalogue import all_effects
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
-
-STAGES = {
-    "drive": "latency amplifier_lag amplifier_clipping amplifier_deadband amplifier_drift",
-    "coil": "eddy_currents coil_heating inductance_position force_constant_position flux_saturation reluctance_force",
-    "mechanics": "dry_friction directional_friction quadratic_drag end_stop mount_resonance cogging",
-    "tissue": "tissue_stiffening viscoelasticity tissue_hysteresis preconditioning added_mass contact_loss "
-    "directional_damping reflex",
-    "sensing": "sensor_nonlinearity sensor_lag sensor_backlash clock_skew quantization dropped_samples",
-    "environment": "mains_hum physiological_motion",
-}
-"""The contract's names, written out once more."""
 
 FIGURES = BaselineFigures()
 SHALLOW = BaselineFigures(mean_v=4.0, surface_m=0.010)
@@ -65,10 +55,10 @@ def change(one, other, name):
     return np.nanstd(getattr(one, name) - getattr(other, name)) / max(np.std(getattr(other, name)), 1e-9)
 
 
-def test_every_name_of_the_contract_has_an_effect_in_its_stage():
-    found = {stage: [name for name in LISTED if EFFECTS[name].stage == stage] for stage in STAGES}
-    assert found == {stage: names.split() for stage, names in STAGES.items()}
-    assert len(LISTED) == 33
+def test_the_listed_effects_are_those_that_the_twin_declares_for_the_laboratory():
+    declared = {name: one.stage for name, one in all_effects().items() if one.in_laboratory}
+    assert {name: EFFECTS[name].stage for name in LISTED} == declared
+    assert set(UNLISTED).isdisjoint(all_effects())
     assert len(UNLISTED) >= 3
     assert all(kind.__doc__ and kind.unit for kind in EFFECTS.values())
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from firmware_sim.drawing import NOMINAL, draw_many, draw_scenario, main
 from firmware_sim.effects import EFFECTS, LISTED, UNLISTED
 from firmware_sim.laboratory import SIGNALS, BaselineFigures, Laboratory, PlannedTest, plan
+from firmware_sim.laboratory.drawing import NOMINAL, draw_many, draw_scenario, main
 
 pytestmark = pytest.mark.timeout(600)  # the first test compiles the loop, on a busy machine for minutes
 

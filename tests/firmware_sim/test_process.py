@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from coded import coded
 from firmware_sim_process import firmware_process
 
 from firmware_sim.__main__ import main
@@ -232,7 +233,7 @@ def test_a_machine_that_is_too_busy_stops_the_clock_and_says_so(monkeypatch):
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_port_in_use_cannot_be_opened_twice():
     with firmware_process("--pty") as (url, _), SerialInstrument(SerialLink(url)) as instrument:
-        with pytest.raises(InstrumentError, match="another program is using it"):
+        with pytest.raises(InstrumentError, check=coded("link.in_use")):
             SerialLink(url)
         assert stream(instrument, 200) == 0
 

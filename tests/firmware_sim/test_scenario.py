@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from coded import coded
 from firmware_sim_process import firmware_process
 from plant_support import VOLTS_PER_NEWTON, standard_force
 from support import connect_scenario
@@ -44,7 +45,7 @@ def streamed(instrument, samples):
     return np.concatenate(blocks)
 
 
-# -- true figures beside nominal ones ---------------------------------------------------------------------------
+# -- true and nominal figures ----------------------------------------------------------------------------------
 
 
 def test_the_default_scenario_is_the_device_as_it_always_was():
@@ -124,9 +125,9 @@ def test_a_scenario_that_cannot_be_is_one_line(tmp_path, text, words):
 )
 def test_an_option_that_cannot_be_is_one_line_and_status_2(option, value, words, capsys):
     assert main([option, value]) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    result = capsys.readouterr().err
+    assert words in result
+    assert result.count("\n") == 1
 
 
 def test_the_plant_s_own_values_are_the_true_ones(capsys):
@@ -175,9 +176,11 @@ def test_the_handheld_announces_itself_and_holds_its_own_limit():
         assert (said.coil_resistance_ohm, said.moving_mass_kg) == (9.5, 0.0395)
         samples = played(instrument, np.full(2000, 20.0), Limits(max_force_n=15.0))[1000:]
         assert samples["current"].mean() == pytest.approx(20.0 / 9.5, rel=2e-3)
-        with pytest.raises(LimitError, match=r"reaches 7.9 N; the limit is 7.8 N"):
+        with pytest.raises(
+            LimitError, check=coded("limit.stimulus_force", force=pytest.approx(7.9, abs=0.05), limit=7.8)
+        ):
             played(instrument, np.full(2000, 47.9), Limits(max_force_n=15.0))
-        assert instrument.move_stage(0.012) is False  # nobody's hand is motorised
+        assert instrument.move_stage(0.012) is False  # a handheld has no stage
 
 
 def test_a_stage_is_the_scenario_s_to_give():

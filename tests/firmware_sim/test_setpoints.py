@@ -26,7 +26,7 @@ def codes(volts):
 
 
 class Desk:
-    """A host that says what it is told to, and keeps everything that it hears."""
+    """A host that sends given frames and keeps all that it receives."""
 
     def __init__(self):
         self.firmware = Firmware(Bench("linear-demo"))
@@ -224,7 +224,7 @@ def test_a_block_beyond_the_force_limit_is_refused_whole():
         (40 + BUFFER_SAMPLES - 50, 50, Result.OK),
     ],
 )
-def test_set_points_that_nobody_asked_for_are_refused(offset, count, result):
+def test_set_points_that_were_not_announced_are_refused(offset, count, result):
     desk = Desk()
     desk.load(np.full(40, 10.0))
     desk.follow(20_000 - 40)

@@ -1,11 +1,11 @@
-"""How much anything flexible could close: what goes with the command can be closed, what is hidden cannot."""
+"""The upper bound of the closed share: functions of the command can be closed, hidden disturbances cannot."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tissueid.gap.ceiling import ceiling
-from tissueid.gap.observed import ObservedTest, Purpose
+from tissueid.gap.dataset import DatasetTest, Purpose
 from tissueid.gap.scoring import ChannelError
 
 RATE = 2000.0
@@ -14,9 +14,9 @@ SAMPLES = 8000
 
 @dataclass
 class Stub:
-    """Just what the ceiling asks of a fitted baseline."""
+    """The parts of a fitted baseline that the ceiling uses."""
 
-    observed: object
+    dataset: object
     predictions: list = field(default_factory=list)
 
     @property
@@ -42,22 +42,22 @@ def baseline(left, noise=1e-6, seed=2):
     predicted = 1e-3 * np.convolve(command, np.exp(-np.arange(100) / 20.0), "full")[:SAMPLES]
     recorded = predicted + left(command, predicted, random) + noise * random.standard_normal(SAMPLES)
     purpose = np.choose((np.arange(SAMPLES) // 500) % 4, [Purpose.FIT, Purpose.CHOICE, Purpose.FIT, Purpose.CHECK])
-    test = ObservedTest(1, "stochastic", "tissue", command, {"position": recorded}, purpose.astype(np.int8), RATE, 0.0)
+    test = DatasetTest(1, "stochastic", "tissue", command, {"position": recorded}, purpose.astype(np.int8), RATE, 0.0)
     check = purpose == Purpose.CHECK
     square = float(np.mean((recorded - predicted)[check] ** 2))
     error = ChannelError(1, "position", square, noise, float(recorded.std()), int(check.sum()))
     return Baseline(Stub(Watched((test,)), [{"position": predicted}]), (error,))
 
 
-def test_what_goes_with_the_motion_can_be_closed():
+def test_the_ceiling_includes_functions_of_the_motion():
     assert ceiling(baseline(lambda u, x, r: 30.0 * x**2 + 4e4 * x**3)) > 0.85
 
 
-def test_what_goes_with_the_past_of_the_command_can_be_closed():
+def test_the_ceiling_includes_functions_of_past_commands():
     assert ceiling(baseline(lambda u, x, r: 1e-4 * np.roll(u, 3))) > 0.7
 
 
-def test_what_is_hidden_cannot():
+def test_the_ceiling_excludes_hidden_disturbances():
     hidden = baseline(lambda u, x, r: 1e-4 * np.convolve(r.standard_normal(SAMPLES), np.ones(50) / 7, "same"))
     assert ceiling(hidden) < 0.1
 

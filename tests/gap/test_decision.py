@@ -1,4 +1,4 @@
-"""From scores to words, by candidates made by hand."""
+"""Decisions from scores, on candidates made by hand."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tissueid.gap.decision import (
     probabilities,
     shows_in_the_check_alone,
 )
-from tissueid.gap.diagnosis import more_is_asked
+from tissueid.gap.diagnosis import needs_strict_fit
 from tissueid.gap.scoring import Candidate, ChannelError
 from tissueid.twin.effect import STAGES
 
 
 def candidate(score: float, *orders: int) -> Candidate:
-    """With that score, and effects of so many parameters; one of one where none is given, no effect for 0."""
+    """Return a candidate with a score and the parameters of its effects; no effect for 0."""
     effects = [SimpleNamespace(name="any", order=order) for order in orders or (1,) if order]
     fitted = SimpleNamespace(parameters=SimpleNamespace(effects=effects), theta=np.zeros(sum(orders)))
     left = ChannelError(1, "position", float(np.exp(2.0 * score)), 1.0, 10.0, 1000)
@@ -35,7 +35,7 @@ def test_every_coordinate_costs():
     assert cost(candidate(1.0, 2)) - cost(candidate(1.0, 1)) == pytest.approx(THRESHOLDS.complexity)
 
 
-def test_only_so_many_coordinates_of_each_effect_cost():
+def test_the_number_of_penalised_coordinates_is_limited():
     most = THRESHOLDS.most_counted
     assert cost(candidate(1.0, most + 3)) == pytest.approx(cost(candidate(1.0, most)))
     assert cost(candidate(1.0, most, 3)) - cost(candidate(1.0, most, 2)) == pytest.approx(THRESHOLDS.complexity)
@@ -53,17 +53,17 @@ def test_a_small_gap_needs_a_candidate_that_takes_it_away():
     assert not is_gap(little, candidate(1.4 * THRESHOLDS.least_score))
 
 
-def test_what_happens_rarely_may_show_in_the_check_alone():
+def test_a_rare_event_can_show_in_the_check_only():
     quiet, loud = candidate(0.05, 0), candidate(1.0, 0)
     assert not shows_in_the_check_alone(quiet)
     assert shows_in_the_check_alone(replace(quiet, checked_by=loud.checked_by))
 
 
-def test_a_large_gap_needs_none():
+def test_a_large_gap_needs_no_candidate():
     assert is_gap(candidate(1.0, 0), None)
 
 
-def test_a_candidate_explains_what_it_takes_to_the_floor():
+def test_a_candidate_at_the_floor_explains_the_gap():
     assert explains(candidate(3.0, 0), candidate(0.05), 0.99, 0.0)
     assert explains(candidate(3.0, 0), candidate(1.0), 0.9, 0.0)
 
@@ -73,12 +73,12 @@ def test_a_candidate_that_leaves_much_explains_nothing(left, closed):
     assert not explains(candidate(3.0, 0), candidate(left), closed, 1.0)
 
 
-def test_a_candidate_without_a_rival_need_close_less():
+def test_a_candidate_without_a_rival_may_close_less():
     assert explains(candidate(3.0, 0), candidate(1.0), 0.6, 1.0)
     assert not explains(candidate(3.0, 0), candidate(1.0), 0.6, 0.1)
 
 
-def test_where_more_is_asked_less_may_be_left():
+def test_a_strict_fit_leaves_less():
     baseline, good, better = candidate(3.0, 0), candidate(1.0), candidate(0.9 * 3.0 * THRESHOLDS.clear_share)
     assert explains(baseline, good, 0.9, 0.0)
     assert not explains(baseline, good, 0.9, 1.0, clearly=True)
@@ -102,9 +102,9 @@ def test_where_more_is_asked_less_may_be_left():
         (("preconditioning",), {}, False),
     ],
 )
-def test_more_is_asked_of_exact_laws_and_against_the_evidence_of_the_current(effects, shares, asked):
+def test_exact_laws_and_contradicting_evidence_need_a_strict_fit(effects, shares, asked):
     places = SimpleNamespace(shares=dict.fromkeys(STAGES, 0.0) | shares)
-    assert more_is_asked(SimpleNamespace(effects=("mains_hum", *effects)), places, ("mains_hum",)) is asked  # type: ignore[arg-type]
+    assert needs_strict_fit(SimpleNamespace(effects=("mains_hum", *effects)), places, ("mains_hum",)) is asked  # type: ignore[arg-type]
 
 
 def test_the_lead_is_over_the_next_of_another_name():
@@ -136,9 +136,9 @@ def test_a_second_effect_must_be_worth_it():
     assert better_pair(candidate(2.0, 1), candidate(0.1, 2), 0.5, 0.99)
     assert not better_pair(candidate(2.0, 1), candidate(1.9, 2), 0.5, 0.99)
     assert not better_pair(candidate(0.1, 1), candidate(0.0, 2), 0.5, 0.99)
-    # A little gained is enough where it takes all that was left, but not where that is chance.
+    # A small gain suffices where it removes the rest, but not where it is chance.
     assert better_pair(candidate(0.5, 1), candidate(0.1, 2), 0.97, 0.98)
     assert not better_pair(candidate(0.3, 1), candidate(0.05, 2), 0.97, 0.99)
-    # Its form may be at fault where the gap is hardly smaller than with one effect.
+    # The form of the effect can be wrong where a pair hardly lowers the gap.
     assert not better_pair(candidate(2.0, 1), candidate(0.9, 2), 0.9, 0.95)
     assert not better_pair(candidate(2.0, 1), candidate(0.1, 2), float("nan"), float("nan"))

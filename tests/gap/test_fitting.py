@@ -1,4 +1,4 @@
-"""Fits of the chain to recordings of the simulated laboratory, whose true figures are known."""
+"""Fits of the chain to recordings of the simulated laboratory with known parameters."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from gap_records import changed, observed, recorded, scenario
 
-from tissueid.gap.fitting import Cancelled, Fit, differences, fit, predict, read_again
-from tissueid.gap.observed import Purpose
-from tissueid.gap.observing import observe
+from tissueid.gap.dataset import Purpose
+from tissueid.gap.fitting import Cancelled, Fit, differences, fit, predict, re_estimate
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
+from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import errors
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, Parameter
@@ -34,18 +34,18 @@ def test_without_an_effect_a_refit_leaves_the_noise(full):
 def test_the_true_figures_are_found():
     figures, found = scenario().figures, baseline()
     instrument = found.parameters.instrument(found.theta)
-    met = found.parameters.met(found.theta, observed().tests[0])
+    met = found.parameters.tissue_of(found.theta, observed().tests[0])
     assert instrument.amplifier_gain == pytest.approx(figures.amplifier_gain, rel=2e-3)
     assert instrument.resistance_ohm == pytest.approx(figures.resistance_ohm, rel=2e-3)
     depth = np.array([0.5, 1.0, 1.2]) * figures.depth_m
     truth = figures.stiffness_n_per_m * np.exp(figures.stiffness_rate_per_m * depth) * depth
-    told = met.stiffness_n_per_m * np.exp(met.stiffness_growth_per_m * depth) * depth
+    result = met.stiffness_n_per_m * np.exp(met.stiffness_growth_per_m * depth) * depth
     scale = instrument.force_constant_n_per_a / figures.force_constant_n_per_a
     weight = found.value("weight_n") / scale - figures.weight_n
-    assert told / scale - weight == pytest.approx(truth, rel=0.02)
+    assert result / scale - weight == pytest.approx(truth, rel=0.02)
 
 
-def test_an_effect_is_no_part_of_the_noise_until_it_is_added():
+def test_an_effect_is_part_of_the_noise_only_once_added():
     before = baseline("dry_friction")
     after = fit(observed("dry_friction"), [effect("dry_friction")], near=before)
     position = next(item for item in errors(before, Purpose.CHECK) if item.channel == "position")
@@ -82,7 +82,7 @@ def test_the_cost_is_residuals_and_priors():
 
 def test_bounds_hold_where_the_truth_lies_beyond():
     wrong = replace(recorded().instrument, coil_resistance_ohm=9.0, moving_mass_kg=0.15)
-    found = fit(observe(replace(recorded(), instrument=wrong)))
+    found = fit(prepare(replace(recorded(), instrument=wrong)))
     assert np.all(found.theta >= found.parameters.array("low"))
     assert np.all(found.theta <= found.parameters.array("high"))
     spread = wrong.calibration_relative_uncertainty
@@ -97,9 +97,9 @@ def test_bounds_of_an_effect_hold():
         assert parameter.low * (1 - 1e-9) - 1e-12 <= value <= parameter.high * (1 + 1e-9) + 1e-12
 
 
-def test_what_the_data_do_not_feel_stays_at_its_prior():
+def test_parameters_without_influence_stay_at_their_prior():
     still = replace(recorded(full=True), tests=recorded(full=True).tests[:1])
-    found = fit(observe(still))
+    found = fit(prepare(still))
     by_name = {item.name: item for item in found.parameters.coordinates}
     for name in ("inductance_h", "resistance_ohm", "amplifier_gain"):
         item = by_name[name]
@@ -108,7 +108,7 @@ def test_what_the_data_do_not_feel_stays_at_its_prior():
 
 def test_a_better_calibration_binds_the_instrument():
     sure = replace(recorded().instrument, calibration_relative_uncertainty=1e-5)
-    found = fit(observe(replace(recorded(), instrument=sure)))
+    found = fit(prepare(replace(recorded(), instrument=sure)))
     assert abs(found.value("resistance_ohm")) <= 1.001 * WITHIN_STDS * 1e-5
     assert found.cost > 2.0 * baseline().cost
 
@@ -140,14 +140,14 @@ def test_differences_are_what_an_effect_changes():
     moved = predict(parameters, theta)[0]["current"] - before.predictions[0]["current"]
     serving = observed().tests[0].serving(Purpose.FIT)
     size = int(serving.sum())
-    # The channels follow each other: voltage, current, position.
+    # Channels are in the order voltage, current, position.
     assert added[size : 2 * size] == pytest.approx(moved[serving] / observed().noise["current"], abs=1e-6)
 
 
-def test_what_is_a_held_out_tests_own_stays_as_it_was_read():
+def test_per_test_parameters_of_held_out_tests_are_not_fitted():
     session = recorded(samples=3000, full=True)
     numbers = [test.number for test in session.tests if test.kind == "stochastic"]
-    seen = observe(session, fit=numbers[:1], check=numbers[:2])
+    seen = prepare(session, fit=numbers[:1], check=numbers[:2])
     assert not seen.tests[1].serving(Purpose.FIT).any()
     parameters = parametrise(seen, [effect("physiological_motion")])
     own = [name for name in parameters.index if name.startswith("physiological_motion.pulse_cosine_1_m")]
@@ -155,43 +155,43 @@ def test_what_is_a_held_out_tests_own_stays_as_it_was_read():
     assert f"physiological_motion.pulse_cosine_1_m@{numbers[1]}" in parameters.constants
 
 
-def test_what_is_a_held_out_tests_own_is_read_from_where_the_fit_ended():
+def test_per_test_parameters_of_held_out_tests_are_estimated_after_the_fit():
     session = recorded(samples=3000, full=True)
     numbers = [test.number for test in session.tests if test.kind == "stochastic"]
-    seen, one = observe(session, fit=numbers[:1], check=numbers[:2]), effect("physiological_motion")
-    again = read_again(fit(seen, [one], near=fit(seen), most_steps=2), most_steps=1)
-    fresh = again.parameters.read_again(one, predict(again.parameters.without(one.name), again.theta))
+    seen, one = prepare(session, fit=numbers[:1], check=numbers[:2]), effect("physiological_motion")
+    again = re_estimate(fit(seen, [one], near=fit(seen), most_steps=2), most_steps=1)
+    fresh = again.parameters.re_estimate(one, predict(again.parameters.without(one.name), again.theta))
     own = [name for name in fresh.constants if name.endswith(f"@{numbers[1]}")]
     assert len(own) == len(one.parameters)
     assert {name: again.parameters.constants[name] for name in own} == {name: fresh.constants[name] for name in own}
-    told = predict(again.parameters, again.theta)[1]
-    np.testing.assert_array_equal(again.predictions[1]["position"], told["position"])
+    result = predict(again.parameters, again.theta)[1]
+    np.testing.assert_array_equal(again.predictions[1]["position"], result["position"])
 
 
-def test_what_an_effect_was_read_to_be_is_kept_where_a_fit_goes_on():
+def test_estimates_are_kept_when_a_fit_continues():
     asked = []
 
-    def from_test(signals, rate):
+    def estimate_from_record(signals, rate):
         asked.append(rate)
         return {"late_s": 1e-3 * len(asked)}
 
     late = Parameter("late_s", "s", 0.0, 0.0, 1.0, per_test=True, fixed=True)
     about = ("read", "sensing", "", "", "", "", (late,), ((0.0,),))
-    one = Effect(*about, recording=lambda given, values: given, from_test=from_test)
+    one = Effect(*about, recording=lambda given, values: given, estimate_from_record=estimate_from_record)
     first = parametrise(observed(), [one])
     assert parametrise(observed(), [one, effect("sensor_lag")], known=first).constants == {"read.late_s@1": 1e-3}
     assert len(asked) == 1
     assert parametrise(observed(), [one], known=parametrise(observed())).constants == {"read.late_s@1": 2e-3}
 
 
-def test_lost_samples_are_read_again_where_the_rest_is_known():
+def test_lost_samples_are_re_estimated_with_the_fitted_rest():
     session = recorded()
     position = session.tests[0].signals["position"]
     at, lost = 2311, 3
     slipped = np.r_[position[:at], position[at + lost :], np.full(lost, np.nan)]
-    one, seen = effect("dropped_samples"), observe(changed(session, position=slipped))
+    one, seen = effect("dropped_samples"), prepare(changed(session, position=slipped))
     first = fit(seen, [one], near=fit(seen))
-    again = read_again(first)
+    again = re_estimate(first)
     values = again.parameters.effect_values(again.theta, one, 1)
     assert [(int(sample), int(gone)) for sample, gone in zip(values[1::2], values[2::2], strict=True) if gone] == [
         (at, lost)
@@ -201,6 +201,6 @@ def test_lost_samples_are_read_again_where_the_rest_is_known():
         assert item.ratio < 1.3
 
 
-def test_what_is_not_read_again_stays_as_it_was():
+def test_effects_without_re_estimates_are_unchanged():
     found = baseline()
-    assert read_again(found) is found
+    assert re_estimate(found) is found

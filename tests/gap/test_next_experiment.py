@@ -1,4 +1,4 @@
-"""The test to run next: it is the one that tells the leading rivals apart."""
+"""The next test: it separates the top candidates."""
 
 import shlex
 from itertools import pairwise
@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from tissueid.device import DeviceDescription
+from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.fitting import fit
-from tissueid.gap.menu import menu
 from tissueid.gap.next_experiment import command_line, next_experiment
-from tissueid.gap.observing import observe
-from tissueid.gap.scoring import judged
+from tissueid.gap.preparation import prepare
+from tissueid.gap.scoring import score_candidate
 from tissueid.sessions import Session, Test
 from tissueid.stimuli import get_stimulus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.simulation import Acting, Start, simulate
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 RATE = 2000.0
 SURFACE = 0.010
@@ -27,7 +27,7 @@ def observed():
     random = np.random.default_rng(5)
     smooth = np.convolve(random.uniform(-1, 1, 4000), np.ones(5) / 5, "same")
     command = 14.0 + 14.0 * smooth
-    acting = [Acting(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
+    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
     instrument, start = Instrument(weight_n=0.0), Start(14.0 / 12.0, SURFACE)
     read = simulate(command, RATE, instrument, Tissue(SURFACE), start, acting).readings
     noise = random.standard_normal((3, command.size))
@@ -38,24 +38,24 @@ def observed():
         "position": read.position + 2e-6 * noise[2],
     }
     test = Test(1, "stochastic", signals, RATE, surface_position_m=SURFACE)
-    return observe(Session(DeviceDescription(), tests=(test,)))
+    return prepare(Session(DeviceDescription(), tests=(test,)))
 
 
 @pytest.fixture(scope="module")
 def rivals(observed):
     baseline = fit(observed, most_steps=8)
     names = ("dry_friction", "tissue_hysteresis")
-    return [judged(fit(observed, [effect(name)], near=baseline, most_steps=6)) for name in names]
+    return [score_candidate(fit(observed, [effect(name)], near=baseline, most_steps=6)) for name in names]
 
 
-def test_friction_and_tissue_loops_are_told_apart_where_they_differ(observed, rivals):
+def test_the_next_test_separates_friction_from_tissue_hysteresis(observed, rivals):
     found = next_experiment(observed, rivals, [0.5, 0.4])
     assert found is not None
-    # Friction is there without tissue, and its loops in slow motion are others.
+    # Friction acts without tissue, and its slow loops differ.
     assert found.kind in ("spring", "free_air", "slow_ramp")
     assert found.gains["spring"] > found.gains["smaller_amplitude"]
     assert set(found.separates) == {"dry_friction", "tissue_hysteresis"}
-    assert all(effect(name).title in found.why for name in found.separates)
+    assert found.why.values["causes"].items == tuple(effect(name).title for name in found.separates)
     assert not any(word in found.why for word in ("nats", *found.separates))
 
 
@@ -67,15 +67,15 @@ def test_one_rival_needs_no_test(observed, rivals):
     assert next_experiment(observed, rivals[:1], [0.99]) is None
 
 
-def test_the_menu_keeps_within_the_amplifier(observed):
-    items = menu(observed)
+def test_candidate_tests_keep_within_the_amplifier(observed):
+    items = candidate_tests(observed)
     assert {item.kind for item in items} >= {"quiet", "slow_ramp", "step_hold", "spring", "free_air", "deeper"}
     assert all(np.max(np.abs(item.test.command)) <= 48.0 for item in items)
 
 
-def test_everything_on_the_menu_has_a_command_that_plays_the_same(observed):
+def test_the_command_of_a_candidate_test_runs_it(observed):
     device = observed.instrument
-    for item in menu(observed):
+    for item in candidate_tests(observed):
         words = shlex.split(command_line(observed, item))
         assert words[:2] == ["tissueid", "test"]
         given = dict(pairwise(words))

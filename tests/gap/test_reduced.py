@@ -1,21 +1,23 @@
-"""Records with only a part of the chain: what drives them, what is predicted, and what a bare input and output tell."""
+"""Records of a part of the chain: excitation, prediction, and input-output records."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import says
+from gap_records import not_usable
 from scipy import integrate, signal
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import fit
-from tissueid.gap.menu import menu
-from tissueid.gap.observing import observe
-from tissueid.gap.scoring import gap, judged
+from tissueid.gap.preparation import prepare
+from tissueid.gap.scoring import gap, score_candidate
 from tissueid.gap.search import applicable
-from tissueid.gap.workers import Alone
+from tissueid.gap.workers import SerialExecutor
 from tissueid.sessions import Session, Test
 from tissueid.twin.catalogue import all_effects, effect
 
@@ -37,7 +39,7 @@ UNKNOWN = replace(
 
 
 def linear_test(seconds=3.0, seed=1):
-    """Voltage, current and position of a coil that shakes a mass on a linear spring, by the matrix exponential."""
+    """Return voltage, current and position of a coil that moves a mass on a spring, by the matrix exponential."""
     r, inductance, kf, mass, damping, stiffness, surface = 12.0, 1e-3, 3.0, 0.075, 9.0, 500.0, 0.010
     a = np.array([[-r / inductance, 0, -kf / inductance], [0, 0, 1], [kf / mass, -stiffness / mass, -damping / mass]])
     b = np.array([[1 / inductance], [0], [0]])
@@ -76,11 +78,11 @@ def session(signals, device=DEVICE, rate=RATE, **about):
 def test_the_chain_begins_with_what_was_recorded_and_fits_to_the_noise(kept, driven_by, channels):
     signals = linear_test()
     signals["force"] = DEVICE.force_constant_n_per_a * signals["current"]
-    observed = observe(session({name: signals[name] for name in kept}, surface_position_m=0.010))
+    observed = prepare(session({name: signals[name] for name in kept}, surface_position_m=0.010))
     assert observed.tests[0].driven_by == driven_by
     assert observed.channels == channels
-    found = judged(fit(observed))
-    # Measured upstream signals carry noise of their own, which no model can take away.
+    found = score_candidate(fit(observed))
+    # The noise of measured upstream signals cannot be predicted.
     assert gap(found.checked_by) < 0.006
     assert np.log(found.checked_by[-1].ratio) < 1.0
     stages = {effect(name).stage for name, item in all_effects().items() if applicable(observed, item)}
@@ -89,7 +91,7 @@ def test_the_chain_begins_with_what_was_recorded_and_fits_to_the_noise(kept, dri
 
 
 def duffing(cubic, seconds=12.0, rate=600.0, seed=3, amplitude=0.03):
-    """Volts in, volts out: a resonance at 40 Hz on a hardening spring, band-limited input, by adaptive Runge-Kutta."""
+    """Return input and output (V) of a 40 Hz resonance on a hardening spring, by adaptive Runge-Kutta."""
     random = np.random.default_rng(seed)
     times = np.arange(round(seconds * rate)) / rate
     hz = np.arange(1.0, 120.0, 0.37)
@@ -112,75 +114,75 @@ def bare(signals, rate=600.0):
     return session(signals, UNKNOWN, rate, units={"input": "V", "output": "V"})
 
 
-def test_a_bare_linear_record_leaves_nothing_to_explain():
-    observed = observe(bare(duffing(0.0)))
+def test_a_linear_input_output_record_has_no_gap():
+    observed = prepare(bare(duffing(0.0)))
     about = observed.equivalent
     assert about.natural_hz == pytest.approx(40.0, rel=0.01)
     assert about.damping_n_s_per_m / about.mass_kg == pytest.approx(0.12 * 2 * np.pi * 40.0, rel=0.06)
-    assert gap(judged(fit(observed)).checked_by) < 0.01
+    assert gap(score_candidate(fit(observed)).checked_by) < 0.01
 
 
-def test_a_bare_hardening_spring_is_told_from_drag():
-    observed = observe(bare(duffing(6.0, seconds=8.0)))
+def test_a_hardening_spring_is_separated_from_drag():
+    observed = prepare(bare(duffing(6.0, seconds=8.0)))
     names = ["tissue_stiffening", "quadratic_drag"]
-    found = diagnose(observed, Alone(), candidates=names)
+    found = diagnose(observed, SerialExecutor(), candidates=names)
     assert found.verdict == "effect"
     assert found.ranking[0].effect == "tissue_stiffening"
     assert found.gap.closed > 0.9
     assert found.where.stage == "tissue"
     assert found.next_experiment is None
-    assert any("seen as a force" in line for line in found.remarks)
+    assert says(found.remarks[0], "gap.equivalent_oscillator", input="input (V)", output="output (V)")
 
 
 def test_the_scale_of_a_bare_record_does_not_matter():
     signals = duffing(6.0, seconds=4.0)
     other = {"input": 1e3 * signals["input"], "output": 1e-6 * signals["output"] + 5.0}
-    one, two = observe(bare(signals)), observe(bare(other))
+    one, two = prepare(bare(signals)), prepare(bare(other))
     np.testing.assert_allclose(one.tests[0].signals["position"], two.tests[0].signals["position"], atol=1e-9)
     np.testing.assert_allclose(one.tests[0].command, two.tests[0].command, rtol=1e-9, atol=1e-12)
 
 
-def test_a_bare_record_leaves_out_what_it_cannot_show():
-    observed = observe(bare(duffing(0.0, seconds=4.0)))
+def test_effects_that_a_record_cannot_show_are_left_out():
+    observed = prepare(bare(duffing(0.0, seconds=4.0)))
     stages = {item.stage for item in all_effects().values() if applicable(observed, item)}
     assert stages == {"mechanics", "tissue", "sensing"}
 
 
 @pytest.mark.parametrize(
-    ("signals", "device", "reason"),
+    ("signals", "device", "code"),
     [
-        ({"output": np.arange(1000.0)}, UNKNOWN, "nothing that drives it"),
-        ({"input": np.arange(1000.0)}, UNKNOWN, "no position or output"),
-        ({"input": np.ones(1000), "output": np.arange(1000.0)}, UNKNOWN, "never changes"),
-        ({"input": np.arange(1000.0), "output": np.full(1000, NAN)}, UNKNOWN, "is missing"),
-        ({"position": 1e-3 * np.sin(np.arange(2000.0))}, DEVICE, "no command, voltage, current or force"),
-        ({"input": np.arange(50.0), "output": np.arange(50.0)}, UNKNOWN, "too short"),
+        ({"output": np.arange(1000.0)}, UNKNOWN, "no_input"),
+        ({"input": np.arange(1000.0)}, UNKNOWN, "no_output"),
+        ({"input": np.ones(1000), "output": np.arange(1000.0)}, UNKNOWN, "constant_signal"),
+        ({"input": np.arange(1000.0), "output": np.full(1000, NAN)}, UNKNOWN, "missing_samples"),
+        ({"position": 1e-3 * np.sin(np.arange(2000.0))}, DEVICE, "no_excitation"),
+        ({"input": np.arange(50.0), "output": np.arange(50.0)}, UNKNOWN, "too_short"),
         (
             {"command": np.arange(2000.0), "position": 1e-3 * np.sin(np.arange(2000.0))},
             replace(DEVICE, amplifier_gain=NAN),
-            "neither gain nor limit",
+            "unknown_amplifier",
         ),
     ],
 )
-def test_what_cannot_be_used_is_refused_in_one_line(signals, device, reason):
-    with pytest.raises(UnusableInputError, match=reason):
-        observe(session(signals, device))
+def test_an_unusable_record_is_refused_with_its_reason(signals, device, code):
+    with pytest.raises(UnusableInputError, check=not_usable(f"gap.{code}")):
+        prepare(session(signals, device))
 
 
-def test_a_spring_of_which_nothing_is_known_is_refused():
+def test_an_unknown_spring_is_refused():
     device = replace(DEVICE, calibration_spring_n_per_m=NAN)
-    with pytest.raises(UnusableInputError, match="how stiff its calibration spring is"):
-        observe(Session(device, tests=(Test(1, "spring", linear_test(), RATE),)))
+    with pytest.raises(UnusableInputError, check=not_usable("gap.unknown_spring")):
+        prepare(Session(device, tests=(Test(1, "spring", linear_test(), RATE),)))
 
 
 def test_without_its_gain_a_session_is_driven_by_its_voltage():
-    observed = observe(session(linear_test(), replace(DEVICE, amplifier_gain=NAN)))
+    observed = prepare(session(linear_test(), replace(DEVICE, amplifier_gain=NAN)))
     assert observed.tests[0].driven_by == "voltage"
-    assert menu(observed) == ()
+    assert candidate_tests(observed) == ()
 
 
-def test_the_menu_asks_for_commands_where_voltages_were_recorded():
+def test_candidate_tests_are_commands_where_voltages_were_recorded():
     signals = {name: values for name, values in linear_test().items() if name != "command"}
-    plain, doubled = (observe(session(signals, replace(DEVICE, amplifier_gain=gain))) for gain in (1.0, 2.0))
-    for one, other in zip(menu(plain), menu(doubled), strict=True):
+    plain, doubled = (prepare(session(signals, replace(DEVICE, amplifier_gain=gain))) for gain in (1.0, 2.0))
+    for one, other in zip(candidate_tests(plain), candidate_tests(doubled), strict=True):
         np.testing.assert_allclose(other.test.command, 0.5 * one.test.command)

@@ -1,4 +1,4 @@
-"""Scenarios as the simulated laboratory writes them: read, refused, and sealed."""
+"""Scenarios of the simulated laboratory: read, refused, and sealed."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from gap_records import DEVICE, scenario
 
-from firmware_sim.drawing import draw_scenario, write
+from firmware_sim.laboratory.drawing import draw_scenario, write
 from tissueid.errors import UnusableInputError
+from tissueid.gap.blind_scoring import Label
 from tissueid.gap.scenarios import LABELS, alone_sessions, read_scenario, scenario_names, seal, unseal
-from tissueid.gap.sealed import Label
 
 NAME = "scenario-0001"
 
@@ -58,7 +58,7 @@ def test_a_full_session_has_its_tests_and_repeats(full: Path):
     assert [test.repeat_of for test in read.tests] == [None, None, 2, None, None, None]
 
 
-def test_companions_have_no_noise(written: Path):
+def test_clean_companions_have_no_noise(written: Path):
     noisy, clean = read_scenario(written, NAME), read_scenario(written, NAME, "clean")
     bare = read_scenario(written, NAME, "base")
     off = noisy.tests[0].signals["current"] - clean.tests[0].signals["current"]
@@ -77,17 +77,17 @@ def test_of_a_pair_each_effect_is_recorded_alone_as_well(written: Path, tmp_path
         np.testing.assert_array_equal(session.tests[0].signals["position"], recording.position)
 
 
-def test_nothing_that_is_read_tells_the_label(written: Path):
+def test_sessions_do_not_contain_the_label(written: Path):
     assert "dry_friction" not in (written / f"{NAME}.json").read_text()
 
 
-def test_the_labels_say_what_it_held(written: Path, full: Path):
+def test_labels_hold_the_true_effects(written: Path, full: Path):
     assert unseal(written)[NAME] == Label(("dry_friction",), ("mechanics",), (True,), False)
     assert unseal(full)[NAME].effects == ()
     assert unseal(full)[NAME].full
 
 
-def test_the_seal_changes_with_the_labels(folder: Path):
+def test_the_hash_changes_with_the_labels(folder: Path):
     sealed = seal(folder)
     assert sealed == hashlib.sha256((folder / LABELS).read_bytes()).hexdigest()
     assert seal(folder) == sealed
@@ -138,7 +138,7 @@ def test_rubbish_is_refused(folder: Path, spoil):
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"scenario-0001": {}}', '{"scenario-0001": 3}'])
-def test_labels_that_are_none_are_refused(folder: Path, content: str):
+def test_invalid_labels_are_refused(folder: Path, content: str):
     (folder / LABELS).write_text(content)
     with pytest.raises(UnusableInputError):
         unseal(folder)

@@ -1,4 +1,4 @@
-"""Figures of the gap, by errors made by hand."""
+"""Scores of the gap, on errors made by hand."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_channels_add_up_and_tests_are_averaged():
     assert score(found) == pytest.approx((1.0 + 2.0 + 1.0) / 2)
 
 
-def test_what_is_irreducible_counts_as_noise():
+def test_irreducible_errors_count_as_noise():
     rounded = ChannelError(1, "position", 4.0, 1.0, 10.0, 100, irreducible=np.sqrt(3.0))
     assert rounded.ratio == pytest.approx(1.0)
 
@@ -89,7 +89,7 @@ def test_a_candidate_is_chosen_by_one_part_and_checked_on_the_other():
     assert candidate.orders == (2, 1)
 
 
-def test_of_four_stretches_nine_intervals_in_ten_hold_the_truth():
+def test_intervals_from_four_blocks_cover_the_truth():
     random = np.random.default_rng(1)
     before, left, trials, draws, count = 100.0, 4.0, 600, 200, 4
     common, own = random.normal(size=(2, trials, count))

@@ -1,4 +1,4 @@
-"""Signatures of candidates against what a baseline leaves of a laboratory record."""
+"""Signatures of candidates on the residual of a baseline of a laboratory record."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from gap_records import observed
 
 from tissueid.gap.fitting import fit
-from tissueid.gap.screening import Screen, Signature, contenders, cosine
+from tissueid.gap.screening import Screen, Signature, best_aligned, cosine
 from tissueid.twin.catalogue import effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag", "eddy_currents", "quadratic_drag")
@@ -23,7 +23,7 @@ def screen(name: str) -> Screen:
 
 @pytest.mark.parametrize("name", ["dry_friction", "directional_damping"])
 def test_the_right_effect_is_best_aligned(name):
-    found = contenders([item for one in CANDIDATES for item in screen(name).signatures(effect(one))])
+    found = best_aligned([item for one in CANDIDATES for item in screen(name).signatures(effect(one))])
     assert found[0].effect == name
     assert {item.effect for item in found} == set(CANDIDATES)
     assert [item.alignment for item in found] == sorted((item.alignment for item in found), reverse=True)
@@ -37,7 +37,7 @@ def test_every_start_has_a_signature():
     assert {item.start for item in found} >= set(chosen.starts)
 
 
-def test_what_survives_is_what_a_refit_cannot_make():
+def test_surviving_signatures_are_orthogonal_to_a_refit():
     before = fit(observed("dry_friction"))
     asked = Screen(before)
     moved = before.jacobian @ np.random.default_rng(0).normal(size=before.theta.size)
@@ -56,7 +56,7 @@ def test_a_second_start_is_tried_where_it_is_nearly_as_good():
     def one(name: str, alignment: float) -> Signature:
         return Signature(name, (alignment,), np.zeros(1), alignment)
 
-    found = contenders([one("a", 0.1), one("b", 0.5), one("a", 0.7), one("b", 0.45)])
+    found = best_aligned([one("a", 0.1), one("b", 0.5), one("a", 0.7), one("b", 0.45)])
     assert [(item.effect, item.alignment) for item in found] == [("a", 0.7), ("b", 0.5), ("b", 0.45)]
 
 

@@ -1,4 +1,4 @@
-"""The search on laboratory records: which candidate wins, which may take part, progress, and how it is stopped."""
+"""The search on laboratory records: best candidate, applicable effects, progress, cancellation."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from gap_records import changed, observed, recorded
 
 from tissueid.gap.diagnosis import diagnose
 from tissueid.gap.fitting import Cancelled
-from tissueid.gap.observing import observe
+from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.search import Found, Progress, Search, applicable
-from tissueid.gap.workers import Alone
+from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
+from tissueid.gap.workers import SerialExecutor
 from tissueid.twin.catalogue import all_effects, effect
 
 CANDIDATES = ("dry_friction", "directional_damping", "sensor_lag")
@@ -20,17 +20,17 @@ SAMPLES = 3000
 
 
 @cache
-def found(name: str) -> Found:
-    search = Search(observed(name), Alone(), CANDIDATES)
+def found(name: str) -> SearchResult:
+    search = Search(observed(name), SerialExecutor(), CANDIDATES)
     return search.singles(search.baseline())
 
 
 @pytest.mark.parametrize("name", ["dry_friction", "directional_damping"])
 def test_the_right_effect_is_best_scored(name):
-    told = found(name)
-    assert told.candidates[0].effects == (name,)
-    assert told.candidates[0].score < 0.2 < 3.0 < told.baseline.score
-    scores = [item.score for item in told.candidates]
+    result = found(name)
+    assert result.candidates[0].effects == (name,)
+    assert result.candidates[0].score < 0.2 < 3.0 < result.baseline.score
+    scores = [item.score for item in result.candidates]
     assert scores == sorted(scores)
 
 
@@ -40,36 +40,38 @@ def test_only_the_candidates_take_part():
 
 
 def test_without_the_right_one_nothing_explains():
-    told = diagnose(observed("dry_friction", samples=SAMPLES), Alone(), candidates=("sensor_lag",))
-    assert told.verdict == "unexplained"
-    assert told.combination == ()
+    result = diagnose(observed("dry_friction", samples=SAMPLES), SerialExecutor(), candidates=("sensor_lag",))
+    assert result.verdict == "unexplained"
+    assert result.combination == ()
 
 
 def test_a_diagnosis_names_the_effect():
-    told = diagnose(observed("dry_friction"), Alone(), candidates=CANDIDATES)
-    assert (told.verdict, told.combination, told.where.stage) == ("effect", ("dry_friction",), "mechanics")
-    assert told.ranking[0].effect == "dry_friction"
-    assert told.ranking[0].probability > 0.9
-    assert told.gap.closed > 0.95
-    low, high = told.gap.closed_ci
-    assert low <= told.gap.closed <= high
-    assert told.gap.floor <= told.gap.after < told.gap.before
-    assert sum(item.probability for item in told.ranking) <= 1.0
+    result = diagnose(observed("dry_friction"), SerialExecutor(), candidates=CANDIDATES)
+    assert (result.verdict, result.combination, result.where.stage) == ("effect", ("dry_friction",), "mechanics")
+    assert result.ranking[0].effect == "dry_friction"
+    assert result.ranking[0].probability > 0.9
+    assert result.gap.closed > 0.95
+    low, high = result.gap.closed_ci
+    assert low <= result.gap.closed <= high
+    assert result.gap.floor <= result.gap.after < result.gap.before
+    assert sum(item.probability for item in result.ranking) <= 1.0
 
 
 def test_a_known_effect_is_part_of_the_baseline():
-    told = diagnose(observed("dry_friction", samples=SAMPLES), Alone(), known=("dry_friction",), candidates=CANDIDATES)
-    assert told.found.baseline.effects == ("dry_friction",)
-    assert (told.verdict, told.combination) == ("no_gap", ())
-    assert all(len(set(item.effects)) == len(item.effects) for item in told.found.candidates)
-    assert "dry_friction" not in {item.effect for item in told.ranking}
+    result = diagnose(
+        observed("dry_friction", samples=SAMPLES), SerialExecutor(), known=("dry_friction",), candidates=CANDIDATES
+    )
+    assert result.found.baseline.effects == ("dry_friction",)
+    assert (result.verdict, result.combination) == ("no_gap", ())
+    assert all(len(set(item.effects)) == len(item.effects) for item in result.found.candidates)
+    assert "dry_friction" not in {item.effect for item in result.ranking}
 
 
 def test_progress_runs_from_nothing_to_all():
-    steps: list[Progress] = []
-    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), CANDIDATES, steps.append)
+    steps: list[SearchProgress] = []
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), CANDIDATES, steps.append)
     search.singles(search.baseline())
-    assert steps[0] == Progress("baseline", 0, 1)
+    assert steps[0] == SearchProgress("baseline", 0, 1)
     assert all(0 <= step.done <= step.total for step in steps)
     last = {step.what: step for step in steps}
     assert all(step.done == step.total for step in last.values())
@@ -78,10 +80,10 @@ def test_progress_runs_from_nothing_to_all():
 
 @pytest.mark.parametrize("after", [0, 1, 6])
 def test_cancelled(after):
-    steps: list[Progress] = []
+    steps: list[SearchProgress] = []
     search = Search(
         observed("dry_friction", samples=SAMPLES),
-        Alone(),
+        SerialExecutor(),
         CANDIDATES,
         steps.append,
         cancelled=lambda: len(steps) > after,
@@ -90,63 +92,65 @@ def test_cancelled(after):
         search.singles(search.baseline())
 
 
-def test_what_was_not_recorded_rules_effects_out():
+def test_missing_signals_exclude_effects():
     everything = observed()
     assert all(applicable(everything, item) for item in all_effects().values())
-    no_voltage = observe(changed(recorded(), voltage=None))
+    no_voltage = prepare(changed(recorded(), voltage=None))
     assert no_voltage.channels == ("current", "position")
     assert not applicable(no_voltage, effect("amplifier_deadband"))
     assert applicable(no_voltage, effect("dry_friction"))
-    position_alone = observe(changed(recorded(), voltage=None, current=None))
+    position_alone = prepare(changed(recorded(), voltage=None, current=None))
     assert not applicable(position_alone, effect("eddy_currents"))
     assert applicable(position_alone, effect("dry_friction"))
 
 
 def test_the_same_twice():
-    search = Search(observed("dry_friction"), Alone(), CANDIDATES)
+    search = Search(observed("dry_friction"), SerialExecutor(), CANDIDATES)
     again = search.singles(search.baseline())
     assert [(item.effects, item.score) for item in again.candidates] == [
         (item.effects, item.score) for item in found("dry_friction").candidates
     ]
 
 
-def test_a_leader_that_fills_the_chain_has_no_partners():
+def test_a_candidate_with_all_effects_has_no_pairs():
     full = Candidate(("cogging", "end_stop", "latency", "reflex"), found("dry_friction").baseline.fit, (), ())
-    search = Search(observed("dry_friction"), Alone(), CANDIDATES)
-    assert search.partners(found("dry_friction").baseline, [full]) == ()
+    search = Search(observed("dry_friction"), SerialExecutor(), CANDIDATES)
+    assert search.pairs_with(found("dry_friction").baseline, [full]) == ()
 
 
-def test_candidates_that_do_not_exist_find_nothing():
-    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), ("no_such_effect",))
+def test_unknown_candidates_find_nothing():
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), ("no_such_effect",))
     assert search.singles(search.baseline()).candidates == ()
 
 
-def test_a_special_case_begins_where_its_general_form_ended():
+def test_a_special_case_starts_at_the_fit_of_its_general_form():
     general = ("directional_friction", "dry_friction")
-    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), general)
-    told = search.singles(search.baseline())
-    by_name = {item.effects[-1]: item for item in told.candidates}
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), general)
+    result = search.singles(search.baseline())
+    by_name = {item.effects[-1]: item for item in result.candidates}
     assert set(by_name) == set(general)
-    # What is a special case fits no better than the general form, and here nearly as well.
+    # A special case fits no better than the general form, and here nearly as well.
     assert by_name["dry_friction"].score == pytest.approx(by_name["directional_friction"].score, abs=0.05)
 
 
-def test_a_pair_is_named_among_near_relations():
-    # Beside eddy currents, which pass for a delay, the general form of friction leads at first.
+def test_a_pair_is_named_among_nested_models():
+    # With eddy currents, which resemble a delay, the general form of friction leads at first.
     alike = ("directional_friction", "dry_friction", "latency", "eddy_currents")
-    told = diagnose(observed("dry_friction+latency", seed=5, samples=SAMPLES), Alone(), candidates=alike)
-    assert set(told.combination) == {"dry_friction", "latency"}
-    assert told.gap.closed > 0.9
+    result = diagnose(observed("dry_friction+latency", seed=5, samples=SAMPLES), SerialExecutor(), candidates=alike)
+    assert set(result.combination) == {"dry_friction", "latency"}
+    assert result.gap.closed > 0.9
 
 
-def test_coarse_steps_are_named_beside_another_effect():
+def test_coarse_steps_are_named_in_a_pair():
     candidates = ("clock_skew", "quantization", "sensor_nonlinearity")
-    told = diagnose(observed("clock_skew+quantization", seed=3, samples=SAMPLES), Alone(), candidates=candidates)
-    assert set(told.combination) == {"clock_skew", "quantization"}
+    result = diagnose(
+        observed("clock_skew+quantization", seed=3, samples=SAMPLES), SerialExecutor(), candidates=candidates
+    )
+    assert set(result.combination) == {"clock_skew", "quantization"}
 
 
-def test_a_second_round_loses_nothing_of_the_first():
-    search = Search(observed("dry_friction", samples=SAMPLES), Alone(), ("sensor_lag", "tissue_stiffening"))
+def test_a_second_round_keeps_the_results_of_the_first():
+    search = Search(observed("dry_friction", samples=SAMPLES), SerialExecutor(), ("sensor_lag", "tissue_stiffening"))
     first = search.singles(search.baseline())
     then = search.further(first)
     before = {item.effects: item.score for item in first.candidates}

@@ -1,4 +1,4 @@
-"""Work in this process and in others: order, progress, cancelling and failures."""
+"""Executors: order, progress, cancellation and failures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from tissueid.gap.fitting import Cancelled
-from tissueid.gap.workers import Alone, Pool, crew
+from tissueid.gap.workers import Pool, SerialExecutor, executor
 
 
 def never() -> bool:
@@ -17,23 +17,23 @@ def never() -> bool:
 
 
 def test_one_worker_works_in_this_process():
-    with crew(1) as people:
-        assert isinstance(people, Alone)
+    with executor(1) as people:
+        assert isinstance(people, SerialExecutor)
         done: list[int] = []
         assert people.do(operator.neg, [3, 1, 2], never, done.append) == [-3, -1, -2]
         assert done == [3, 1, 2]
         assert people.do(operator.neg, [], never, done.append) == []
 
 
-def test_alone_stops_before_the_next_piece():
+def test_the_serial_executor_stops_before_the_next_item():
     done: list[int] = []
     with pytest.raises(Cancelled):
-        Alone().do(operator.neg, [1, 2, 3], lambda: len(done) == 2, done.append)
+        SerialExecutor().do(operator.neg, [1, 2, 3], lambda: len(done) == 2, done.append)
     assert done == [1, 2]
 
 
-def test_several_workers_answer_in_order_tell_failures_and_can_be_cancelled():
-    with crew(2) as people:
+def test_several_workers_answer_in_order_raise_and_can_be_cancelled():
+    with executor(2) as people:
         assert isinstance(people, Pool)
         done: list[int] = []
         assert people.do(math.factorial, [5, 1, 4, 3], never, done.append) == [120, 1, 24, 6]
@@ -54,13 +54,13 @@ def answer_or_wait(thing: tuple[int, bytes]) -> int:
 
 
 LARGE = bytes(1 << 20)
-"""More than a pipe holds: whoever sends it to a process that does not read waits."""
+"""More than the buffer of a pipe: sending blocks while the process does not read."""
 
 
 @pytest.mark.parametrize("killed", [False, True])
 def test_an_interrupt_ends_the_pool_even_if_its_processes_are_gone(killed: bool):
     things = [(number, LARGE) for number in range(9)]
-    with pytest.raises(KeyboardInterrupt), crew(2) as people:
+    with pytest.raises(KeyboardInterrupt), executor(2) as people:
         assert isinstance(people, Pool)
         started: list[object] = []
 
@@ -78,7 +78,7 @@ def test_an_interrupt_ends_the_pool_even_if_its_processes_are_gone(killed: bool)
 
 
 def test_a_process_that_dies_is_an_error_and_the_pool_goes_on():
-    with crew(2) as people:
+    with executor(2) as people:
         assert isinstance(people, Pool)
         things = [(number, LARGE) for number in range(9)]
 
@@ -92,7 +92,7 @@ def test_a_process_that_dies_is_an_error_and_the_pool_goes_on():
 
 
 class OnlyHere(Exception):
-    """Cannot be made again from its arguments."""
+    """An error that cannot be unpickled."""
 
     def __init__(self, one: int, other: int) -> None:
         super().__init__(f"{one} and {other}")
@@ -103,5 +103,5 @@ def fail(_: int) -> None:
 
 
 def test_an_error_that_cannot_be_sent_names_its_class():
-    with crew(2) as people, pytest.raises(RuntimeError, match="OnlyHere: 1 and 2"):
+    with executor(2) as people, pytest.raises(RuntimeError, match="OnlyHere: 1 and 2"):
         people.do(fail, [1], never, lambda _: None)

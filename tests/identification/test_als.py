@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded, says
 from identification import simulated
 from scipy import signal
 
@@ -142,14 +143,12 @@ def test_records_are_fitted_together_and_nothing_reaches_across():
 
 @pytest.mark.parametrize("factor", [0.07, 0.5])
 def test_a_change_factor_beyond_the_bound_is_refused(factor: float):
-    told = rf"unstable ALS step: a change factor of {factor:g} is beyond 2 / \(lags x input power\) = 0\.06"
-    with pytest.raises(UnusableInputError, match=told) as refused:
+    with pytest.raises(UnusableInputError, check=coded("als.unstable_factor", factor=factor)):
         Als(memory=0.03, change_factor=factor).fit(broadband(87))
-    assert "\n" not in str(refused.value)
 
 
 def test_a_step_of_two_is_no_option():
-    with pytest.raises(UnusableInputError, match="option 'step': it must be less than 2"):
+    with pytest.raises(UnusableInputError, check=coded("option.refused", option="step")):
         Als.from_options({"step": 2.0})
 
 
@@ -175,7 +174,7 @@ def test_running_away_is_noticed_live_and_the_last_good_response_kept():
     good = live.impulse_response
     errors = live.batch(u[2000:], y[2000:])
     assert live.warning is not None
-    assert "unstable ALS step: with a change factor of 0.03 the response ran away after " in live.warning
+    assert says(live.warning, "als.diverged", which="change_factor", step=0.03)
     assert "\n" not in live.warning
     assert np.linalg.norm(live.impulse_response - good) < 0.3 * np.linalg.norm(good)
     assert np.all(np.isfinite(errors))
@@ -187,10 +186,8 @@ def test_running_away_within_a_record_is_refused():
     record = broadband(88, 1, n=3000)
     louder = np.where(np.arange(3000) < 2000, 0.05, 4.0)  # on average the step is below the bound
     loud = Record(louder * (record.input - 2.0), louder * (record.output - 7.0), 1000.0)
-    told = "unstable ALS step: with a change factor of 0.012 the response ran away after 2.* take a tenth of it"
-    with pytest.raises(UnusableInputError, match=told) as refused:
+    with pytest.raises(UnusableInputError, check=coded("als.diverged", which="change_factor", step=0.012)):
         Als(memory=0.03, change_factor=0.012).fit(loud)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_look_changes_nothing():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from identification import simulated
 from identification import simulated_validation as systems
 
@@ -91,8 +92,8 @@ def test_parameters_have_bands_too():
     names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
     engine = Lms(memory=0.06)
     bands = bootstrap(engine, record, None, lambda m: np.array([m.report.parameters[n].value for n in names]), 25)
-    told = [engine.fit(record).report.parameters[name].std for name in names]
-    np.testing.assert_allclose(bands.std, np.array(told, dtype=float), rtol=0.5)
+    reported = [engine.fit(record).report.parameters[name].std for name in names]
+    np.testing.assert_allclose(bands.std, np.array(reported, dtype=float), rtol=0.5)
 
 
 def test_draws_follow_from_the_seed_alone():
@@ -110,19 +111,19 @@ def test_gaps_stay_gaps(method: Method):
     record = fir_record(127)
     u, y = record.input.copy(), record.output.copy()
     u[1000:1010], y[1000:1010] = np.nan, np.nan
-    y[1010:1024] = 1e3  # rests on inputs that nobody recorded
+    y[1010:1024] = 1e3  # depends on inputs that were not recorded
     bands = bootstrap(SHORT, Record(u, y, systems.RATE), slice(0, 3000), kernel, 40, method=method)
     assert np.all(bands.std < 0.1)
     assert bands.draws.shape == (40, 15)
     assert bands.refused == 0
 
 
-def test_progress_is_told_and_cancelling_ends_it():
-    told: list[tuple[int, int]] = []
+def test_progress_is_reported_and_cancelling_ends_it():
+    steps: list[tuple[int, int]] = []
     record = fir_record(128)
-    bootstrap(SHORT, record, slice(0, 3000), kernel, 4, progress=lambda done, of: told.append((done, of)))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    with pytest.raises(CancelledError, match="cancelled after 2 of 9 draws"):
+    bootstrap(SHORT, record, slice(0, 3000), kernel, 4, progress=lambda done, of: steps.append((done, of)))
+    assert steps == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    with pytest.raises(CancelledError, check=coded("bootstrap.cancelled", done=2, draws=9)):
         asked = iter([False, False, True])
         bootstrap(SHORT, record, slice(0, 3000), kernel, 9, cancelled=lambda: next(asked))
 
@@ -130,12 +131,12 @@ def test_progress_is_told_and_cancelling_ends_it():
 def test_refusals_are_one_line():
     record = fir_record(129)
     part = slice(0, 3000)
-    with pytest.raises(UnusableInputError, match="two draws or more"):
+    with pytest.raises(UnusableInputError, check=coded("bootstrap.arguments")):
         bootstrap(SHORT, record, part, kernel, 1)
-    with pytest.raises(UnusableInputError, match="fewer than 5 blocks of 1000 samples"):
+    with pytest.raises(UnusableInputError, check=coded("bootstrap.few_blocks", fewest=5, samples=1000)):
         bootstrap(SHORT, record, part, kernel, 5, block=1.0)
     holed = replace(record, output=np.where(np.arange(3000) % 40 == 0, np.nan, record.output))
-    with pytest.raises(UnusableInputError, match="ask for shorter blocks"):
+    with pytest.raises(UnusableInputError, check=coded("bootstrap.gaps")):
         bootstrap(SHORT, holed, part, kernel, 5, block=0.1)
 
 
@@ -148,22 +149,22 @@ class Fussy(systems.PlainFir):
         return super().fit(record, fit_part)
 
 
-def test_an_engine_that_refuses_most_draws_is_told():
-    with pytest.raises(UnusableInputError, match=r"too many drawn records cannot be fitted \(no\)"):
+def test_an_engine_that_refuses_most_draws_is_refused():
+    with pytest.raises(UnusableInputError, check=coded("bootstrap.refused", reason="no")):
         bootstrap(Fussy(lags=15), fir_record(130), slice(0, 3000), kernel, 20)
 
 
 def test_a_bode_band_is_the_spread_of_repeats():
     lag = np.arange(15) / systems.RATE
-    found, told = [], []
+    found, reported = [], []
     for run in range(80):
         record = fir_record(131, run, low_pass=True)
         model = SHORT.fit(record)
         covariance = linear_kernel_covariance(model, record)
         band = frequency_response_band(model.kernel * systems.RATE, covariance, lag, FREQUENCY)
         found.append([band.magnitude, np.unwrap(np.angle(band.response))])
-        told.append([band.magnitude_std, band.phase_std_rad])
-    ratio = np.mean(told, axis=0) / np.std(found, axis=0, ddof=1)
+        reported.append([band.magnitude_std, band.phase_std_rad])
+    ratio = np.mean(reported, axis=0) / np.std(found, axis=0, ddof=1)
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.15)
     assert np.all((ratio > 0.6) & (ratio < 1.6))
 
@@ -187,5 +188,5 @@ def test_a_frequency_response_is_the_transform():
 
 
 def test_a_bode_band_of_mismatched_shapes_is_refused():
-    with pytest.raises(UnusableInputError, match="a spread of its size"):
+    with pytest.raises(UnusableInputError, check=coded("frequency_band.arguments")):
         frequency_response_band(np.ones(5), np.ones(4), np.arange(5.0), FREQUENCY)

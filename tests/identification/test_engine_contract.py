@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from coded import Refusal, coded, codes
 from identification import simulated
 from pydantic import ValidationError
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Engine, FitReport, Model, engine_names, get_engine
+from tissueid.language import set_language
+from tissueid.messages import translated
 from tissueid.records import Estimate, Record
 
 CONTRACT = {
@@ -36,6 +40,13 @@ A_WEIGHT_A_LAG = ("lms", "spectral", "rls", "als", "wiener")
 QUICKER: dict[str, dict[str, Any]] = {"cascade": {"structure": "wiener"}, "depth": {"correct": False}}
 
 
+@pytest.fixture
+def german() -> Iterator[None]:
+    set_language("de")
+    yield
+    set_language("en")
+
+
 def specification(name: str) -> Engine:
     return get_engine(name).from_options(QUICKER.get(name, {}))
 
@@ -54,7 +65,8 @@ def test_report_has_the_keys_of_the_contract(model: Model):
     report = model.report.as_dict()
     assert set(report) >= CONTRACT
     assert json.loads(json.dumps(report, allow_nan=False)) == report
-    assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= set(report["parameters"])
+    if model.report.engine in NAMED:
+        assert {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"} <= set(report["parameters"])
     for estimate in report["parameters"].values():
         assert set(estimate) == {"value", "std"}
 
@@ -87,7 +99,7 @@ def test_simulation_sees_the_input_alone(model: Model, record: Record):
 
 def test_an_output_error_model_predicts_alike_at_every_horizon(model: Model, record: Record):
     np.testing.assert_array_equal(model.predict(record, horizon=1), model.predict(record, horizon=50))
-    with pytest.raises(UnusableInputError, match="horizon must be at least one sample"):
+    with pytest.raises(UnusableInputError, check=coded("engine.horizon", horizon=0)):
         model.predict(record, horizon=0)
 
 
@@ -113,7 +125,7 @@ def test_a_missing_input_leaves_its_memory_unknown_and_nothing_else(model: Model
 
 def test_another_sample_rate_is_refused(model: Model, record: Record):
     slower = Record(record.input, record.output, 1000.0)
-    with pytest.raises(UnusableInputError, match="fitted at 2000 Hz and cannot be run at 1000 Hz"):
+    with pytest.raises(UnusableInputError, check=coded("engine.other_sample_rate", fitted=2000.0, given=1000.0)):
         model.residuals(slower)
 
 
@@ -121,25 +133,27 @@ def test_models_and_engines_are_frozen(model: Model):
     with pytest.raises(AttributeError):
         model.memory_samples = 3  # type: ignore[misc]
     engine = get_engine(model.report.engine)()
-    with pytest.raises(ValidationError):
-        engine.memory = 1.0  # type: ignore[attr-defined]
+    for option in type(engine).model_fields:
+        with pytest.raises(ValidationError):
+            setattr(engine, option, None)
     assert model.with_report(seconds=0.2).report.seconds == 0.2
     assert model.report.seconds is None
 
 
 @pytest.mark.parametrize("name", EVERY)
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ({"memory": -1.0}, "option 'memory'"),
-        ({"memory": float("nan")}, "option 'memory'"),
-        ({"memry": 0.1}, "has no option 'memry': it has .*memory"),
-    ],
-)
-def test_bad_options_are_told_in_one_line(name: str, options: dict[str, float], told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
-        get_engine(name).from_options(options)
-    assert "\n" not in str(refused.value)
+def test_unknown_options_are_refused(name: str):
+    with pytest.raises(UnusableInputError, check=coded("option.unknown", option="memry")):
+        get_engine(name).from_options({"memry": 0.1})
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_options_out_of_their_bounds_are_refused(name: str):
+    kind = get_engine(name)
+    for option, schema in kind.model_json_schema()["properties"].items():
+        limits = [schema[bound] for bound in ("maximum", "exclusiveMaximum") if bound in schema]
+        for value in (*(2.0 * abs(limit) + 1.0 for limit in limits), *[float("nan")] * len(limits)):
+            with pytest.raises(UnusableInputError, check=coded("option.refused", option=option)):
+                kind.from_options({option: value})
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -151,47 +165,67 @@ def test_options_carry_bounds_and_descriptions_for_a_form(name: str):
             assert {"maximum", "exclusiveMaximum"} & set(schema), option
 
 
-def _empty_records() -> list[tuple[str, Record, str]]:
+@pytest.mark.parametrize("name", EVERY)
+def test_engine_and_options_have_texts_in_both_languages(name: str, german: None):
+    kind = get_engine(name)
+    assert kind.label
+    assert translated(kind.title) != kind.title
+    for info in kind.model_fields.values():
+        assert info.title
+        assert translated(info.description) != info.description
+
+
+def _empty_records() -> list[tuple[str, Record, Refusal]]:
     noise = simulated.generator(9).standard_normal(4000)
     missing = np.full(4000, np.nan)
     return [
-        ("constant input", Record(np.ones(4000), noise, 2000.0), r"the input \(force\) is constant"),
-        ("constant output", Record(noise, np.ones(4000), 2000.0), r"the output \(position\) is constant"),
-        ("no input", Record(missing, noise, 2000.0), r"the input \(force\) holds no received sample"),
-        ("no output", Record(noise, missing, 2000.0), r"the output \(position\) holds no received sample"),
+        (
+            "constant input",
+            Record(np.ones(4000), noise, 2000.0),
+            Refusal("record.constant", signal="the input (force)"),
+        ),
+        (
+            "constant output",
+            Record(noise, np.ones(4000), 2000.0),
+            Refusal("record.constant", signal="the output (position)"),
+        ),
+        ("no input", Record(missing, noise, 2000.0), Refusal("record.no_sample", signal="the input (force)")),
+        ("no output", Record(noise, missing, 2000.0), Refusal("record.no_sample", signal="the output (position)")),
     ]
 
 
 @pytest.mark.parametrize("name", EVERY)
-@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _empty_records()])
-def test_records_that_hold_nothing_are_refused_in_one_line(name: str, record: Record, told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+@pytest.mark.parametrize(("record", "refusal"), [pytest.param(r, t, id=i) for i, r, t in _empty_records()])
+def test_records_that_hold_nothing_are_refused(name: str, record: Record, refusal: Refusal):
+    with pytest.raises(UnusableInputError, check=refusal.check):
         get_engine(name)().fit(record)
-    assert "\n" not in str(refused.value)
 
 
-def _scant_records() -> list[tuple[str, Record, str]]:
+def _scant_records() -> list[tuple[str, Record, Refusal]]:
     noise = simulated.generator(9).standard_normal(4000)
     holed = noise.copy()
     holed[::100] = np.nan
     return [
-        ("short", Record(noise[:100], noise[:100], 2000.0), "memory of 0.125 s is longer than the 0.05 s"),
-        ("few", Record(noise[:300], noise[:300], 2000.0), "51 usable samples cannot carry 25[0-9] parameters"),
-        ("full of holes", Record(holed, noise, 2000.0), "0 usable samples cannot carry 25[0-9] parameters"),
+        (
+            "short",
+            Record(noise[:100], noise[:100], 2000.0),
+            Refusal("record.shorter_than_memory", memory=0.125, seconds=0.05),
+        ),
+        ("few", Record(noise[:300], noise[:300], 2000.0), Refusal("record.too_few_samples", count=51)),
+        ("full of holes", Record(holed, noise, 2000.0), Refusal("record.too_few_samples", count=0)),
     ]
 
 
 @pytest.mark.parametrize("name", A_WEIGHT_A_LAG)
-@pytest.mark.parametrize(("record", "told"), [pytest.param(r, t, id=i) for i, r, t in _scant_records()])
-def test_records_that_carry_no_fit_are_refused_in_one_line(name: str, record: Record, told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+@pytest.mark.parametrize(("record", "refusal"), [pytest.param(r, t, id=i) for i, r, t in _scant_records()])
+def test_records_that_carry_no_fit_are_refused(name: str, record: Record, refusal: Refusal):
+    with pytest.raises(UnusableInputError, check=refusal.check):
         get_engine(name)().fit(record)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", sorted(set(EVERY) - set(A_WEIGHT_A_LAG)))
 @pytest.mark.parametrize("record", [pytest.param(r, id=i) for i, r, _ in _scant_records()])
-def test_engines_of_few_parameters_fit_a_scant_record_or_refuse_it_in_one_line(name: str, record: Record):
+def test_engines_of_few_parameters_fit_a_scant_record_or_refuse_it(name: str, record: Record):
     refusal = ""
     try:
         model = get_engine(name)().fit(record)
@@ -204,14 +238,14 @@ def test_engines_of_few_parameters_fit_a_scant_record_or_refuse_it_in_one_line(n
 @pytest.mark.parametrize("name", A_WEIGHT_A_LAG)
 def test_fewer_than_three_samples_a_parameter_warns(name: str, record: Record):
     model = get_engine(name).from_options({"window": 0.2} if name == "spectral" else {}).fit(record[:900])
-    assert any("fewer than 3 each" in warning for warning in model.report.warnings)
+    assert "record.few_samples" in codes(model.report.warnings)
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_part_that_is_not_there_is_refused(name: str, record: Record):
-    with pytest.raises(UnusableInputError, match="holds no received sample"):
+    with pytest.raises(UnusableInputError, check=coded("record.no_sample")):
         get_engine(name)().fit(record, slice(9000, 9500))
-    with pytest.raises(UnusableInputError, match="contiguous"):
+    with pytest.raises(UnusableInputError, check=coded("record.not_contiguous")):
         get_engine(name)().fit(record, slice(0, 8000, 2))
 
 

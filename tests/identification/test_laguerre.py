@@ -6,11 +6,12 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
+from coded import Refusal, says
 from identification.simulated_kernels import LAGS, Known, force, polynomial
 from scipy import linalg
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.volterra.dual import simulate_third
+from tissueid.identification.volterra.kernel_regression import simulate_third
 from tissueid.identification.volterra.laguerre import laguerre_functions, laguerre_kernels
 
 
@@ -141,20 +142,19 @@ def test_few_rows_take_fewer_functions_or_warn():
     assert found.n_parameters <= 101 / 3 + 1
     assert found.warnings == ()
     found = laguerre_kernels(known.x, known.y, known.used, LAGS, 1, 2, functions=9)
-    assert "101 rows for 55 coefficients is fewer than 3 each" in found.warnings[0]
+    assert says(found.warnings[0], "laguerre.few_rows", rows=101, coefficients=55, fewest=3)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "refusal"),
     [
-        ({"order": 4}, "order 1, 2 or 3, not 4"),
-        ({"pole": 1.0}, "at least 0 and under 1, not 1"),
-        ({"functions": LAGS + 1}, f"{LAGS} lags cannot tell {LAGS + 1} Laguerre functions apart"),
-        ({"functions": 20}, "101 rows cannot carry 231 coefficients: record longer, or take fewer functions"),
+        ({"order": 4}, Refusal("laguerre.order", order=4)),
+        ({"pole": 1.0}, Refusal("laguerre.pole", pole=1.0)),
+        ({"functions": LAGS + 1}, Refusal("laguerre.too_many_functions", lags=LAGS, functions=LAGS + 1)),
+        ({"functions": 20}, Refusal("laguerre.too_few_rows", rows=101, coefficients=231)),
     ],
 )
-def test_refusals_are_one_line(options: dict[str, int], message: str):
+def test_refusals(options: dict[str, int], refusal: Refusal):
     known = polynomial(47, n=LAGS + 100)
-    with pytest.raises(UnusableInputError, match=message) as refused:
+    with pytest.raises(UnusableInputError, check=refusal.check):
         laguerre_kernels(known.x, known.y, known.used, LAGS, 1, **({"order": 2} | options))
-    assert "\n" not in str(refused.value)

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from coded import says
 from identification.simulated import Array, generator
 from scipy import linalg
 
@@ -107,14 +108,14 @@ def test_columns_of_any_size_are_alike():
 
 
 @pytest.mark.parametrize("empty", [False, True], ids=["repeated column", "column of zeros"])
-def test_a_rank_that_is_lacking_is_told_and_answered_by_the_shortest_solution(empty: bool):
+def test_a_rank_deficiency_gives_a_warning_and_the_shortest_solution(empty: bool):
     matrix = conditioned(1e1)
     matrix[:, 7] = 0.0 if empty else matrix[:, 3]
     solved = factor(matrix.T @ matrix, Explicit(matrix))
     assert solved.route == "householder"
     assert solved.rank == 59
     assert solved.condition == np.inf
-    assert "only 59 of 60 coefficients are determined" in solved.warnings[0]
+    assert says(solved.warnings[0], "least_squares.rank", rank=59, coefficients=60)
     y = generator(6).standard_normal(500)
     found = solved.solve(y)
     assert found[7] == pytest.approx(0.0 if empty else found[3], abs=1e-9)

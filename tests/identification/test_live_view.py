@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded, says
 from identification import simulated
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.als import Als
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls
-from tissueid.identification.online.live_view import METHODS, LiveView, Method, start_identifier, view
-from tissueid.identification.online.precision import precision
+from tissueid.identification.live.live_view import METHODS, LiveView, Method, start_identifier, view
+from tissueid.identification.live.precision import precision
+from tissueid.messages import code_of
 from tissueid.records import Record
 
 RATE = simulated.RATE
@@ -86,17 +88,17 @@ def test_a_curve_of_the_tissue_is_seen(method: Method):
 def test_before_there_is_enough_it_says_so(method: Method):
     record = simulated.linear_record(193)
     identifier = start_identifier(method, RATE)
-    assert view(identifier).missing == "the record is empty"
+    assert says(view(identifier).missing, "record.empty")
     identifier.batch(record.input[:100], record.output[:100])
     shown = view(identifier)
-    assert "longer than" in shown.missing
+    assert code_of(shown.missing) == "record.shorter_than_memory"
     assert (shown.impulse_response.size, shown.bode, shown.curve, shown.vaf_percent) == (0, None, None, None)
     assert (shown.parameters, shown.second_order, shown.course.values.shape) == ({}, None, (0, 3))
     identifier.batch(record.input[100:600], record.output[100:600])
     shown = view(identifier)
     assert shown.impulse_response.size == 250
     assert shown.bode is None
-    assert shown.missing == "coherence takes 3 memories of 0.125 s: wait a little longer"
+    assert says(shown.missing, "online.short_for_coherence", segments=3.0, memory=0.125)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -124,5 +126,5 @@ def test_looking_changes_nothing():
 
 
 def test_no_such_method():
-    with pytest.raises(UnusableInputError, match="no live method 'magic'; there are: sliding, rls, als"):
+    with pytest.raises(UnusableInputError, check=coded("online.unknown_method", method="magic")):
         start_identifier("magic", RATE)  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import says
 from identification import simulated
 from scipy import linalg, signal
 
@@ -65,13 +66,13 @@ def test_the_pseudo_inverse_drops_what_the_tolerance_says(record: Record):
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_standard_deviation_of_each_lag_is_the_spread_of_repeats(pole: float):
-    found, told = [], []
+    found, reported = [], []
     for run in range(80):
         record, _ = broadband(22, run, n=2000, noise=0.5, pole=pole)
         model = Lms(memory=0.04).fit(record)
         found.append(model.impulse_response)
-        told.append(model.impulse_response_std)
-    ratio = np.mean(told, axis=0) / np.std(found, axis=0, ddof=1)
+        reported.append(model.impulse_response_std)
+    ratio = np.mean(reported, axis=0) / np.std(found, axis=0, ddof=1)
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.07)
     assert np.all((ratio > 0.7) & (ratio < 1.4))
 
@@ -124,7 +125,7 @@ def test_gaps_are_skipped_and_told(record: Record):
     report = Lms().fit(Record(u, y, record.sample_rate_hz)).report
     assert report.n_samples == 8000 - 249 - 11 - 249
     assert report.vaf_percent > 99.9
-    assert any("11 of 8000 samples were not received" in warning for warning in report.warnings)
+    assert any(says(text, "record.lost_samples", lost=11, length=8000) for text in report.warnings)
     assert report.parameters["mass_kg"].value == pytest.approx(simulated.MASS, rel=0.01)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from identification import simulated
 from identification import simulated_validation as systems
 from scipy import signal
@@ -127,28 +128,28 @@ def test_where_the_past_is_unknown_the_prediction_is_the_free_run(
 
 
 def test_the_deviation_of_a_vaf_is_its_spread():
-    told, found = [], []
+    reported, found = [], []
     for run in range(40):
         rng = simulated.generator(84, run)
         u = signal.lfilter([1.0], [1.0, -0.8], rng.standard_normal(3000))
         model = systems.fir(systems.KERNEL, 0.0, 0.0, 10**6)
         record = Record(u, model.simulate(u) + 2.0 * systems.coloured(rng, 3000, 0.9), systems.RATE)
         curve = prediction_curve(model, record, fit_noise(model, record), [1])
-        told.append(curve.vaf_std_percent[0])
+        reported.append(curve.vaf_std_percent[0])
         found.append(curve.vaf_percent[0])
-    assert np.mean(told) == pytest.approx(np.std(found, ddof=1), rel=0.35)
+    assert np.mean(reported) == pytest.approx(np.std(found, ddof=1), rel=0.35)
 
 
 def test_refusals_are_one_line(model: systems.Fir, record: Record, noise: Autoregression):
-    with pytest.raises(UnusableInputError, match="horizon must be at least one sample"):
+    with pytest.raises(UnusableInputError, check=coded("engine.horizon", horizon=0)):
         predict_ahead(model, record, 0, noise)
-    with pytest.raises(UnusableInputError, match="no prediction horizon"):
+    with pytest.raises(UnusableInputError, check=coded("prediction.no_horizon")):
         prediction_curve(model, record, noise, [])
-    with pytest.raises(UnusableInputError, match="no sample is left to score"):
+    with pytest.raises(UnusableInputError, check=coded("score.no_sample")):
         prediction_curve(model, record, noise, [1], slice(0, 10))
-    with pytest.raises(UnusableInputError, match="cannot carry a noise model of order 30"):
+    with pytest.raises(UnusableInputError, check=coded("noise_model.too_few_residuals", order=30)):
         fit_noise(model, record, slice(0, 300), max_order=30)
-    with pytest.raises(UnusableInputError, match="resample"):
+    with pytest.raises(UnusableInputError, check=coded("engine.other_sample_rate")):
         predict_ahead(model, replace(record, sample_rate_hz=500.0), 1, noise)
 
 
@@ -159,5 +160,5 @@ def test_a_short_signal_without_gaps_carries_a_noise_model(n: int):
 
 
 def test_a_handful_of_residuals_is_refused():
-    with pytest.raises(UnusableInputError, match="too few of them in a row"):
+    with pytest.raises(UnusableInputError, check=coded("noise_model.too_few_residuals")):
         fit_autoregression(np.arange(15.0))

@@ -1,19 +1,33 @@
-"""The recommendation: the simplest description that no other beats, and what it says in words."""
+"""The recommendation: the simplest model that no other beats, and its texts."""
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded, codes, says
 from identification import simulated, simulated_dpn
 from scipy import signal
 
 from tissueid.analysis import compare, specifications, split_records
 from tissueid.errors import UnusableInputError
 from tissueid.identification import Family
-from tissueid.identification.recommendation import Candidate, Recommendation, recommend, sufficient
-from tissueid.identification.validation.paired import difference
+from tissueid.identification import recommendation_messages as messages
+from tissueid.identification.recommendation import (
+    Candidate,
+    Recommendation,
+    Standing,
+    SufficientOption,
+    recommend,
+    sufficient,
+)
+from tissueid.identification.validation.paired_difference import Difference, difference
+from tissueid.language import set_language
+from tissueid.messages import Message, code_of, translated
 from tissueid.records import Record
 
 N = 8000
@@ -32,18 +46,35 @@ def held_out() -> Record:
     return Record(coloured(1, 1.0), 0.012 + coloured(2, 1e-3), RATE)
 
 
+@pytest.fixture
+def german() -> Iterator[None]:
+    set_language("de")
+    yield
+    set_language("en")
+
+
 def candidate(engine: str, family: Family, error: np.ndarray, **changes: object) -> Candidate:
     known = dict(parameters=250.0, vaf_percent=95.0, aicc=-1000.0)
     return Candidate(engine, family, error, **(known | changes))  # type: ignore[arg-type]
 
 
-def linear_and_kernels(noise: float, linear: float, kernels: float, **told: object) -> list[Candidate]:
+def linear_and_kernels(noise: float, linear: float, kernels: float, **changes: object) -> list[Candidate]:
     """Two candidates that share their noise and err besides, each by so much (m)."""
     shared = coloured(3, noise)
     return [
-        candidate("lms", Family.LINEAR, shared + coloured(4, linear), **told),
+        candidate("lms", Family.LINEAR, shared + coloured(4, linear), **changes),
         candidate("volterra", Family.KERNELS, shared + coloured(5, kernels)),
     ]
+
+
+def reason_left(found: Recommendation) -> Message:
+    """Return why the candidate with the highest score is not the recommended one."""
+    [reason] = [text for text in found.reasons if isinstance(text, Message) and "why" in text.values]
+    return reason.values["why"]
+
+
+def why_left(found: Recommendation) -> str:
+    return reason_left(found).code
 
 
 class TestDifference:
@@ -115,13 +146,14 @@ class TestChoice:
         assert [s.engine for s in found.standings] == ["volterra", "lms"]
         assert found.standings[1].beaten
         assert not found.standings[0].beaten
-        assert "points more than LMS on the same samples" in " ".join(found.sentences)
+        [lead] = [text for text in found.reasons if code_of(text) == "recommendation.significant_lead"]
+        assert says(lead, "recommendation.significant_lead", name="Volterra", other="LMS")
 
     def test_a_lead_within_chance_is_not(self, held_out: Record):
         found = recommend(linear_and_kernels(0.0, 3.05e-4, 3e-4), held_out, held_out)
         assert found.family is Family.LINEAR
         if found.standings[0].engine == "volterra":
-            assert "within chance" in " ".join(found.reasons)
+            assert why_left(found) == "recommendation.within_chance"
 
     def test_a_lead_too_small_to_matter_is_not(self, held_out: Record):
         """A few per cent less error variance, certain as it is, says nothing of the tissue."""
@@ -131,7 +163,8 @@ class TestChoice:
         assert found.standings[1].behind.p_value is not None
         assert found.standings[1].behind.p_value < 0.01
         assert found.engine == "lms"
-        assert "takes away only 2.5 % of what is left" in " ".join(found.reasons)
+        assert why_left(found) == "recommendation.small_reduction"
+        assert reason_left(found).values["percent"] == pytest.approx(2.5, abs=0.05)
 
     def test_one_that_errs_wildly_at_times_is_not_let_through(self, held_out: Record):
         """The lead on it is not certain, just because it is so wild; but it does worse than one that is beaten."""
@@ -166,7 +199,7 @@ class TestChoice:
         ]
         found = recommend(both, held_out, held_out)
         assert found.second_order
-        assert "Mass, damping and stiffness alone" in " ".join(found.reasons)
+        assert "recommendation.second_order_suffices" in codes(found.reasons)
 
     def test_one_that_was_judged_on_fewer_samples_is_compared_on_those(self, held_out: Record):
         shared = coloured(3, 5e-5)
@@ -184,52 +217,57 @@ class TestChoice:
         assert [(s.engine, s.behind.n_samples) for s in found.standings] == [("slow", 2000), ("lms", 2000)]
 
     def test_nothing_scored_is_refused(self, held_out: Record):
-        with pytest.raises(UnusableInputError, match="hold out more") as refused:
+        with pytest.raises(UnusableInputError, check=coded("recommendation.nothing_held_out")):
             recommend([candidate("lms", Family.LINEAR, np.full(N, np.nan))], held_out, held_out)
-        assert "\n" not in str(refused.value)
 
     def test_the_smallest_value_that_does_as_well_is_sufficient(self, held_out: Record):
         shared = coloured(3, 1e-4)
         trials = [(0.03, shared + coloured(4, 3e-4)), (0.06, shared + coloured(5, 1e-6)), (0.12, shared)]
         assert sufficient(trials, held_out) == 0.06
-        with pytest.raises(UnusableInputError, match="no value"):
+        with pytest.raises(UnusableInputError, check=coded("recommendation.no_value")):
             sufficient([(0.1, np.full(N, np.nan))], held_out)
 
 
-class TestWords:
-    def told(self, held_out: Record, *, fitted: Record | None = None, **changes: object) -> Recommendation:
+class TestMessages:
+    def recommended(self, held_out: Record, *, fitted: Record | None = None, **changes: object) -> Recommendation:
         return recommend(
             linear_and_kernels(0.0, 3.05e-4, 3e-4, **changes), held_out, fitted or held_out, judged_on="test 2"
         )
 
     def test_it_is_json(self, held_out: Record):
-        found = self.told(held_out).with_choice(
+        found = self.recommended(held_out).with_choice(
             "memory", [(0.03, coloured(3, 3e-4)), (0.06, coloured(3, 3e-4))], held_out
         )
         answer = found.as_dict()
         assert json.loads(json.dumps(answer, allow_nan=False)) == answer
         assert answer["choices"]["memory"]["value"] == 0.03
         assert answer["judged_on"] == "test 2"
-        assert "A memory of 0.03 s is enough; longer ones gain nothing." in found.sentences
+        assert says(found.sentences[1], "recommendation.memory", value="0.03")
+        assert answer["messages"]["headline"]["code"] == "recommendation.linear"
+        assert [one["code"] for one in answer["messages"]["choices"]] == ["recommendation.memory"]
 
     def test_a_short_part_is_doubted(self, held_out: Record):
         short = Record(held_out.input[:1000], held_out.output[:1000], RATE)
         found = recommend([candidate("lms", Family.LINEAR, coloured(3, 1e-4)[:1000])], short, held_out)
-        assert any("Only 0.5 s were held out" in doubt for doubt in found.doubts)
+        assert says(found.doubts[0], "recommendation.short", seconds="0.5")
 
     def test_a_shallow_part_is_doubted(self, held_out: Record):
         deep = Record(held_out.input, 0.012 + 3.0 * (held_out.output - 0.012), RATE)
-        assert any("covers little of the range" in doubt for doubt in self.told(held_out, fitted=deep).doubts)
+        assert "recommendation.narrow" in codes(self.recommended(held_out, fitted=deep).doubts)
 
     def test_a_part_beyond_the_fitted_range_is_doubted(self, held_out: Record):
         shallow = Record(held_out.input, 0.012 + 0.3 * (held_out.output - 0.012), RATE)
-        doubts = self.told(held_out, fitted=shallow).doubts
-        assert any("extrapolation" in doubt and "mm" in doubt for doubt in doubts)
+        [doubt] = [
+            text
+            for text in self.recommended(held_out, fitted=shallow).doubts
+            if code_of(text) == "recommendation.extrapolation"
+        ]
+        assert doubt.values["high"].endswith(" mm")
 
     def test_a_fit_that_does_not_last_is_doubted(self, held_out: Record):
-        assert any("learned the record" in d for d in self.told(held_out, vaf_percent=99.9).doubts)
+        assert "recommendation.overfit" in codes(self.recommended(held_out, vaf_percent=99.9).doubts)
 
-    def test_disagreement_of_aicc_is_told(self, held_out: Record):
+    def test_disagreement_of_aicc_is_a_doubt(self, held_out: Record):
         doubts = recommend(
             [
                 candidate("lms", Family.LINEAR, coloured(3, 3e-4), aicc=-1000.0),
@@ -238,20 +276,20 @@ class TestWords:
             held_out,
             held_out,
         ).doubts
-        assert any("AICc on the fitted samples prefers Volterra" in doubt for doubt in doubts)
+        assert says(doubts[-1], "recommendation.aicc_disagrees", name="Volterra")
 
-    def test_a_schedule_that_holds_part_of_the_answer_is_told(self, held_out: Record):
+    def test_a_much_better_score_with_the_measured_output_is_a_doubt(self, held_out: Record):
         doubts = recommend(
             [candidate("depth", Family.DEPTH, coloured(3, 4e-4), scheduled_percent=99.0)], held_out, held_out
         ).doubts
-        assert any("Given the measured depth, Depth accounts for 99.0 %" in doubt for doubt in doubts)
+        assert says(doubts[-1], "recommendation.scheduled", output="depth", name="Depth", percent=99.0)
 
-    def test_what_repeats_leave_to_be_explained_is_told(self, held_out: Record):
+    def test_a_score_far_below_the_ceiling_is_a_doubt(self, held_out: Record):
         only = [candidate("lms", Family.LINEAR, coloured(3, 4e-4))]
         found = recommend(only, held_out, held_out, ceiling_percent=99.5)
-        assert any("points are there to be explained" in doubt for doubt in found.doubts)
-        assert any("creep" in experiment for experiment in found.experiments)
-        assert any("repeat" in e for e in recommend(only, held_out, held_out).experiments)
+        assert says(found.doubts[-1], "recommendation.below_ceiling", percent=99.5)
+        assert "recommendation.measure_creep" in codes(found.experiments)
+        assert "recommendation.measure_repeat" in codes(recommend(only, held_out, held_out).experiments)
 
     def test_a_lead_within_reach_says_how_long_to_measure(self, held_out: Record):
         """A lead of twice its standard deviation short of a decision needs some seconds more."""
@@ -263,7 +301,7 @@ class TestWords:
             found = recommend(both, held_out, held_out)
             p_value = found.standings[1].behind.p_value
             if found.engine == "lms" and p_value is not None and 0.06 < p_value < 0.2:
-                assert any("s of unseen motion in place of 4 s" in e for e in found.experiments)
+                assert says(found.experiments[0], "recommendation.measure_longer", seconds="4", name="Volterra")
                 return
         pytest.fail("no size of error made a lead that was nearly certain")
 
@@ -274,25 +312,25 @@ class TestWords:
             candidate("lms", Family.LINEAR, coloured(4, 0.3)),
         ]
         found = recommend(both, record, record)
-        assert found.headline.startswith("Current matters")
-        assert "motion" not in found.headline
+        assert says(found.headline, "recommendation.static", output="current")
+        assert code_of(found.headline.values["score"]) == "recommendation.score_of_signal"
 
     def test_a_family_alone_is_not_praised(self, held_out: Record):
         found = recommend([candidate("lms", Family.LINEAR, coloured(3, 3e-4))], held_out, held_out)
-        assert found.headline.startswith("Of the linear models, the only ones that were tried")
+        assert says(found.headline, "recommendation.one_family", family="the linear models")
 
     def test_what_describes_nothing_is_called_so(self, held_out: Record):
         both = [
             candidate("lms", Family.LINEAR, coloured(3, 1.1e-3)),
             candidate("volterra", Family.KERNELS, coloured(4, 1.5e-3)),
         ]
-        assert recommend(both, held_out, held_out).headline.startswith("None of these descriptions holds")
+        assert says(recommend(both, held_out, held_out).headline, "recommendation.none", name="LMS")
 
     def test_hundredths_of_a_point_do_not_make_a_description(self, held_out: Record):
         """Near 100 % a richer model may be better beyond any doubt, and the simpler one says all the same."""
         found = recommend(linear_and_kernels(0.0, 3e-5, 1e-6), held_out, held_out)
         assert found.engine == "lms"
-        assert "too little to matter" in " ".join(found.reasons)
+        assert why_left(found) == "recommendation.small_lead"
 
 
 def recommended(record: Record, names: tuple[str, ...]) -> Recommendation:
@@ -303,13 +341,13 @@ def test_a_linear_record_needs_a_line():
     found = recommended(simulated.linear_record(5, snr_db=30.0), ("lms", "spectral", "wiener"))
     assert found.family is Family.LINEAR
     assert found.second_order
-    assert found.headline.startswith("A linear model describes this record as well as any")
+    assert says(found.headline, "recommendation.linear")
 
 
 def test_a_wiener_record_needs_a_curve():
     found = recommended(simulated.wiener_record(5), ("lms", "spectral", "wiener"))
     assert (found.engine, found.family) == ("wiener", Family.STATIC)
-    assert found.headline.startswith("Depth matters in the simplest way")
+    assert says(found.headline, "recommendation.static", output="depth", name="Wiener")
 
 
 @pytest.mark.soak
@@ -344,3 +382,33 @@ def test_curves_are_recommended_for_curves():
     right = sum(recommended(simulated.wiener_record(100 + seed), names).family is Family.STATIC for seed in range(runs))
     print(f"Wiener at 30 dB: {right} of {runs}")
     assert right >= 0.9 * runs
+
+
+def test_every_text_has_german(german: None):
+    said: set[str] = set()
+    for basis in every_basis():
+        said |= {messages.headline(basis), *messages.reasons(basis), *messages.doubts(basis)}
+        said |= set(messages.experiments(basis))
+    for option, value in itertools.product(("memory", "partitions", "order", "levels"), (0.1, 4.0)):
+        said.add(messages.choice(SufficientOption(option, value, (0.1, 4.0), (80.0, 81.0))))
+    assert len({code_of(text) for text in said}) > 25
+    english = {"the", "and", "of", "to", "is", "it", "from", "with", "that", "most", "than", "would", "at"}
+    assert not [text for text in said if english & set(translated(text).replace(",", "").split())]
+
+
+def every_basis() -> Iterator[messages.Basis]:
+    time = np.linspace(0.0, 30.0, 4000)
+    fitted = Record(time, 1e-3 * np.sin(time), 1000.0)
+    names = ("position", "force", "acceleration_x")
+    unseen = [Record(time, size * np.sin(time), 1000.0, output_name=name) for size in (2e-4, 5e-3) for name in names]
+    leads = [Difference(points, 2.5, chance, 0.02, 900) for points in (0.05, 1.0) for chance in (0.0001, 0.3, None)]
+    short = Record(time[:500], time[:500], 1000.0)
+    for family, record, lead in itertools.product(Family, [*unseen, short], leads):
+        usual = Standing("wiener", family, False, 80.0, 90.0, None, 12.0, lead, lead, True)
+        chosen = replace(usual, engine="lms", vaf_percent=70.0)
+        best = replace(usual, engine="volterra", family=Family.OTHER, vaf_percent=75.0, scheduled_percent=99.0)
+        below = replace(usual, engine="rls", family=Family.LINEAR, second_order=True)
+        yield messages.Basis(chosen, (best, chosen, below), record, fitted, 99.0)
+        yield messages.Basis(replace(chosen, aicc=1.0, second_order=True), (best, chosen, below), record, fitted, None)
+        yield messages.Basis(replace(chosen, vaf_percent=40.0), (best, chosen), record, fitted, None)
+        yield messages.Basis(chosen, (chosen,), record, fitted, None)

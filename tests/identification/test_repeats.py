@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded
 from identification import simulated
 from identification import simulated_validation as systems
 from outside_data import RIG
@@ -14,6 +15,7 @@ from scipy import signal
 from tissueid.errors import UnusableInputError
 from tissueid.identification import validate
 from tissueid.identification.validation.repeats import ceiling
+from tissueid.messages import code_of
 from tissueid.records import Record
 from tissueid.sessions import read_session
 
@@ -81,7 +83,9 @@ def test_samples_lost_without_a_mark_are_found_and_left_out():
     kept = np.delete(np.arange(len(two)), slice(3100, 3104))
     lossy = replace(two, input=two.input[kept], output=two.output[kept])
     found = ceiling([one, lossy], memory=MEMORY)
-    assert any("lost without being marked: -4 at 3." in finding for finding in found.findings)
+    [finding] = [text for text in found.findings if code_of(text) == "ceiling.lost_samples"]
+    assert finding.values["places"].items[0].values["samples"] == "-4"
+    assert 3.0 <= finding.values["places"].items[0].values["seconds"] < 4.0
     assert found.noise_rms.value == pytest.approx(0.3, rel=0.06)
     assert np.isnan(found.noise[:, 3100]).all()
 
@@ -110,11 +114,11 @@ def test_a_part_is_looked_at_alone():
 def test_refusals_are_one_line():
     one, two = repeats(107)
     other = repeats(108)[0]
-    with pytest.raises(UnusableInputError, match="two repeats of one command or more"):
+    with pytest.raises(UnusableInputError, check=coded("ceiling.too_few_repeats")):
         ceiling([one])
-    with pytest.raises(UnusableInputError, match="not alike"):
+    with pytest.raises(UnusableInputError, check=coded("ceiling.different_inputs")):
         ceiling([one, other])
-    with pytest.raises(UnusableInputError, match="resample"):
+    with pytest.raises(UnusableInputError, check=coded("ceiling.sample_rates")):
         ceiling([one, replace(two, sample_rate_hz=2000.0)])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded, codes
 from identification import simulated
 from scipy import linalg, signal
 
@@ -11,6 +12,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification import validated
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.engines.rls import Rls
+from tissueid.messages import code_of
 from tissueid.records import Record, joined
 
 
@@ -171,16 +173,18 @@ def test_the_covariance_stays_bounded_where_nothing_is_excited():
     errors = live.batch(after.input - 2.0, after.output - 7.0)
     assert np.std(errors[-200:]) < 0.02
     model = live.model()
-    assert any("directions of the response to the ridge" in finding for finding in model.report.findings) is False
+    assert not {"rls.unexcited", "rls.bounded"} & set(codes(model.report.findings))
     quiet = Rls(memory=0.03, forgetting=0.99).fit(
         Record(np.sin(60.0 * t[:5000]), np.sin(60.0 * t[:5000] - 0.5), 1000.0)
     )
-    assert any("stays bounded" in finding for finding in quiet.report.findings)
+    assert "rls.bounded" in codes(quiet.report.findings)
 
 
 def test_a_memory_of_few_samples_warns():
     report = Rls(memory=0.03, forgetting=0.97).fit(broadband(67, noise=0.1)).report
-    assert any("remembers 33 samples for 30 lags, fewer than 3 each" in warning for warning in report.warnings)
+    [warning] = [text for text in report.warnings if code_of(text) == "rls.short_memory"]
+    assert round(warning.values["samples"]) == 33
+    assert warning.values["lags"] == 30
 
 
 def test_a_live_run_finds_its_operating_point_and_a_look_changes_nothing():
@@ -223,12 +227,12 @@ def test_a_long_run_keeps_the_latest_and_a_thinned_course():
 
 @pytest.mark.parametrize(("forgetting", "pole"), [(1.0, 0.0), (1.0, 0.9), (0.995, 0.0), (0.995, 0.7)])
 def test_standard_deviation_of_each_lag_is_the_spread_of_repeats(forgetting: float, pole: float):
-    found, told = [], []
+    found, reported = [], []
     for run in range(40):
         model = Rls(memory=0.03, forgetting=forgetting).fit(broadband(70, run, noise=0.5, pole=pole))
         found.append(model.impulse_response)
-        told.append(model.impulse_response_std)
-    ratio = np.mean(told, axis=0) / np.std(found, axis=0, ddof=1)
+        reported.append(model.impulse_response_std)
+    ratio = np.mean(reported, axis=0) / np.std(found, axis=0, ddof=1)
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.12)
 
 
@@ -248,10 +252,10 @@ def test_intervals_hold_the_kernel(forgetting: float, pole: float):
 
 def test_refusals():
     for rate in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(UnusableInputError, match="sample rate must be positive"):
+        with pytest.raises(UnusableInputError, check=coded("record.sample_rate")):
             Rls().start(rate)
     live = Rls().start(2000.0)
-    with pytest.raises(UnusableInputError, match="of one length"):
+    with pytest.raises(UnusableInputError, check=coded("online.lengths")):
         live.batch(np.zeros(3), np.zeros(4))
-    with pytest.raises(UnusableInputError, match="option 'forgetting'"):
+    with pytest.raises(UnusableInputError, check=coded("option.refused", option="forgetting")):
         Rls.from_options({"forgetting": 1.1})

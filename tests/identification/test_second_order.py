@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded, codes
 from hypothesis import given
 from hypothesis import strategies as st
 from identification import simulated, simulated_dpn
@@ -11,9 +12,10 @@ from scipy import signal, stats
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.preparation import prepare
+from tissueid.identification.sample_masks import scored_samples
 from tissueid.identification.second_order import SecondOrder
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import scored_samples
+from tissueid.messages import code_of
 from tissueid.records import Record
 
 FOREARM = (simulated.MASS, simulated.DAMPING, simulated.STIFFNESS)
@@ -162,12 +164,12 @@ def test_signals_that_are_not_force_and_position_get_a_gain():
     assert parameters["damping_ratio"].value == pytest.approx(0.5517, rel=0.01)
 
 
-def test_a_reversed_sign_is_told_and_kept():
+def test_a_reversed_sign_gives_a_warning_and_is_kept():
     record = simulated.linear_record(8, 0)
     found = fit(Record(record.input, -record.output, simulated.RATE))
     value, _ = mechanical(found)
     np.testing.assert_allclose(-value, FOREARM, rtol=0.01)
-    assert any("check the signs" in warning for warning in found.warnings)
+    assert "second_order.reversed" in codes(found.warnings)
     assert found.vaf_percent > 99.0
 
 
@@ -176,12 +178,13 @@ def test_a_first_order_system_has_no_mass_to_find():
     y = signal.lfilter([0.05], [1.0, -0.95], u)
     found = fit(Record(u, y, simulated.RATE))
     assert found.parameters["mass_kg"].std is None
-    assert any("does not determine the second-order mass" in warning for warning in found.warnings)
+    [warning] = [text for text in found.warnings if code_of(text) == "second_order.undetermined"]
+    assert warning.values["names"].items[0] == "mass"
 
 
 def test_output_that_does_not_answer_is_refused():
     u = simulated.generator(11).standard_normal(4000)
-    with pytest.raises(UnusableInputError, match="does not answer the input"):
+    with pytest.raises(UnusableInputError, check=coded("second_order.no_response")):
         fit(Record(u, np.zeros(4000), simulated.RATE))
 
 
@@ -210,4 +213,4 @@ def test_slow_sweeps_of_nonlinear_tissue_settle_too():
     record = Record(force[: -1 : 2 * steps], position, 2000.0)
     fitted = fit_second_order(record, prepare(record, None, 0.125).used)
     assert fitted.log_covariance is not None
-    assert not any("did not settle" in warning for warning in fitted.warnings)
+    assert "second_order.not_converged" not in codes(fitted.warnings)

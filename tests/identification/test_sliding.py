@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded
 from identification import simulated
 from scipy import linalg
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.online.sliding import SlidingLms
+from tissueid.identification.live.sliding import SlidingLms
 from tissueid.records import Record
 
 RATE = simulated.RATE
@@ -111,19 +112,19 @@ def test_looking_changes_nothing(record: Record):
 
 
 def test_refusals(record: Record):
-    with pytest.raises(UnusableInputError, match="the sample rate must be positive, not 0"):
+    with pytest.raises(UnusableInputError, check=coded("record.sample_rate", rate=0.0)):
         SlidingLms(Lms(), 0.0)
-    with pytest.raises(UnusableInputError, match=r"a window of 0\.2 s is shorter than two memories of 0\.125 s"):
+    with pytest.raises(UnusableInputError, check=coded("online.short_window", window=0.2, memory=0.125)):
         SlidingLms(Lms(), RATE, 0.2)
     sliding = SlidingLms(Lms(), RATE, 1.0)
-    with pytest.raises(UnusableInputError, match="the record is empty"):
+    with pytest.raises(UnusableInputError, check=coded("record.empty")):
         sliding.solve()
-    with pytest.raises(UnusableInputError, match="must be of one length"):
+    with pytest.raises(UnusableInputError, check=coded("online.lengths")):
         sliding.batch(np.zeros(3), np.zeros(4))
     sliding.batch(np.zeros(600), np.zeros(600))
-    with pytest.raises(UnusableInputError, match="is constant"):
+    with pytest.raises(UnusableInputError, check=coded("record.constant")):
         sliding.solve()
     fresh = SlidingLms(Lms(), RATE, 1.0)
     fresh.batch(record.input[:100], record.output[:100])
-    with pytest.raises(UnusableInputError, match="longer than"):
+    with pytest.raises(UnusableInputError, check=coded("record.shorter_than_memory")):
         fresh.solve()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded
 from identification import simulated
 from scipy import signal
 
@@ -98,7 +99,9 @@ def test_segments_lie_between_gaps(record: Record):
 
 
 def test_too_few_segments_are_refused(record: Record):
-    with pytest.raises(UnusableInputError, match="1 segment of 3 s without a gap: coherence takes two"):
+    with pytest.raises(UnusableInputError, check=coded("spectral.too_few_segments", count=1, window=3.0)):
         Spectral(window=3.0).fit(record)
-    with pytest.raises(UnusableInputError, match=r"window, 0\.1 s, is shorter than the memory, 0\.125 s"):
+    with pytest.raises(
+        UnusableInputError, check=coded("spectral.window_shorter_than_memory", window=0.1, memory=0.125)
+    ):
         Spectral(window=0.1).fit(record)

@@ -1,6 +1,6 @@
-"""An engine in somebody else's package is found by its entry point, and runs beside ours.
+"""An engine of another package is found by its entry point, and runs with the built-in ones.
 
-The package is a real one, as an installer would leave it: a module, and beside it the metadata with an entry point. It
+The package is a real one, as an installer leaves it: a module, and next to it the metadata with an entry point. It
 is put on the path of a process of its own, so that nothing of it stays in this one.
 """
 

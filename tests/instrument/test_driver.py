@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded, holding
 from support import connect
 
 from firmware_sim.firmware import WATCHDOG_S
@@ -18,6 +19,7 @@ from tissueid.errors import (
     ProtocolVersionError,
 )
 from tissueid.instrument import CLINICAL, RESEARCH, SAMPLE, Limits, SerialInstrument
+from tissueid.instrument.replies import describe_faults
 from tissueid.wire import Fault, Flag, State
 
 SECOND = 2000
@@ -121,7 +123,9 @@ def test_a_repeated_start_does_not_start_again():
     instrument.poll(0.3)
     cursor = firmware._player.cursor
     payload = wire.pack(wire.START, token=instrument._token)
-    start = wire.encode_frame(wire.Frame(wire.MessageType.START, instrument._talk.number() - 1, payload=payload))
+    start = wire.encode_frame(
+        wire.Frame(wire.MessageType.START, instrument._channel.next_number() - 1, payload=payload)
+    )
     firmware.receive(start, instrument._link.now)
     assert firmware._player.cursor == cursor
 
@@ -166,23 +170,24 @@ def test_a_stop_whose_message_was_lost_is_noticed():
     link.firmware._trip(Fault.STROKE)
     instrument.poll(0.05)
     link.to_host = lambda data: data
-    with pytest.raises(FirmwareFaultError, match="end of its stroke"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.stroke")):
         for _ in range(10):
             instrument.poll(0.05)
 
 
-def test_a_stop_that_nobody_asked_for_is_not_a_completed_test():
+def test_a_stop_without_a_request_is_not_a_completed_test():
     instrument = connect()
     running(instrument)
     instrument._link.firmware._release(forget=False)
-    with pytest.raises(FirmwareFaultError, match="stopped the test by itself"):
+    with pytest.raises(FirmwareFaultError, check=coded("instrument.stopped")):
         for _ in range(20):
             instrument.poll(0.05)
 
 
 @pytest.mark.parametrize(("oldest", "newest", "what"), [(2, 3, "software"), (0, 0, "firmware")])
 def test_a_version_that_it_does_not_speak_is_refused(oldest, newest, what):
-    with pytest.raises(ProtocolVersionError, match=rf"speaks protocol {oldest} to {newest}.*update the {what}"):
+    code = f"handshake.{what}_too_old"
+    with pytest.raises(ProtocolVersionError, check=coded(code, oldest=oldest, newest=newest)):
         connect(identity=Identity(protocol_min=oldest, protocol_max=newest))
 
 
@@ -194,7 +199,7 @@ def test_a_firmware_that_does_not_share_a_version_obeys_nothing():
 def test_silence_is_a_lost_link():
     instrument = connect()
     instrument._link.to_host = lambda data: b""
-    with pytest.raises(LinkLostError, match="silent for 1 s"):
+    with pytest.raises(LinkLostError, check=holding("link.silent", seconds=1.0)):
         while True:
             instrument.poll(0.05)
 
@@ -208,7 +213,7 @@ def test_a_line_that_is_taken_says_that_another_program_may_have_it():
     link = LoopbackLink(Firmware(Bench()))
     link.plugged = False  # a socket whose other end is taken is closed at once
     link.write = lambda data: None
-    with pytest.raises(LinkLostError, match="in use by another program"):
+    with pytest.raises(LinkLostError, check=coded("link.maybe_in_use")):
         SerialInstrument(link, clock=link.clock)
 
 
@@ -220,7 +225,7 @@ def test_nothing_at_the_other_end():
 
     link = LoopbackLink(Firmware(Bench()))
     link.to_host = lambda data: b""
-    with pytest.raises(LinkLostError, match="no instrument answers on loopback"):
+    with pytest.raises(LinkLostError, check=coded("link.no_instrument", port="loopback")):
         SerialInstrument(link, clock=link.clock)
     assert link.closed
 
@@ -229,56 +234,56 @@ def test_nothing_at_the_other_end():
 
 
 @pytest.mark.parametrize(
-    ("command", "limits", "words"),
+    ("command", "limits", "check"),
     [
         (hold(47.0), CLINICAL, None),
-        (hold(47.0), replace(CLINICAL, max_force_n=8.0), "reaches 11.8 N; the limit is 8 N"),
-        (hold(-40.0), replace(CLINICAL, max_force_n=8.0), "reaches 10.0 N"),
-        (hold(50.0), RESEARCH, "needs 50.0 V; the amplifier gives 48 V"),
-        (hold(1.0, 31.0), RESEARCH, "lasts 31.0 s in all, preload included; the limit is 30 s"),
-        (np.array([1.0, np.nan]), RESEARCH, "finite"),
+        (hold(47.0), replace(CLINICAL, max_force_n=8.0), coded("limit.stimulus_force", force=11.75, limit=8.0)),
+        (hold(-40.0), replace(CLINICAL, max_force_n=8.0), coded("limit.stimulus_force", force=10.0)),
+        (hold(50.0), RESEARCH, coded("limit.voltage", voltage=50.0, limit=48.0)),
+        (hold(1.0, 31.0), RESEARCH, coded("limit.stimulus_time", seconds=31.0, limit=30.0)),
+        (np.array([1.0, np.nan]), RESEARCH, coded("limit.command")),
     ],
 )
-def test_the_host_checks_before_sending(command, limits, words):
+def test_the_host_checks_before_sending(command, limits, check):
     from tissueid.instrument import check_stimulus
 
     device = connect().device
-    if words is None:
+    if check is None:
         check_stimulus(command, device, limits)
         return
-    with pytest.raises(LimitError, match=words):
+    with pytest.raises(LimitError, check=check):
         check_stimulus(command, device, limits)
 
 
 def without_host_checks(monkeypatch):
     monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
-    monkeypatch.setattr("tissueid.instrument.judge.Judge.take", lambda *_: None)
+    monkeypatch.setattr("tissueid.instrument.sample_monitor.SampleMonitor.check", lambda *_: None)
 
 
 def test_the_firmware_refuses_a_stimulus_beyond_the_limits(monkeypatch):
     without_host_checks(monkeypatch)
     instrument = connect()
     instrument.load(hold(40.0))
-    with pytest.raises(LimitError, match="go beyond"):
+    with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=8.0))
-    # A host that does not know how far the device goes asks for more.
-    instrument._hello = replace(instrument._hello, max_force_n=1000.0)
-    with pytest.raises(LimitError, match="go beyond"):
+    # A host that does not know the limits of the device asks for more.
+    instrument._handshake = replace(instrument._handshake, max_force_n=1000.0)
+    with pytest.raises(LimitError, check=coded("refused.beyond_limits", request="ARM")):
         instrument.arm(Limits(max_force_n=500.0))
     assert not instrument._link.firmware.energised
 
 
 @pytest.mark.parametrize(
-    ("limits", "fault", "words"),
+    ("limits", "fault"),
     [
-        (Limits(max_position_m=0.0125), Fault.STROKE, "end of its stroke"),
-        (Limits(max_temperature_c=23.5), Fault.OVER_TEMPERATURE, "too hot"),
+        (Limits(max_position_m=0.0125), Fault.STROKE),
+        (Limits(max_temperature_c=23.5), Fault.OVER_TEMPERATURE),
     ],
 )
-def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault, words):
+def test_the_firmware_releases_on_its_own(monkeypatch, limits, fault):
     without_host_checks(monkeypatch)
     instrument = connect()
-    with pytest.raises(FirmwareFaultError, match=words):
+    with pytest.raises(FirmwareFaultError, check=coded("instrument.released", why=describe_faults(fault))):
         play(instrument, hold(30.0, 3.0), limits)
     firmware = instrument._link.firmware
     assert firmware.faults == fault
@@ -295,7 +300,7 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
     firmware._armed = replace(firmware._armed, max_force_n=3.0)
     run = instrument.start()
     blocks = []
-    with pytest.raises(FirmwareFaultError, match="force went beyond"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.over_force")):
         while True:
             blocks.append(instrument.poll(0.05))
     samples = np.concatenate(blocks)
@@ -307,23 +312,23 @@ def test_the_firmware_trips_on_force_within_one_sample(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("limits", "words"),
+    ("limits", "check"),
     [
-        (Limits(max_position_m=0.0125), "end of its stroke, at 1"),
-        (Limits(max_temperature_c=23.5), "coil is at 24"),
-        (Limits(max_force_n=3.0), "force reached"),
+        (Limits(max_position_m=0.0125), coded("limit.position", position=pytest.approx(13.4, abs=0.1))),
+        (Limits(max_temperature_c=23.5), coded("limit.winding_temperature", temperature=pytest.approx(24.0, abs=0.5))),
+        (Limits(max_force_n=3.0), coded("limit.force", limit=3.0)),
     ],
 )
-def test_the_host_releases_on_its_own(monkeypatch, limits, words):
+def test_the_host_releases_on_its_own(monkeypatch, limits, check):
     monkeypatch.setattr("firmware_sim.limits.ArmedLimits.first_violation", lambda *_: (0, Fault.NONE))
     monkeypatch.setattr("tissueid.instrument.driver.check_stimulus", lambda *_: None)
     instrument = connect()
     instrument.load(hold(30.0, 3.0))
     firmware = instrument._link.firmware
     instrument.arm(RESEARCH)
-    instrument._watch.limits = limits
+    instrument._monitor.limits = limits
     run = instrument.start()
-    with pytest.raises(LimitError, match=words):
+    with pytest.raises(LimitError, check=check):
         collect(instrument, run)
     assert not firmware.energised
 
@@ -339,14 +344,14 @@ def test_the_watchdog_latches_and_needs_re_arming():
     link.run_for(0.1)
     assert not firmware.energised
     assert firmware.faults == Fault.WATCHDOG
-    with pytest.raises(FirmwareFaultError, match="silent for too long"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.watchdog")):
         while True:
             instrument.poll(0.05)
-    with pytest.raises(FirmwareFaultError, match="refuses after a fault"):
+    with pytest.raises(FirmwareFaultError, check=coded("refused.fault", request="START")):
         instrument.start()
     instrument.clear_faults()
     assert firmware.state is State.IDLE
-    with pytest.raises(InstrumentError, match="not in a state"):
+    with pytest.raises(InstrumentError, check=coded("refused.state", request="START")):
         instrument.start()
     play(instrument, hold(10.0, 0.1))
 
@@ -406,20 +411,20 @@ def go_on(instrument):
 
 @pytest.mark.parametrize("state", [lambda _: None, loaded, armed, running], ids=["idle", "loaded", "armed", "running"])
 @pytest.mark.parametrize(
-    ("mishap", "error", "words"),
+    ("mishap", "error", "check"),
     [
-        (unplug, LinkLostError, "connection to loopback broke"),
-        (reset, FirmwareFaultError, "restarted by itself"),
-        (stall, LinkLostError, "went silent"),
-        (change_version, ProtocolVersionError, "went over to protocol 9"),
+        (unplug, LinkLostError, holding("link.broken", port="loopback")),
+        (reset, FirmwareFaultError, coded("instrument.restarted")),
+        (stall, LinkLostError, holding("link.silent")),
+        (change_version, ProtocolVersionError, coded("link.version_changed", version=9)),
     ],
     ids=["unplug", "reset", "stall", "version"],
 )
-def test_mishaps_in_every_state(state, mishap, error, words):
+def test_mishaps_in_every_state(state, mishap, error, check):
     instrument = connect()
     state(instrument)
     mishap(instrument)
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, check=check):
         go_on(instrument)
     link = instrument._link
     link.run_for(1.0)
@@ -449,7 +454,7 @@ def test_the_button_ends_a_run():
     instrument = connect()
     running(instrument)
     instrument._link.firmware.bench.button = True
-    with pytest.raises(FirmwareFaultError, match="button was pressed"):
+    with pytest.raises(FirmwareFaultError, check=holding("fault.button")):
         while True:
             instrument.poll(0.05)
     assert not instrument._link.firmware.energised
@@ -465,28 +470,28 @@ def test_absurd_frames_do_no_harm():
         wire.Frame(0x83, payload=b"half a sample"),
         wire.Frame(0x83, sample_index=2**63, payload=bytes(16)),
         wire.Frame(0x84, payload=b"?"),
-        wire.Frame(0x84, payload=b"\x63" + bytes(19)),  # a state that nobody knows
+        wire.Frame(0x84, payload=b"\x63" + bytes(19)),  # an unknown state
         wire.Frame(0x82, payload=b""),
         wire.Frame(0xEE, payload=b"from the future"),
     ]
     pending = [b"".join(wire.encode_frame(frame) for frame in junk)]
     link.to_host = lambda data: data + (pending.pop() if pending else b"")
-    with pytest.raises(LinkLostError, match="samples are missing at once"):
+    with pytest.raises(LinkLostError, check=holding("link.gap")):
         for _ in range(10):
             instrument.poll(0.05)
 
 
 @pytest.mark.parametrize(
-    "spoil",
+    ("spoil", "code"),
     [
-        lambda payload: payload[:60],
-        lambda payload: payload[:-1],
-        lambda payload: payload.replace(b"position", b"weather\0"),
-        lambda payload: payload[:76] + b"\xff" * 8 + payload[84:],
+        (lambda payload: payload[:60], "damaged"),
+        (lambda payload: payload[:-1], "damaged"),
+        (lambda payload: payload.replace(b"position", b"weather\0"), "channels"),
+        (lambda payload: payload[:76] + b"\xff" * 8 + payload[84:], "impossible"),
     ],
     ids=["short", "cut table", "other channels", "rate not a number"],
 )
-def test_a_damaged_handshake_is_refused(spoil):
+def test_a_damaged_handshake_is_refused(spoil, code):
     from support import LoopbackLink
 
     from firmware_sim.bench import Bench
@@ -502,7 +507,7 @@ def test_a_damaged_handshake_is_refused(spoil):
         )
 
     link.to_host = tamper
-    with pytest.raises(InstrumentError, match=r"damaged|other channels|impossible figures"):
+    with pytest.raises(InstrumentError, check=coded(f"handshake.{code}")):
         SerialInstrument(link, clock=link.clock)
 
 

@@ -2,19 +2,23 @@
 
 import json
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded, holding
 
 from tissueid import instrument as instruments
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
-from tissueid.acquisition.placing import place
+from tissueid.acquisition.background_work import run_while_polling
+from tissueid.acquisition.surface_detection import place
 from tissueid.analysis import analyse_all
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, UnusableInputError
 from tissueid.instrument import (
     CLINICAL,
+    PROFILES,
     Limits,
     ReplayInstrument,
     SimulatedInstrument,
@@ -22,6 +26,8 @@ from tissueid.instrument import (
     find_instruments,
     open_instrument,
 )
+from tissueid.instrument.tissues import TISSUES
+from tissueid.messages import joined
 from tissueid.reports.verdict import judge
 from tissueid.sessions.quality import quality_of
 
@@ -115,14 +121,14 @@ def test_a_steady_force_meets_the_twin_s_own_stiffness():
 
 def test_starting_needs_arming():
     for instrument in (SimulatedInstrument(), ReplayInstrument(DeviceDescription(), {"position": np.zeros(40)})):
-        with pytest.raises(InstrumentError, match="arm before starting"):
+        with pytest.raises(InstrumentError, check=coded("instrument.not_armed")):
             instrument.start()
 
 
 def test_the_in_process_instrument_holds_its_limits():
     instrument = SimulatedInstrument()
     instrument.load(np.full(2000, 47.0))
-    with pytest.raises(LimitError, match="reaches 11"):
+    with pytest.raises(LimitError, check=coded("limit.stimulus_force", force=11.75, limit=8.0)):
         instrument.arm(Limits(max_force_n=8.0))
 
 
@@ -142,19 +148,21 @@ def test_a_replay_delivers_what_was_recorded():
 
 
 def test_a_replay_needs_something_to_play():
-    with pytest.raises(UnusableInputError, match="no signal"):
+    with pytest.raises(UnusableInputError, check=coded("replay.no_signal")):
         ReplayInstrument(DeviceDescription(), {"mood": np.zeros(3)})
 
 
 def test_urls_open_what_they_name():
     assert open_instrument("simulated://spring?seed=3").device.serial_number == "TWIN-3"
-    with pytest.raises(UnusableInputError, match="no simulated tissue 'moon'; there are: forearm"):
+    with pytest.raises(
+        UnusableInputError, check=coded("simulation.unknown_tissue", name="moon", known=joined(TISSUES))
+    ):
         open_instrument("simulated://moon")
-    with pytest.raises(UnusableInputError, match="whole number"):
+    with pytest.raises(UnusableInputError, check=coded("simulation.seed", address="simulated://forearm?seed=x")):
         open_instrument("simulated://forearm?seed=x")
-    with pytest.raises(InstrumentError, match="cannot open /dev/nothing-here"):
+    with pytest.raises(InstrumentError, check=coded("link.not_opened", port="/dev/nothing-here")):
         open_instrument("/dev/nothing-here")
-    with pytest.raises(InstrumentError, match=r"cannot open socket://127.0.0.1:1"):
+    with pytest.raises(InstrumentError, check=coded("link.not_opened", port="socket://127.0.0.1:1")):
         open_instrument("socket://127.0.0.1:1")
 
 
@@ -176,7 +184,7 @@ def test_discovery_asks_each_port_and_says_why_one_does_not_answer(tmp_path, mon
 
     def opener(url):
         if url == "silent://":
-            raise InstrumentError("nobody home")
+            raise InstrumentError("no answer")
         return SimulatedInstrument()
 
     found = find_instruments(opener=opener)
@@ -185,7 +193,7 @@ def test_discovery_asks_each_port_and_says_why_one_does_not_answer(tmp_path, mon
     assert answers["silent://"] is False
     assert "dead://" not in answers
     assert answers["simulated://forearm"] is True
-    assert next(item for item in found if item.url == "silent://").detail == "nobody home"
+    assert next(item for item in found if item.url == "silent://").detail == "no answer"
     assert find_instruments(probe=False, opener=opener)[0].answers is None
     names = {item.url: item.name for item in found}
     assert names["good://"] == "desktop indenter (in-process simulation), TWIN-0"
@@ -223,38 +231,74 @@ def test_a_note_counts_only_while_the_process_that_left_it_lives(tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    ("url", "words"),
+    ("url", "code"),
     [
-        ("simulated:///any/path", "neither a tissue nor a twin"),
-        ("simulated:///etc/passwd", "neither a tissue nor a twin"),
-        ("simulated://forearm/more", "neither a tissue nor a twin"),
-        ("simulated://forearm#more", "neither a tissue nor a twin"),
-        ("simulated://nobody", "no simulated tissue"),
-        ("simulated://forearm?speed=3", "there is only seed"),
-        ("simulated://[", "is no address"),
-        ("simulated://forearm?seed=\u00b2", "must be a whole number"),
-        ("simulated://forearm?seed=", "must be a whole number"),
-        ("simulated://forearm?seed=-1", "must be a whole number"),
-        ("simulated://forearm?seed=" + "1" * 5000, "must be a whole number"),
-        ("simulated:///nothing/here.toml", "nothing/here.toml"),
-        ("simulated:///no%00thing.toml", "toml"),
-        ("simulated://\x1b[31mforearm", "is no address"),
+        ("simulated:///any/path", "simulation.path"),
+        ("simulated:///etc/passwd", "simulation.path"),
+        ("simulated://forearm/more", "simulation.path"),
+        ("simulated://forearm#more", "simulation.path"),
+        ("simulated://unknown", "simulation.unknown_tissue"),
+        ("simulated://forearm?speed=3", "simulation.parameter"),
+        ("simulated://[", "simulation.address"),
+        ("simulated://forearm?seed=\u00b2", "simulation.seed"),
+        ("simulated://forearm?seed=", "simulation.seed"),
+        ("simulated://forearm?seed=-1", "simulation.seed"),
+        ("simulated://forearm?seed=" + "1" * 5000, "simulation.seed"),
+        ("simulated:///nothing/here.toml", "twin.unreadable"),
+        ("simulated:///no%00thing.toml", "twin.unreadable"),
+        ("simulated://\x1b[31mforearm", "simulation.address"),
     ],
 )
-def test_an_address_of_no_simulation_is_refused_in_one_short_line(url, words):
-    with pytest.raises(UnusableInputError, match=words) as caught:
+def test_an_address_of_no_simulation_is_refused_in_one_short_line(url, code):
+    with pytest.raises(UnusableInputError, check=coded(code)) as caught:
         open_instrument(url)
-    assert len(str(caught.value)) < 300
-    assert "\n" not in str(caught.value)
+    assert len(caught.value.message) < 300
+    assert "\n" not in caught.value.message
 
 
 @pytest.mark.parametrize("scheme", ["spy", "SPY", "loop", "alt", "hwgrep", "file", "http"])
-def test_kinds_of_address_that_are_not_known_are_refused(tmp_path, scheme):
+def test_unsupported_schemes_of_an_address_are_refused(tmp_path, scheme):
     file = tmp_path / "written"
-    with pytest.raises(InstrumentError, match="no kind of address that is known"):
+    with pytest.raises(InstrumentError, check=holding("link.scheme")):
         open_instrument(f"{scheme}:///dev/null?file={file}")
     assert not file.exists()
 
 
-def test_a_found_place_has_no_more_to_say_of_itself_than_is_known():
-    assert instruments.Found("a", "b", None).detail == ""
+def test_the_detail_of_a_found_instrument_is_empty_by_default():
+    assert instruments.FoundInstrument("a", "b", None).detail == ""
+
+
+def test_the_simulation_is_held_to_real_time():
+    now = [100.0]
+    waits = []
+
+    def wait(seconds):
+        waits.append(seconds)
+        now[0] += seconds
+
+    paced = SimulatedInstrument()
+    paced.play_in_real_time(wait, clock=lambda: now[0])
+    paced.load(np.zeros(4000))
+    paced.arm(PROFILES["clinical"])
+    paced.start()
+    for _ in range(100):
+        paced.poll(0.05)
+    assert now[0] == pytest.approx(101.0)
+    assert max(waits) == pytest.approx(0.01)
+    now[0] += 5.0  # a slow moment is not made up for by waiting
+    waits.clear()
+    paced.poll(0.05)
+    assert waits == [0.0]
+
+
+def test_work_before_a_run_does_not_change_what_a_simulation_in_real_time_plays():
+    def once(work_s):
+        instrument = SimulatedInstrument("forearm", seed=1)
+        instrument.play_in_real_time(lambda _: None)
+        run_while_polling(instrument, lambda: threading.Event().wait(work_s))
+        instrument.load(np.full(200, 10.0))
+        instrument.arm(CLINICAL)
+        instrument.start()
+        return np.concatenate([instrument.poll(0.0) for _ in range(10)])["position"]
+
+    assert np.array_equal(once(0.0), once(0.1))

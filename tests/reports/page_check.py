@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from html.parser import HTMLParser
 
-from tissueid.language import spoken
+from tissueid.language import current_language
 
 VOID = {"meta", "link", "br", "hr", "img", "input"}
 EMPTY_SVG = {"path", "use", "rect", "circle", "line", "image", "polygon", "polyline"}
@@ -72,13 +72,15 @@ def checked(source: str) -> Page:
             assert target.startswith(("#", "data:image/png;base64,")), (tag, target)
     assert "@import" not in source
     assert not re.search(r"url\((?!#)", source)
-    assert page.named("html")[0].get("lang") == spoken()
+    assert page.named("html")[0].get("lang") == current_language()
     for svg in page.named("svg"):
         assert svg.get("role") == "img"
         assert svg.get("aria-label")
     for header in page.named("th"):
         assert header.get("scope") in ("row", "col")
-    wrong = {"nan", "inf", "undefined", "traceback"} | ({"null"} if spoken() == "en" else set())  # a German word
+    wrong = {"nan", "inf", "undefined", "traceback"} | (
+        {"null"} if current_language() == "en" else set()
+    )  # a German word
     assert not wrong & set(re.findall(r"\w+", page.text.lower()))
     assert not re.findall(r">\s*None\s*<|\bNone(?=[,;)])", source)
     return page

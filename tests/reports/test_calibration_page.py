@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from coded import coded
+from golden.golden_page import check_golden_page, lines_of_html
+from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
 from tissueid.calibration import Calibration, Quantity
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import display_unit
 from tissueid.reports.calibration import sweep_report
+from tissueid.reports.calibration_panels import NO_RESPONSES
 
 PLACES = 1e-3 * np.arange(2, 31, 4)
 GRID = np.linspace(2e-3, 30e-3, 57)
@@ -83,7 +88,7 @@ def made(repeats: int = 0, verdict: str = "passed", **without: bool) -> Calibrat
 
 def test_the_page_is_whole_and_says_what_was_found():
     page = checked(sweep_report(made()).html())
-    assert "Linear from 2.0 to 25.1 mm. The calibration passed: good for use" in page.text
+    assert "Linear from 2.0 to 25.1 mm. Calibration passed" in page.text
     assert "they agree & <well>" in page.text
     assert "<desktop> indenter, D-7" in page.text
     for heading in ("The coil by position", "Force constant along the stroke", "Bode diagrams by position"):
@@ -96,6 +101,13 @@ def test_the_thesis_stands_beside_what_was_found():
     for cell in ("95 to 98", "60 to 80", "3 to 4", "1000 to 1200", "100 to 7000"):
         assert cell in page.text
     assert "1000 to 1004" in page.text  # within the linear region
+
+
+def test_newton_per_ampere_is_not_written_as_not_available():
+    text = checked(sweep_report(made(repeats=3)).html()).text
+    assert "N per A" in text
+    assert "N/A" not in text
+    assert display_unit("N/A") == ("N per A", 1.0)
 
 
 def test_repeats_get_a_table_and_a_figure():
@@ -125,22 +137,34 @@ def test_a_coil_the_wrong_way_round_gets_a_page_as_well():
 
 def test_without_responses_the_other_figures_are_there():
     page = checked(sweep_report(made(response=True)).html())
-    assert "the calibration holds no responses" in page.text
+    assert str(NO_RESPONSES) in page.text
     assert len(page.named("svg")) == 2
 
 
 @pytest.mark.parametrize("lacking", ["sweep", "force_constant", "linear_region_min_m"])
 def test_what_is_no_sweep_is_refused(lacking):
-    with pytest.raises(UnusableInputError, match="repeat the sweep"):
+    with pytest.raises(UnusableInputError, check=coded("report.sweep_incomplete")):
         sweep_report(made(**{lacking: True}))
 
 
 def test_another_kind_is_refused():
-    with pytest.raises(UnusableInputError, match="a static calibration, not a sweep"):
+    with pytest.raises(UnusableInputError, check=coded("report.not_a_sweep", kind="static")):
         sweep_report(made().model_copy(update={"kind": "static"}))
+
+
+def test_the_page_of_a_sweep_says_nothing_in_english(undrawn):
+    sweep = made(repeats=3, verdict="failed").model_copy(update={"problems": ()})
+    texts = in_german(lambda: shown(sweep_report(sweep).html()))
+    drawn = in_german(lambda: [text for panel in sweep_report(sweep).panels for text in texts_of(panel.picture())])
+    assert english_in(texts + drawn, (sweep.model, sweep.software, sweep.conditions["note_1"])) == []
 
 
 def test_all_of_it_goes_on_one_sheet(tmp_path):
     path = tmp_path / "sweep.png"
     sweep_report(made(repeats=3)).write(path)
     assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_report_of_a_sweep_reads_as_its_golden_page(undrawn):
+    """Renew the page by ``python tests/golden/renew.py``."""
+    check_golden_page("report-calibration", lines_of_html(sweep_report(made(repeats=3)).html()))

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import coded, says
+from golden.golden_page import check_golden_page, lines_of_html
 from matplotlib.figure import Figure
+from reports.in_german import english_in, in_german, shown
 from reports.page_check import checked
 from reports.synthetic_sitting import RATE_HZ, make_session, make_test
 from scipy import signal
@@ -14,7 +17,8 @@ from tissueid.analysis import EngineComparison, compare, known_ceiling, specific
 from tissueid.errors import UnusableInputError
 from tissueid.reports import ComparisonReport, blocks, comparison_report
 from tissueid.reports.blocks import absent
-from tissueid.reports.comparison_figures import scores_figure, sweep_figure
+from tissueid.reports.comparison import NO_DEPTH_ENGINE
+from tissueid.reports.comparison_figures import FEW_IMPULSE_RESPONSES, NO_MEMORY_SWEEP, scores_figure, sweep_figure
 from tissueid.sessions import Session
 from tissueid.stimuli import guided
 from tissueid.stimuli.kinds.multisine import Multisine
@@ -75,13 +79,12 @@ def test_page_has_recommendation_table_and_every_engine(report: ComparisonReport
         assert any(section.heading == name for section in report.sections), name
     for heading in (
         "Side by side",
-        "What was recorded",
+        "Recorded signals",
         "Impulse response by depth",
         "Kernels by depth",
-        "What repeats allow",
+        "limit set by repeats",
     ):
         assert heading.lower() in text.lower(), heading
-    assert "No model can do better than" in text
     assert page.named("nav")
     assert "memory-sweep" in text
     drawn = [one for section in report.sections for one in section.pictures if one.figure is not None]
@@ -114,34 +117,44 @@ def test_figures_are_written_as_svg_and_png(report: ComparisonReport, tmp_path: 
 def test_one_engine_says_what_takes_two(session: Session) -> None:
     overview = comparison_report(session, made(session, "spectral")).sections[0]
     missing = {one.key: one.missing for one in overview.pictures}
-    assert "fewer than two engines" in missing["impulse-responses"]
-    assert "no engine that sees depth" in missing["depth"]
-    assert "--memory-sweep" in missing["memory"]
+    assert says(missing["impulse-responses"], "report.left_out", reason=FEW_IMPULSE_RESPONSES)
+    assert says(missing["depth"], "report.left_out", reason=NO_DEPTH_ENGINE)
+    assert says(missing["memory"], "report.left_out", reason=NO_MEMORY_SWEEP)
 
 
 def test_memory_sweep_is_drawn(session: Session) -> None:
     found = made(session, "lms", sweep=True)
     figure = sweep_figure(found.memory_sweep)
     assert [axes.get_ylabel() for axes in figure.axes] == ["VAF, fitted (%)", "VAF, held out (%)", "AICc (thousands)"]
-    with pytest.raises(UnusableInputError, match="memory-sweep"):
+    with pytest.raises(UnusableInputError, check=coded("report.no_memory_sweep")):
         sweep_figure(())
 
 
 def test_scores_hold_the_line_of_repeats(report: ComparisonReport) -> None:
     figure = scores_figure(report.found)
     _, labels = figure.axes[0].get_legend_handles_labels()
-    assert "what repeats allow" in labels
-    assert "held out, told the depth" in labels
+    assert "limit set by repeats" in labels
+    assert "held out, scheduled" in labels
     _, without = scores_figure(replace(report.found, ceiling=None)).axes[0].get_legend_handles_labels()
-    assert "what repeats allow" not in without
+    assert "limit set by repeats" not in without
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_refused_engines_are_told(session: Session) -> None:
+def test_refused_engines_are_listed_with_the_reason(session: Session) -> None:
     found = made(session, "lms", "localized")
     page = checked(comparison_report(session, found).html())
-    assert "refused: the input holds no steps" in page.text
+    (reason,) = (entry.refused for entry in found.entries if entry.refused is not None)
+    assert f"refused: {reason}" in page.text
     assert "Refused: Localized" in page.text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_page_of_a_comparison_says_nothing_in_english(session: Session, report: ComparisonReport) -> None:
+    test = session.test(1)
+    device = session.instrument
+    data = (test.site, session.subject.pseudonym, device.model, device.serial_number, session.software)
+    texts = in_german(lambda: shown(comparison_report(session, report.found).html()))
+    assert english_in(texts, data) == []
 
 
 def test_absent_picture_is_one_line() -> None:
@@ -177,8 +190,8 @@ def test_distortion_is_drawn_where_the_stimulus_was_an_odd_multisine():
 
 
 @pytest.mark.usefixtures("distortion_alone_drawn")
-@pytest.mark.parametrize(("lines", "told"), [("odd_random", "<svg"), ("full", "the multisine drove every line")])
-def test_distortion_goes_by_the_lines_that_the_stimulus_names(lines: str, told: str):
+@pytest.mark.parametrize(("lines", "drawn"), [("odd_random", True), ("full", False)])
+def test_distortion_uses_the_lines_of_the_stimulus(lines: str, drawn: bool):
     spec = Multisine(lines=lines, period_s=0.5, periods=6, phases="random", draws=1, sample_rate=RATE_HZ)
     played = guided(spec.build())
     test = make_test(1, seconds=played.seconds)
@@ -195,4 +208,9 @@ def test_distortion_goes_by_the_lines_that_the_stimulus_names(lines: str, told: 
     )
     page = comparison_report(sitting, made(sitting, "lms")).html()
     section = page[page.index("Distortion by a multisine") :]
-    assert told in section[: section.index("</figure>")]
+    assert ("<svg" in section[: section.index("</figure>")]) is drawn
+
+
+def test_the_report_of_a_comparison_reads_as_its_golden_page(source: str) -> None:
+    """Renew the page by ``python tests/golden/renew.py``."""
+    check_golden_page("report-comparison", lines_of_html(source))

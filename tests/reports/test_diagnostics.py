@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from tissueid.reports.diagnostics import autocorrelation, cross_correlation, power_edge, power_spectrum, runs, thin
+from tissueid.analysis.curves.plot import thin
+from tissueid.reports.diagnostics import autocorrelation, cross_correlation, power_edge, power_spectrum, runs
 
 REPEATS, N, LAGS = 300, 1500, 60
 

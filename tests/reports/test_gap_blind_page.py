@@ -1,13 +1,16 @@
 """The page of a sealed check, on a score made by hand."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from coded import shows
+from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
 from tissueid.gap.blind_check import BlindCheck
-from tissueid.gap.sealed import Measured, Rate, Score
-from tissueid.reports.gap_blind import blind_html, write_blind_report
+from tissueid.gap.blind_scoring import Measured, Rate, Score
+from tissueid.reports.gap_blind import blind_html, headline_of, write_blind_report
 from tissueid.reports.gap_blind_panels import blind_panels, confusion_names
 
 SCORE = Score(
@@ -28,7 +31,7 @@ def check(**scores: Score) -> BlindCheck:
 def test_the_page_tells_the_score_the_controls_and_every_failure():
     page = checked(blind_html(check(single=SCORE)))
     for words in (
-        "1 of 2 figures that are asked for were reached",
+        "1 of 2 targets were reached",
         "not reached: gap missed",
         "13 of 14",
         "69 to 99 %",
@@ -59,9 +62,18 @@ def test_the_pictures():
 
 def test_a_kind_without_cases_says_so():
     page = checked(blind_html(check(single=SCORE, full=NOTHING)))
-    assert page.text.count("no single effect whose gap survives the refit") == 2
-    assert "every scenario was answered rightly" in page.text
-    assert "No case could be judged" in checked(blind_html(check(full=NOTHING))).text
+    assert shows(page.text, "report.no_single_effect")
+    assert "every scenario was diagnosed correctly" in page.text
+    assert headline_of(check(full=NOTHING)) == ("No case could be judged", "check")
+
+
+def test_the_page_says_nothing_in_english(undrawn):
+    named = ("pairs: F1 of the named set", "always dry_friction", "false alarms without effect")
+    rates = (*SCORE.rates[:2], replace(SCORE.rates[2], what=named[2]))
+    score = replace(SCORE, failures=(), rates=rates)
+    texts = in_german(lambda: shown(blind_html(check(single=score, full=NOTHING))))
+    drawn = in_german(lambda: [text for panel in blind_panels("single", score) for text in texts_of(panel.picture())])
+    assert english_in(texts + drawn, ("Single Full",)) == []
 
 
 def test_the_page_is_written_whole_or_not_at_all(tmp_path: Path):

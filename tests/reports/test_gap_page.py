@@ -7,17 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coded import shows
+from golden.golden_page import check_golden_page, lines_of_html
 from reports.in_german import SAME, in_both, in_each_language, shown
 from reports.page_check import checked
 
-from firmware_sim.drawing import NOMINAL, draw_scenario
 from firmware_sim.effects import LISTED
+from firmware_sim.laboratory.drawing import NOMINAL, draw_scenario
 from tissueid.device import DeviceDescription
 from tissueid.gap.diagnosis import Diagnosis, NextExperiment, diagnose
-from tissueid.gap.observing import observe
-from tissueid.gap.workers import Alone
+from tissueid.gap.preparation import prepare
+from tissueid.gap.workers import SerialExecutor
 from tissueid.reports.gap import Origin, gap_html, headline_of, next_steps_of, write_gap_report
-from tissueid.reports.gap_panels import gap_panels, unseen_stretch
+from tissueid.reports.gap_panels import gap_panels, largest_held_out_error
 from tissueid.sessions import Session, Subject, Test
 
 EFFECT = "quadratic_drag"
@@ -33,7 +35,7 @@ def diagnosis() -> Diagnosis:
     }
     test = Test(1, "stochastic", signals, 2000.0, preload_s=0.5, surface_position_m=recording.surface_m)
     device = DeviceDescription(**{**NOMINAL, "serial_number": "<b>A&B</b>"})
-    return diagnose(observe(Session(device, tests=(test,))), Alone(), candidates=[EFFECT])
+    return diagnose(prepare(Session(device, tests=(test,))), SerialExecutor(), candidates=[EFFECT])
 
 
 def as_effect() -> Diagnosis:
@@ -52,8 +54,8 @@ def test_the_page_tells_where_which_how_far_and_what_next():
         "Which cause",
         "How far it closes",
         "What to do next",
-        "Play a test of the kind “spring”",
-        "This data cannot tell it from",
+        "Run a test of the kind “spring”",
+        "This data cannot separate the cause from",
         "Gap before",
         "Noise alone",
     ):
@@ -80,9 +82,9 @@ def test_current_size_and_phase_of_the_mains_are_told_where_they_matter():
     )
     found = replace(found, where=replace(found.where, regions=regions))
     text = checked(gap_html(found)).text
-    assert "at currents of 0.2 to 0.6 A" in text
-    assert "at an amplitude (of the stimulus over the last 0.1 s) of 1.5 to 2.5 N" in text
-    assert "of the mains (50 Hz) of 0 to 90 degrees" in text
+    assert shows(text, "gap.at_currents", spans="0.2 to 0.6 A")
+    assert shows(text, "gap.at_amplitudes", spans="1.5 to 2.5 N")
+    assert shows(text, "gap.at_mains_phases", hertz="50", spans="0 to 90 degrees")
     assert "mains" in {panel.key for panel in gap_panels(found)}
 
 
@@ -90,10 +92,10 @@ def test_no_gap_and_unexplained_are_said_so():
     found = diagnosis()
     page = checked(gap_html(replace(found, verdict="no_gap", combination=(), best=None, ranking=())))
     assert "No gap" in page.text
-    assert "Nothing needs to be done" in page.text
+    assert shows(page.text, "gap.nothing_to_do")
     page = checked(gap_html(replace(found, verdict="unexplained", combination=(), next_experiment=None)))
-    assert "no known effect explains" in page.text
-    assert "none of the known effects fits it" in page.text
+    assert shows(page.text, "gap.unexplained")
+    assert shows(page.text, "gap.look_at_stage")
 
 
 def test_remarks_and_names_from_files_are_text():
@@ -116,7 +118,7 @@ def test_the_page_is_written_whole_or_not_at_all(tmp_path):
 def test_the_page_says_what_was_diagnosed_and_what_to_type():
     found = as_effect()
     tests = tuple(Test(number, "stochastic", {}, 2000.0, site=f"site {number}") for number in (1, 2))
-    session = Session(found.observed.instrument, Subject("P-007"), tests, created="2026-03-01T10:00:00")
+    session = Session(found.dataset.instrument, Subject("P-007"), tests, created="2026-03-01T10:00:00")
     origin = Origin(session, Path("some where/third.h5"))
     text = checked(gap_html(found, origin=origin)).text
     for words in ("third.h5", "1 March 2026, 10:00", "P-007", "site 1", "1 stochastic"):
@@ -164,7 +166,7 @@ def test_a_column_that_is_empty_in_every_row_is_left_out():
 
 def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
     found = as_effect()
-    test, first, last = unseen_stretch(found, "position")
+    test, first, last = largest_held_out_error(found, "position")
     shifted = test.signals["position"].copy()
     rest = next(
         start
@@ -173,7 +175,7 @@ def test_the_overlay_shows_a_stretch_in_which_the_signal_moves():
     )
     shifted[rest : rest + 500] = shifted[rest] + 0.05
     resting = replace(test, signals=test.signals | {"position": shifted})
-    chosen = unseen_stretch(replace(found, observed=replace(found.observed, tests=(resting,))), "position")
+    chosen = largest_held_out_error(replace(found, dataset=replace(found.dataset, tests=(resting,))), "position")
     assert chosen[1:] != (rest, rest + 500)
     assert np.std(shifted[chosen[1] : chosen[2]]) > 1e-4
 
@@ -182,3 +184,9 @@ def test_the_page_of_a_diagnosis_says_nothing_in_english():
     said = in_each_language(lambda: shown(gap_html(as_effect())))
     same = {"desktop indenter, <b>A&B</b>", "Tests", "Signal", "Position (µm/√Hz)", "linear", "Parameter", "Exponent"}
     assert in_both(said, SAME | same) == set()
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_report_of_a_diagnosis_reads_as_its_golden_page():
+    """Renew the page by ``python tests/golden/renew.py``."""
+    check_golden_page("report-gap", lines_of_html(gap_html(as_effect())))

@@ -8,23 +8,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from coded import coded
+from golden.golden_page import check_golden_page, lines_of_html
 from matplotlib.figure import Figure
+from reports.in_german import english_in, in_german, shown, texts_of
 from reports.page_check import checked
 
 from tissueid.analysis.design import Design
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.messages import code_of
 from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_panels import feedback_panels
-from tissueid.reports.feedback_run import feedback_run, reported_run
-from tissueid.reports.panel_sheet import Panel, sheet
+from tissueid.reports.feedback_run import feedback_run, run_from_report
+from tissueid.reports.panel_sheet import Panel, draw_sheet
 from tissueid.reports.stimulus_panels import stimulus_panels
-from tissueid.reports.stimulus_report import feedback_report, stimulus_report
+from tissueid.reports.stimulus_report import feedback_report, option_rows, stimulus_report
 from tissueid.sessions import Test
-from tissueid.stimuli import get_stimulus, guided
-from tissueid.stimuli.appraisal import appraise
+from tissueid.stimuli import get_stimulus, guided, stimulus_names
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.stimuli.stimulus_check import appraise
 
 RATE = 2000.0
 
@@ -101,7 +105,7 @@ def test_an_interchange_shows_how_it_converged():
 def test_a_search_that_swapped_nothing_says_so():
     made = design("interchange", seconds=0.5, spectrum="band", lags=50, tolerance=1.0)
     panel = {one.key: one for one in stimulus_panels(made)}["swaps"]
-    assert "no swap was needed" in panel.picture().missing
+    assert code_of(panel.picture().missing.values["reason"]) == "report.no_swaps"
 
 
 def test_lines_of_a_multisine_are_sorted_by_what_they_are_for():
@@ -135,12 +139,42 @@ def test_every_form_of_file(tmp_path: Path, form: str, begins: bytes):
 
 def test_the_page_is_whole_and_says_what_to_know():
     page = checked(stimulus_report(design("noise", distribution="binary", force_max_n=11.0)).html())
-    for words in ("It can be played: read this first", "steepest edge", "Crest factor", "Distribution of amplitudes"):
+    for words in ("read the cautions first", "Crest factor", "Distribution of amplitudes"):
         assert words in page.text
 
 
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("noise", {"distribution": "binary", "force_max_n": 11.0, "preload": True}),
+        ("interchange", {"seconds": 0.5, "spectrum": "band", "lags": 100, "tolerance": 1e-5}),
+        ("multisine", {"period_s": 0.5, "periods": 2, "notches": [[40.0, 60.0]]}),
+        ("designed", {"seconds": 2.0, "preload": True}),
+    ],
+)
+def test_the_report_of_a_stimulus_says_nothing_in_english(undrawn: None, kind: str, options: dict[str, Any]):
+    made = design(kind, **options)
+    texts = in_german(lambda: shown(stimulus_report(made).html()))
+    drawn = in_german(lambda: [text for panel in stimulus_panels(made) for text in texts_of(panel.picture())])
+    assert english_in(texts + drawn, (made.device.model, made.device.serial_number, kind)) == []
+
+
+def test_the_report_of_a_feedback_stimulus_says_nothing_in_english(undrawn: None):
+    kind: Any = get_stimulus("rtig").from_options({})
+    runs = [swept(), swept(REPORT | {"identification": None})]
+    texts = in_german(lambda: shown(feedback_report(kind, runs, ()).html()))
+    drawn = in_german(lambda: [text for panel in feedback_panels(runs) for text in texts_of(panel.picture())])
+    assert english_in(texts + drawn, ("spring",)) == []
+
+
+@pytest.mark.parametrize("kind", stimulus_names())
+def test_options_of_every_stimulus_have_german_labels(kind: str):
+    rows = in_german(lambda: option_rows(dict.fromkeys(get_stimulus(kind).model_fields, 1.0)))
+    assert english_in([label for label, _value in rows]) == []
+
+
 def test_another_name_is_refused(tmp_path: Path):
-    with pytest.raises(UnusableInputError, match=r"a plot ends in \.html, \.pdf, \.png, \.svg, and plot\.jpg does not"):
+    with pytest.raises(UnusableInputError, check=coded("report.unknown_form", name="plot.jpg")):
         stimulus_report(design("noise")).write(tmp_path / "plot.jpg")
 
 
@@ -152,9 +186,9 @@ def test_a_sheet_leaves_out_what_cannot_be_drawn():
         figure.subplots().plot([1.0, 2.0])
 
     panels = [Panel(str(k), "", "", "", draw, wide=False) for k, draw in enumerate((something, nothing, something))]
-    assert len(_axes(sheet("Both", panels))) == 2
-    with pytest.raises(UnusableInputError, match="nothing to draw"):
-        sheet("None", panels[1:2])
+    assert len(_axes(draw_sheet("Both", panels))) == 2
+    with pytest.raises(UnusableInputError, check=coded("report.nothing_to_draw")):
+        draw_sheet("None", panels[1:2])
 
 
 def _axes(figure: Figure) -> list[Any]:
@@ -179,7 +213,7 @@ def swept(report: dict[str, Any] | None = None) -> FeedbackRun:
     """A spring under a triangular force: depth even over 0 to 4 mm."""
     force = 4.0 * np.abs(2.0 * ((np.arange(4000) / 500.0) % 1.0) - 1.0)
     force += 0.05 * np.random.default_rng(1).standard_normal(4000)
-    return reported_run(report or REPORT, force, 1e-3 * np.convolve(force, [0.5, 0.3, 0.2])[:4000], RATE, "spring")
+    return run_from_report(report or REPORT, force, 1e-3 * np.convolve(force, [0.5, 0.3, 0.2])[:4000], RATE, "spring")
 
 
 def test_distance_is_the_largest_gap_between_the_shares():
@@ -204,10 +238,11 @@ def test_runs_are_drawn_side_by_side():
 
 def test_a_run_that_identified_nothing_says_so():
     run = swept(REPORT | {"identification": None})
-    assert "did not identify" in list(feedback_panels([run]))[-1].picture().missing
+    missing: Any = list(feedback_panels([run]))[-1].picture().missing
+    assert code_of(missing.values["reason"]) == "report.no_loop_parameters"
     kind: Any = get_stimulus("rtig").from_options({})
     page = checked(feedback_report(kind, [run], (("Length", "2 s"),)).html())
-    assert "did not identify" in page.text
+    assert str(missing) in page.text
 
 
 def test_a_designed_stimulus_tells_how_well_the_tissue_will_be_known():
@@ -227,7 +262,7 @@ def test_a_test_is_a_run_by_its_note():
     run = feedback_run(noted, "x")
     assert run.force.size == 400
     np.testing.assert_allclose(run.depth, 0.002)
-    with pytest.raises(UnusableInputError, match="test 1 holds no report"):
+    with pytest.raises(UnusableInputError, check=coded("report.no_feedback", number=1)):
         feedback_run(test, "x")
 
 
@@ -243,5 +278,11 @@ def test_a_test_is_a_run_by_its_note():
     ],
 )
 def test_a_spoilt_report_is_refused(spoilt: dict[str, Any]):
-    with pytest.raises(UnusableInputError, match="did not report on a distribution of depth"):
+    with pytest.raises(UnusableInputError, check=coded("report.no_distribution")):
         swept(REPORT | spoilt)
+
+
+def test_the_report_of_a_stimulus_reads_as_its_golden_page(undrawn: None):
+    """Renew the page by ``python tests/golden/renew.py``."""
+    made = design("noise", distribution="binary", force_max_n=11.0)
+    check_golden_page("report-stimulus", lines_of_html(stimulus_report(made).html()))

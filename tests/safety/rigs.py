@@ -26,9 +26,14 @@ def rig(bench: Bench | None = None, *, watchdog_s: float = WATCHDOG_S) -> Serial
 
 def without_host(monkeypatch: pytest.MonkeyPatch) -> None:
     """A host that checks nothing, neither before sending nor on what arrives."""
-    for name in ("driver.check_stimulus", "driver.check_command", "driver.check_limits", "judge.Judge.take"):
+    for name in (
+        "driver.check_stimulus",
+        "driver.check_command",
+        "driver.check_limits",
+        "sample_monitor.SampleMonitor.check",
+    ):
         monkeypatch.setattr(f"tissueid.instrument.{name}", lambda *_: None)
-    monkeypatch.setattr("tissueid.instrument.judge.Judge.arm", lambda *_: None)
+    monkeypatch.setattr("tissueid.instrument.sample_monitor.SampleMonitor.arm", lambda *_: None)
 
 
 def without_firmware(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,5 +80,5 @@ def last_energised(samples: np.ndarray) -> int:
 
 
 def true_winding_c(instrument: SerialInstrument) -> float:
-    """What the winding really has, whatever the sensor beside it says."""
+    """Return the true temperature of the winding, whatever its sensor reads."""
     return float(instrument._link.firmware.bench.plant.state[TEMPERATURE])

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
-COLUMNS = ["no.", "hazard", "cause", "firmware", "host", "what is left", "tests"]
+COLUMNS = ["no.", "hazard", "cause", "firmware", "host", "remaining risk", "tests"]
 
 
 def hazard_rows(page):

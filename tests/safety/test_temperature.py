@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coded import coded, holding, says
 from safety.rigs import RATE, WIDE, rig, true_winding_c, volts, without_firmware, without_host
 from support import LoopbackLink
 
@@ -15,12 +16,12 @@ from firmware_sim.identity import Identity
 from firmware_sim.presets import preset_names
 from firmware_sim.thermal import WindingModel
 from tissueid import wire
-from tissueid.acquisition.choice import NoiseChoice
+from tissueid.acquisition.stimulus_choice import NoiseChoice
 from tissueid.device import DESKTOP, HANDHELD, DeviceDescription
 from tissueid.errors import FirmwareFaultError, InstrumentError, LimitError
 from tissueid.instrument import Limits, SerialInstrument
-from tissueid.instrument.judge import Judge
-from tissueid.instrument.thermal import Winding
+from tissueid.instrument.sample_monitor import SampleMonitor
+from tissueid.instrument.thermal import WindingTemperature
 from tissueid.wire import Fault
 
 ROOM = np.full(200, 23.0)
@@ -33,10 +34,10 @@ DEVICES = {"desktop": DESKTOP, "handheld": HANDHELD}
 
 
 def warmth(kind, amperes, seconds, start_c=23.0, device="desktop"):
-    """The temperature after so many seconds of a steady current, the sensor dead."""
+    """Return the temperature after a time of steady current, with a dead sensor."""
     block = np.full(200, float(amperes))
     sensor = np.full(200, start_c)
-    model = WindingModel(COILS[device][0], RATE) if kind == "firmware" else Winding(DEVICES[device])
+    model = WindingModel(COILS[device][0], RATE) if kind == "firmware" else WindingTemperature(DEVICES[device])
     for _ in range(round(seconds * RATE / 200)):
         model.advance(block, sensor) if kind == "firmware" else model.take(block, sensor, 0.0)
     return model.temperature_c
@@ -96,7 +97,10 @@ def test_either_side_alone_keeps_either_device_below_its_limit_though_the_sensor
     with pytest.raises((LimitError, FirmwareFaultError)) as caught:
         while (samples := instrument.poll(0.05))["index"][-1] < run.end_index:
             assert samples["temperature"] == pytest.approx(23.0, abs=0.05)
-    assert ("too hot" if side == "firmware" else "by its current; the limit is 80 °C") in str(caught.value)
+    if side == "firmware":
+        assert caught.value.faults == Fault.OVER_TEMPERATURE
+    else:
+        assert says(caught.value.message, "limit.winding_temperature", limit=80.0)
     assert not firmware.energised
     assert 60.0 < true_winding_c(instrument) < 79.0
 
@@ -113,7 +117,7 @@ def test_the_calculation_lets_ordinary_tests_pass(device, preset):
     force_n = ORDINARY.values * min(1.0, model.max_force_n / ORDINARY.values.max())
     codes = bench.block(force_n * model.plant.resistance_ohm / model.plant.force_constant_n_per_a, energised=True).codes
     current_a, rest = np.array_split(CHANNELS[2].decode(codes[:, 2]), 45), np.zeros(2000)
-    firmware, host = WindingModel(model.plant.resistance_ohm, RATE), Winding(DEVICES[device])
+    firmware, host = WindingModel(model.plant.resistance_ohm, RATE), WindingTemperature(DEVICES[device])
     hottest = 0.0
     for _ in range({"desktop": 5, "handheld": 2}[device]):
         for block in (*current_a, *[rest] * 30):
@@ -125,7 +129,7 @@ def test_the_calculation_lets_ordinary_tests_pass(device, preset):
 
 @each_side
 def test_it_cools_as_slowly_as_the_coil_or_slower(side):
-    model = WindingModel(12.0, RATE) if side == "firmware" else Winding(DeviceDescription())
+    model = WindingModel(12.0, RATE) if side == "firmware" else WindingTemperature(DeviceDescription())
     step = model.advance if side == "firmware" else lambda current, sensor: model.take(current, sensor, 0.0)
     step(np.zeros(200), np.full(200, 80.0))
     hot = model.temperature_c
@@ -136,7 +140,7 @@ def test_it_cools_as_slowly_as_the_coil_or_slower(side):
 
 @each_side
 def test_a_warm_sensor_is_believed_and_a_cool_one_is_not(side):
-    model = WindingModel(12.0, RATE) if side == "firmware" else Winding(DeviceDescription())
+    model = WindingModel(12.0, RATE) if side == "firmware" else WindingTemperature(DeviceDescription())
     step = model.advance if side == "firmware" else lambda current, sensor: model.take(current, sensor, 0.0)
     step(np.zeros(200), np.full(200, 50.0))
     assert model.temperature_c >= 49.9
@@ -170,10 +174,14 @@ def test_the_firmware_forgets_no_heat_when_it_is_stopped_or_its_faults_are_clear
     assert firmware._guard.winding.temperature_c > sensor_c
 
 
+def by_temperature(error):
+    return error.code == "limit.winding_temperature" or error.faults == Fault.OVER_TEMPERATURE
+
+
 def test_the_host_forgets_no_heat_from_test_to_test():
     instrument = rig()
     instrument._link.firmware.bench.stuck.add("temperature")
-    with pytest.raises((LimitError, FirmwareFaultError), match=r"°C by its current|too hot"):
+    with pytest.raises((LimitError, FirmwareFaultError), check=by_temperature):
         for _ in range(10):
             instrument.load(volts(40.0, 1.5))
             instrument.arm(WIDE)
@@ -184,20 +192,20 @@ def test_the_host_forgets_no_heat_from_test_to_test():
 
 
 def test_samples_that_were_lost_count_with_the_worst_that_was_asked_for():
-    judge = Judge(DeviceDescription())
-    winding = Winding(DeviceDescription())
+    judge = SampleMonitor(DeviceDescription())
+    winding = WindingTemperature(DeviceDescription())
     winding.take(np.zeros(20), np.full(20, 23.0), 4.0)
     winding.take(np.full(4000, np.nan), np.full(4000, np.nan), 4.0)
     assert winding.temperature_c == pytest.approx(23.0 + 192.0 * 2.0 * 1.06 / 16.5, abs=1.0)
     judge.arm(ROOM, WIDE)
-    judge.ask(np.array([3.0, -24.0]))
-    judge.ask(np.array([12.0]))
-    assert judge._worst_a == 2.0
+    judge.expect_command(np.array([3.0, -24.0]))
+    judge.expect_command(np.array([12.0]))
+    assert judge._highest_a == 2.0
 
 
 def test_a_coil_that_is_hot_already_is_not_armed():
-    judge = Judge(DeviceDescription())
-    with pytest.raises(LimitError, match="the coil is at 81 °C; the limit is 80 °C: let it cool"):
+    judge = SampleMonitor(DeviceDescription())
+    with pytest.raises(LimitError, check=coded("limit.temperature", temperature=81.0, limit=80.0)):
         judge.arm(np.full(20, 81.0), Limits())
 
 
@@ -219,19 +227,20 @@ def reporting(instrument, code):
     instrument._link.to_host = tamper
 
 
-@pytest.mark.parametrize(("code", "words"), [(-32768, r"\(-25 °C\)"), (32767, r"\(225 °C\)"), (15_000, r"\(157 °C\)")])
-def test_the_host_does_not_arm_with_a_temperature_sensor_that_cannot_be_right(code, words):
+@pytest.mark.parametrize(("code", "reading"), [(-32768, -25.0), (32767, 225.0), (15_000, 157.0)])
+def test_the_host_does_not_arm_with_a_temperature_sensor_that_cannot_be_right(code, reading):
     instrument = rig()
     instrument.load(volts(4.0, 0.3))
     reporting(instrument, code)
     instrument.poll(0.05)
-    with pytest.raises(InstrumentError, match=f"gives no usable reading {words}: check its plug and cable"):
+    temperature = pytest.approx(reading, abs=0.5)
+    with pytest.raises(InstrumentError, check=coded("sensor.wrong_temperature", temperature=temperature)):
         instrument.arm(WIDE)
 
 
 def test_the_host_does_not_arm_without_any_temperature():
-    with pytest.raises(InstrumentError, match="gives no usable reading: check its plug"):
-        Judge(DeviceDescription()).arm(np.full(20, np.nan), WIDE)
+    with pytest.raises(InstrumentError, check=coded("sensor.no_temperature")):
+        SampleMonitor(DeviceDescription()).arm(np.full(20, np.nan), WIDE)
 
 
 def test_the_host_releases_when_the_temperature_sensor_falls_off():
@@ -241,16 +250,16 @@ def test_the_host_releases_when_the_temperature_sensor_falls_off():
     instrument.start()
     instrument.poll(0.3)
     reporting(instrument, -32768)
-    with pytest.raises(InstrumentError, match="temperature sensor gives no usable reading"):
+    with pytest.raises(InstrumentError, check=coded("sensor.no_temperature")):
         for _ in range(10):
             instrument.poll(0.05)
     assert not instrument._link.firmware.energised
     assert instrument._link.firmware.faults == Fault.NONE
 
 
-def test_a_handshake_whose_scales_are_no_numbers_is_refused():
+def test_a_handshake_with_nan_scales_is_refused():
     firmware = Firmware(Bench(seed=1))
     firmware._channels["temperature"] = replace(firmware._channels["temperature"], offset=float("nan"))
     link = LoopbackLink(firmware)
-    with pytest.raises(InstrumentError, match="the offset of temperature is nan"):
+    with pytest.raises(InstrumentError, check=holding("handshake.offset", name="temperature")):
         SerialInstrument(link, clock=link.clock)

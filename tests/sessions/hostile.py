@@ -53,7 +53,7 @@ def endless_heap(path: Path, *, unseen: bool = False) -> None:
 
 
 def zeros_packed(count: int) -> bytes:
-    """So many bytes of zeros, compressed."""
+    """Return ``size`` bytes of zeros, compressed."""
     packer, block = zlib.compressobj(9), bytes(1 << 20)
     return b"".join([packer.compress(block) for _ in range(count >> 20)] + [packer.flush()])
 

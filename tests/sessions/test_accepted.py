@@ -4,10 +4,11 @@ import json
 import os
 
 import pytest
+from coded import coded
 
 from tissueid.errors import UnusableInputError
 from tissueid.sessions import Test
-from tissueid.sessions.accepted import (
+from tissueid.sessions.accepted_result import (
     LARGEST_BYTES,
     AcceptedResult,
     AcceptedTest,
@@ -88,15 +89,15 @@ def test_what_is_no_result_is_refused(tmp_path, content):
     path = result_path(tmp_path, KEY)
     whole = json.loads(result().model_dump_json())
     path.write_bytes(content if isinstance(content, bytes) else json.dumps(whole | content).encode())
-    with pytest.raises(UnusableInputError, match="sitting-"):
+    with pytest.raises(UnusableInputError, check=lambda error: "sitting-" in error.message.values["path"]):
         read_result(path)
 
 
 def test_what_is_no_file_and_the_result_of_another_sitting_are_refused(tmp_path):
     result_path(tmp_path, KEY).write_text(result(sitting=OTHER).model_dump_json(), encoding="utf-8")
-    with pytest.raises(UnusableInputError, match="another sitting"):
+    with pytest.raises(UnusableInputError, check=coded("result.other_sitting")):
         result_of(tmp_path, of_sitting(KEY))
     pipe = result_path(tmp_path, OTHER)
     os.mkfifo(pipe)  # opening it would wait for ever
-    with pytest.raises(UnusableInputError, match="not a file"):
+    with pytest.raises(UnusableInputError, check=coded("result.not_a_file")):
         read_result(pipe)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.io
+from coded import coded, says
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -104,10 +105,10 @@ def test_units_are_in_the_names(tmp_path):
     variables = scipy.io.loadmat(tmp_path / "m" / "test-0001.mat")
     np.testing.assert_array_equal(variables["force_N"][:, 0], test.signals["force"])
     assert {"time_s", "position_m", "acceleration_x_m_per_s2"} <= variables.keys()
-    beside = json.loads((tmp_path / "c" / "test-0001.json").read_text())
-    assert beside["test"]["site"] == "Arm, links"
-    assert beside["columns"]["force"] == {"column": "force (N)", "unit": "N"}
-    assert beside["instrument"]["serial_number"] == "T-1"
+    attributes_file = json.loads((tmp_path / "c" / "test-0001.json").read_text())
+    assert attributes_file["test"]["site"] == "Arm, links"
+    assert attributes_file["columns"]["force"] == {"column": "force (N)", "unit": "N"}
+    assert attributes_file["instrument"]["serial_number"] == "T-1"
 
 
 def test_an_export_reads_with_a_map_too(tmp_path):
@@ -142,50 +143,63 @@ def test_tests_of_two_sessions_get_new_numbers(tmp_path):
     files = [tmp_path / "a" / "test-0001.csv", tmp_path / "b" / "test-0001.csv"]
     session, notices = assembled([import_test(Source.parsed(str(f)), None, Choices()) for f in files], {}, None)
     assert [(test.number, test.repeat_of) for test in session.tests] == [(1, None), (2, None)]
-    assert notices == ["which test repeats which is not kept: the numbers are new"]
+    (notice,) = notices
+    assert says(notice, "import.renumbered")
     other = json.loads((tmp_path / "b" / "test-0001.json").read_text())
     other["subject"]["pseudonym"] = "P-8"
     (tmp_path / "b" / "test-0001.json").write_text(json.dumps(other))
-    with pytest.raises(UnusableInputError, match="more than one subject"):
+    with pytest.raises(UnusableInputError, check=coded("import.subjects")):
         assembled([import_test(Source.parsed(str(f)), None, Choices()) for f in files], {}, None)
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "code", "values"),
     [
-        (lambda told: told["test"].update(sample_rate_hz=-1), "broken at test.sample_rate_hz"),
-        (lambda told: told["test"].update(sample_rate_hz=1000.0), "keep 2000 Hz where it says 1000 Hz"),
-        (lambda told: told["test"].pop("kind"), "broken at test.kind"),
-        (lambda told: told["test"].update(seed=2**80), "broken at test.seed"),
-        (lambda told: told["test"].update(site="a\0b"), "broken at test.site"),
-        (lambda told: told["test"]["notes"].update({"a\0b": 1.0}), "broken at test.notes"),
-        (lambda told: told["columns"].update({"a/b": told["columns"]["force"]}), "broken at columns"),
-        (lambda told: told["columns"]["force"].update(column="elsewhere"), "no column 'elsewhere'"),
-        (lambda told: told["columns"]["force"].update(unit="mN"), "exports are in SI"),
-        (lambda told: told.update(columns={}), "fewer than two signals"),
-        (lambda told: told.update(format="other"), "say what its columns are"),
-        (lambda told: told.update(format_version="9.0"), "broken at format_version"),
+        (
+            lambda stored: stored["test"].update(sample_rate_hz=-1),
+            "import.attributes_invalid",
+            {"field": "test.sample_rate_hz"},
+        ),
+        (lambda stored: stored["test"].update(sample_rate_hz=1000.0), "import.rate_differs", {"stated": 1000.0}),
+        (lambda stored: stored["test"].pop("kind"), "import.attributes_invalid", {"field": "test.kind"}),
+        (lambda stored: stored["test"].update(seed=2**80), "import.attributes_invalid", {"field": "test.seed"}),
+        (lambda stored: stored["test"].update(site="a\0b"), "import.attributes_invalid", {"field": "test.site"}),
+        (lambda stored: stored["test"]["notes"].update({"a\0b": 1.0}), "import.attributes_invalid", {}),
+        (lambda stored: stored["columns"].update({"a/b": stored["columns"]["force"]}), "import.attributes_invalid", {}),
+        (
+            lambda stored: stored["columns"]["force"].update(column="elsewhere"),
+            "import.no_column",
+            {"column": "elsewhere"},
+        ),
+        (
+            lambda stored: stored["columns"]["force"].update(unit="mN"),
+            "import.not_si",
+            {"signal": "force", "unit": "mN"},
+        ),
+        (lambda stored: stored.update(columns={}), "import.few_signals", {}),
+        (lambda stored: stored.update(format="other"), "import.no_map", {}),
+        (lambda stored: stored.update(format_version="9.0"), "import.attributes_invalid", {"field": "format_version"}),
     ],
 )
-def test_attributes_from_others_are_checked(tmp_path, change, words):
+def test_invalid_attributes_are_refused(tmp_path, change, code, values):
     export_session(a_session(a_test()), tmp_path / "out", "csv")
-    beside = tmp_path / "out" / "test-0001.json"
-    told = json.loads(beside.read_text())
-    change(told)
-    beside.write_text(json.dumps(told))
-    with pytest.raises(UnusableInputError, match=words):
+    attributes_file = tmp_path / "out" / "test-0001.json"
+    stored = json.loads(attributes_file.read_text())
+    change(stored)
+    attributes_file.write_text(json.dumps(stored))
+    with pytest.raises(UnusableInputError, check=coded(code, **values)):
         import_test(Source.parsed(str(tmp_path / "out" / "test-0001.csv")), None, Choices())
 
 
 @pytest.mark.parametrize("ohm", [["twelve"], 10**400])
-def test_an_instrument_that_is_none(tmp_path, ohm):
+def test_an_invalid_instrument_is_refused(tmp_path, ohm):
     export_session(a_session(a_test()), tmp_path / "out", "csv")
-    beside = tmp_path / "out" / "test-0001.json"
-    told = json.loads(beside.read_text())
-    told["instrument"]["coil_resistance_ohm"] = ohm
-    beside.write_text(json.dumps(told))
+    attributes_file = tmp_path / "out" / "test-0001.json"
+    stored = json.loads(attributes_file.read_text())
+    stored["instrument"]["coil_resistance_ohm"] = ohm
+    attributes_file.write_text(json.dumps(stored))
     found = import_test(Source.parsed(str(tmp_path / "out" / "test-0001.csv")), None, Choices())
-    with pytest.raises(UnusableInputError, match="coil_resistance_ohm"):
+    with pytest.raises(UnusableInputError, check=coded("import.instrument_value", name="coil_resistance_ohm")):
         assembled([found], {}, None)
 
 
@@ -208,28 +222,28 @@ def test_nothing_is_written_over(tmp_path):
     session = a_session(a_test())
     (tmp_path / "empty").mkdir()
     export_session(session, tmp_path / "empty", "csv")
-    with pytest.raises(UnusableInputError, match="new folder, or an empty one"):
+    with pytest.raises(UnusableInputError, check=coded("export.folder_exists")):
         export_session(session, tmp_path / "empty", "csv")
     (tmp_path / "file").write_text("x")
-    with pytest.raises(UnusableInputError, match="new folder, or an empty one"):
+    with pytest.raises(UnusableInputError, check=coded("export.folder_exists")):
         export_session(session, tmp_path / "file", "csv")
-    with pytest.raises(UnusableInputError, match="there is no folder"):
+    with pytest.raises(UnusableInputError, check=coded("file.no_folder")):
         export_session(session, tmp_path / "no" / "where", "csv")
-    with pytest.raises(UnusableInputError, match="there is no format 'xls'; there are csv, mat, parquet"):
+    with pytest.raises(UnusableInputError, check=coded("export.format", kind="xls", formats="csv, mat, parquet")):
         export_session(session, tmp_path / "x", "xls")
-    with pytest.raises(UnusableInputError, match="holds no tests"):
+    with pytest.raises(UnusableInputError, check=coded("session.empty")):
         export_session(a_session(), tmp_path / "x", "csv")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(UnusableInputError, match="new folder"):
+    with pytest.raises(UnusableInputError, check=coded("export.folder_exists")):
         export_session(session, tmp_path / "link", "csv")
 
 
 def test_parquet_names_its_extra_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(UnusableInputError, match=r"'tissueid\[parquet\]'") as told:
+    with pytest.raises(UnusableInputError, check=coded("export.no_pyarrow")) as raised:
         export_session(a_session(a_test()), tmp_path / "out", "parquet")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
     assert list(tmp_path.iterdir()) == []
 
 

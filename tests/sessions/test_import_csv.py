@@ -2,14 +2,15 @@
 
 import contextlib
 import csv
-import re
 
 import numpy as np
 import pytest
+from coded import coded, holding, says
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import code_of
 from tissueid.sessions.imports import Choices, Source, import_test, parse_map
 
 FORCE = [0.5, 1.25, -3.0, 2.5]
@@ -77,9 +78,9 @@ def test_without_a_header_columns_have_numbers(tmp_path):
     path = written(tmp_path, table(head=""))
     found = imported(path, "force=2:N", "position=3:mm", "time=1:s")
     np.testing.assert_array_equal(found.test.signals["position"], np.array(POSITION) / 1000)
-    with pytest.raises(UnusableInputError, match=r"no column 4; columns are numbered from 1 and there are 3"):
+    with pytest.raises(UnusableInputError, check=coded("import.no_column_number", number=4, count=3)):
         imported(path, "force=2:N", "position=4:m", rate_hz=100.0)
-    with pytest.raises(UnusableInputError, match="numbered from 1"):
+    with pytest.raises(UnusableInputError, check=coded("import.no_column_number")):
         imported(path, "force=0:N", "position=3:m", rate_hz=100.0)
 
 
@@ -136,7 +137,7 @@ def test_a_column_of_text_that_is_not_asked_for(tmp_path):
     path = written(tmp_path, "when,force,position\n2026-01-01 10:00:00,1.5,2\n2026-01-01 10:00:01,2.5,3\n")
     found = imported(path, *MAP, rate_hz=10.0)
     np.testing.assert_array_equal(found.test.signals["force"], [1.5, 2.5])
-    with pytest.raises(UnusableInputError, match="line 2, column 1: '2026-01-01 10:00:00' is not a number"):
+    with pytest.raises(UnusableInputError, check=coded("import.not_a_number", line=2, column=1)):
         imported(path, "force=when:N", "position=position:m", rate_hz=10.0)
 
 
@@ -150,9 +151,18 @@ def test_rows_are_selected_as_slices_have_them(tmp_path, rows, expected):
     assert list(found.rows) == expected
 
 
-@pytest.mark.parametrize("rows", ["@0:5", "@4:", "@2:2", "@3:1", "@-5:"])
-def test_rows_that_are_not_there(tmp_path, rows):
-    with pytest.raises(UnusableInputError, match="rows"):
+@pytest.mark.parametrize(
+    ("rows", "code"),
+    [
+        ("@0:5", "import.row_beyond"),
+        ("@4:", "import.no_rows"),
+        ("@2:2", "import.no_rows"),
+        ("@3:1", "import.no_rows"),
+        ("@-5:", "import.row_beyond"),
+    ],
+)
+def test_rows_that_are_not_there(tmp_path, rows, code):
+    with pytest.raises(UnusableInputError, check=holding(code)):
         imported(written(tmp_path, table()), *MAP, rows=rows)
 
 
@@ -163,43 +173,43 @@ def test_a_file_may_be_named_like_a_selection(tmp_path):
 
 def test_a_footer_is_left_out_by_rows(tmp_path):
     path = written(tmp_path, table() + "end of test\n")
-    with pytest.raises(UnusableInputError, match="line 6 has 1 cells where others have 3; leave rows out"):
+    with pytest.raises(UnusableInputError, check=coded("import.cells", line=6, cells=1, others=3)):
         imported(path, *MAP)
     assert imported(path, *MAP, rows="@:4").test.samples == 4
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("content", "code", "values"),
     [
-        (b"", "is empty"),
-        (bytes(range(256)) * 40, "is not text"),
-        (b"PK\x03\x04 sheet", "save the sheet as CSV"),
-        (b"hello\nworld\n", "no rows of two or more columns"),
-        (b"1\n2\n3\n", "no rows of two or more columns"),
-        (b"force,position\n", "no rows of two or more columns"),
-        (b"force,position\n1,2\n3\n", "line 3 has 1 cells where others have 2"),
-        (b"force,position\n1,2\n3,4,5\n", "line 3 has 3 cells"),
-        (b"force,position\n1,2\n3,four\n", "line 3, column 2: 'four' is not a number"),
-        (b"force,position\n1,2\n3,4_000\n", "'4_000' is not a number"),
-        (b"force,position\n1,2\n3,0x10\n", "'0x10' is not a number"),
-        (b"force,position\n,2\n,4\n", "force: not one of 2 samples is a number"),
-        (b"force,force,position\n1,2,3\n", "name of columns 1, 2"),
-        (b"load,position\n1,2\n", "no column 'force'; there are: 1 'load', 2 'position'"),
-        (b"\xff\xfe\x00", "no rows of two or more columns"),
+        (b"", "file.empty", {}),
+        (bytes(range(256)) * 40, "import.not_text", {}),
+        (b"PK\x03\x04 sheet", "import.spreadsheet", {}),
+        (b"hello\nworld\n", "import.no_columns", {}),
+        (b"1\n2\n3\n", "import.no_columns", {}),
+        (b"force,position\n", "import.no_columns", {}),
+        (b"force,position\n1,2\n3\n", "import.cells", {"line": 3, "cells": 1, "others": 2}),
+        (b"force,position\n1,2\n3,4,5\n", "import.cells", {"line": 3, "cells": 3}),
+        (b"force,position\n1,2\n3,four\n", "import.not_a_number", {"line": 3, "column": 2, "found": "'four'"}),
+        (b"force,position\n1,2\n3,4_000\n", "import.not_a_number", {"found": "'4_000'"}),
+        (b"force,position\n1,2\n3,0x10\n", "import.not_a_number", {"found": "'0x10'"}),
+        (b"force,position\n,2\n,4\n", "import.no_numbers", {"role": "force", "samples": 2}),
+        (b"force,force,position\n1,2,3\n", "import.column_ambiguous", {"numbers": "1, 2"}),
+        (b"load,position\n1,2\n", "import.no_column", {"columns": "1 'load', 2 'position'"}),
+        (b"\xff\xfe\x00", "import.no_columns", {}),
     ],
 )
-def test_rubbish_is_one_line(tmp_path, content, words):
+def test_an_unusable_file_is_refused_in_one_line(tmp_path, content, code, values):
     path = written(tmp_path, content)
-    with pytest.raises(UnusableInputError, match=words) as told:
+    with pytest.raises(UnusableInputError, check=coded(code, path=str(path), **values)) as raised:
         imported(path, *MAP, rate_hz=100.0)
-    assert str(told.value).startswith(str(path))
-    assert "\n" not in str(told.value)
+    assert str(raised.value).startswith(str(path))
+    assert "\n" not in str(raised.value)
 
 
-def test_what_can_carry_programs_is_not_read(tmp_path):
-    with pytest.raises(UnusableInputError, match="can carry programs"):
+def test_formats_that_can_contain_programs_are_not_read(tmp_path):
+    with pytest.raises(UnusableInputError, check=coded("import.program")):
         imported(written(tmp_path, b"\x80\x04K\x01.", name="a.pkl"), *MAP)
-    with pytest.raises(UnusableInputError, match="is not text"):
+    with pytest.raises(UnusableInputError, check=coded("import.not_text")):
         imported(written(tmp_path, b"\x80\x04\x00K\x01.", name="a.csv"), *MAP)
 
 
@@ -212,9 +222,6 @@ def test_what_can_carry_programs_is_not_read(tmp_path):
         (["force=1:N"], "at least two signals"),
         (["force=1:N", "time=2:s"], "at least two signals"),
         (["force=1:N", "force=2:N"], "says twice"),
-        (["force=1:mm", "position=2:m"], "force is measured in N, not in mm; its units are N, mN"),
-        (["force=1:furlong", "position=2:m"], "'furlong' is not a unit"),
-        (["force=1:MN", "position=2:m"], "'MN' is not a unit"),
     ],
 )
 def test_mappings_that_cannot_be(options, words):
@@ -222,36 +229,63 @@ def test_mappings_that_cannot_be(options, words):
         parse_map(options)
 
 
+def test_units_that_cannot_be():
+    with pytest.raises(UnusableInputError, check=coded("import.wrong_unit", role="force", expected="N", unit="mm")):
+        parse_map(["force=1:mm", "position=2:m"])
+    for unit in ("furlong", "MN"):
+        with pytest.raises(UnusableInputError, check=coded("import.unknown_unit", unit=unit)):
+            parse_map([f"force=1:{unit}", "position=2:m"])
+
+
 def test_one_column_for_two_signals(tmp_path):
-    with pytest.raises(UnusableInputError, match="named for two signals"):
+    with pytest.raises(UnusableInputError, check=coded("import.column_twice", column="force")):
         imported(written(tmp_path, table()), "force=2:N", "command=force:V")
 
 
 @pytest.mark.parametrize(
-    ("options", "scale", "words"),
+    ("options", "scale", "values"),
     [
-        (["force=force:N", "position=position:mm"], (1000, 1), "force goes from -3000 to 2500 N, .* would fit mN"),
-        (["force=force:mN", "position=position:mm"], (1, 1), "force goes from .* in mN. It would fit N"),
-        (["force=force:N", "position=position:m"], (1, 1), "position goes from 0.1 to 9.1 m, .* would fit cm, mm"),
-        (["force=force:N", "position=position:um"], (1, 1), "position goes from 1e-07 to 9.1e-06 m"),
-        (["current=force:A", "position=position:mm"], (100, 1), "current .* mA"),
+        (
+            ["force=force:N", "position=position:mm"],
+            (1000, 1),
+            {"role": "force", "low": -3000.0, "high": 2500.0, "others": "mN, gf"},
+        ),
+        (["force=force:mN", "position=position:mm"], (1, 1), {"role": "force", "unit": "mN", "others": "N, gf, kgf"}),
+        (
+            ["force=force:N", "position=position:m"],
+            (1, 1),
+            {"role": "position", "low": 0.1, "others": "cm, mm"},
+        ),
+        (
+            ["force=force:N", "position=position:um"],
+            (1, 1),
+            {"role": "position"},
+        ),
+        (["current=force:A", "position=position:mm"], (100, 1), {"role": "current", "others": "mA"}),
     ],
 )
-def test_sizes_that_cannot_be_are_doubted(tmp_path, options, scale, words):
+def test_implausible_sizes_are_reported(tmp_path, options, scale, values):
     rows = [f"{0.001 * k},{scale[0] * f},{x}" for k, (f, x) in enumerate([(-3, 0.1), (2.5, 9.1), (1, 3)])]
     found = imported(written(tmp_path, "time,force,position\n" + "\n".join(rows)), *options)
-    assert any(re.search(words, notice) for notice in found.notices), found.notices
+    notice = next(
+        notice
+        for notice in found.notices
+        if code_of(notice) == "import.implausible" and notice.values["role"] == values["role"]
+    )
+    assert says(notice, "import.implausible", **values)
 
 
 def test_honest_sizes_are_not_doubted(tmp_path):
     found = imported(written(tmp_path, "time,force,position\n0,1,1\n0.01,9,4\n0.02,3,2\n"), *MAP[:1], "position=3:mm")
-    assert found.notices == ("time is 'time', in s",)
+    (notice,) = found.notices
+    assert says(notice, "import.time_found", column="time", unit="s")
 
 
 def test_a_unit_that_contradicts_the_header_is_told(tmp_path):
     path = written(tmp_path, "t_s,force_mN,position_mm\n0,1,1\n0.01,9,4\n")
     found = imported(path, "force=force:N", "position=position:mm")
-    assert "force: the file says mN, and was read in N as --map asks" in found.notices
+    notice = next(notice for notice in found.notices if code_of(notice) == "import.other_unit")
+    assert says(notice, "import.other_unit", role="force", stated="mN", used="N")
 
 
 def test_provenance_without_the_name_of_the_file(tmp_path):

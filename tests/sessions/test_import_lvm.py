@@ -4,10 +4,12 @@ import contextlib
 
 import numpy as np
 import pytest
+from coded import coded, says
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import code_of
 from tissueid.sessions.imports import Choices, Source, import_test, parse_map
 
 VOLTS = [0.1, -0.2, 0.3, 0.4]
@@ -104,7 +106,8 @@ def test_a_gap_between_segments_is_left_empty(tmp_path):
     rows = [*file_header(), *segment_header(), *body(), ("", ""), *segment_header(0.006), *body(0.006)]
     found = imported(tmp_path, text(rows))
     np.testing.assert_array_equal(found.test.signals["force"], [*NEWTONS, np.nan, np.nan, *NEWTONS])
-    assert any("2 samples are missing" in notice for notice in found.notices)
+    notice = next(notice for notice in found.notices if code_of(notice) == "import.samples_missing")
+    assert says(notice, "import.samples_missing", missing=2)
 
 
 def test_segments_that_start_anew_are_chosen_by_rows(tmp_path):
@@ -112,7 +115,7 @@ def test_segments_that_start_anew_are_chosen_by_rows(tmp_path):
         head = file_header(x_columns=x_columns)
         rows = [*head, *segment_header(), *body(x_columns=x_columns), ("", ""), *segment_header()]
         content = text([*rows, *body(x_columns=x_columns)])
-        with pytest.raises(UnusableInputError, match=r"runs backwards at row 4.*2 segments, from rows 0, 4 on"):
+        with pytest.raises(UnusableInputError, check=coded("import.segments", count=2, rows="0, 4")):
             imported(tmp_path, content)
         assert imported(tmp_path, content, rows="@4:8").test.samples == 4
 
@@ -131,35 +134,36 @@ def test_comments_and_special_blocks_are_no_numbers(tmp_path):
 
 def test_a_file_that_was_cut_off_is_told(tmp_path):
     found = imported(tmp_path, text([*file_header(), *segment_header(samples=10), *body()]))
-    assert any("announces 10 rows from row 0 on, and 4 are there" in notice for notice in found.notices)
+    notice = next(notice for notice in found.notices if code_of(notice) == "import.lvm_rows")
+    assert says(notice, "import.lvm_rows", announced=10.0, row=0, rows=4)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "code", "values"),
     [
-        ("LabVIEW Measurement", "Something else", "not an LVM file"),
-        (END, "***", "cut off, or no LVM file"),
-        ("Channels\t2", "Channels\tmany", "'many' channels"),
-        ("Channels\t2", "Channels\t99999999999999999999", "channels"),
-        ("Channels\t2", "Channels\t000000002" + 5000 * "0", "channels"),
-        ("-0.2\t2.5", "-0.2\tx", "line 25, column 3: 'x' is not a number"),
-        ("-0.2\t2.5", "-0.2", "column 3 is missing"),
-        ("Delta_X\t0.001", "Delta_X\tfast", "'fast': not a number"),
-        ("X_Columns\tOne", "X_Columns\tSeven", "not No, One or Multi"),
-        ("Decimal_Separator\t.", "Decimal_Separator\t;", "neither a point nor a comma"),
+        ("LabVIEW Measurement", "Something else", "import.lvm_not_one", {}),
+        (END, "***", "import.lvm_truncated", {}),
+        ("Channels\t2", "Channels\tmany", "import.lvm_channel_count", {"found": "'many'"}),
+        ("Channels\t2", "Channels\t99999999999999999999", "import.lvm_channel_count", {}),
+        ("Channels\t2", "Channels\t000000002" + 5000 * "0", "import.lvm_channel_count", {}),
+        ("-0.2\t2.5", "-0.2\tx", "import.lvm_not_a_number", {"line": 25, "column": 3, "found": "'x'"}),
+        ("-0.2\t2.5", "-0.2", "import.lvm_cells", {"column": 3}),
+        ("Delta_X\t0.001", "Delta_X\tfast", "import.lvm_value", {"key": "Delta_X", "value": "'fast'"}),
+        ("X_Columns\tOne", "X_Columns\tSeven", "import.lvm_x_columns", {}),
+        ("Decimal_Separator\t.", "Decimal_Separator\t;", "import.lvm_decimal", {}),
     ],
 )
-def test_broken_files_are_one_line(tmp_path, old, new, words):
+def test_broken_files_are_refused_in_one_line(tmp_path, old, new, code, values):
     content = text([*file_header(), *segment_header(), *body()])
     assert old in content
-    with pytest.raises(UnusableInputError, match=words) as told:
+    with pytest.raises(UnusableInputError, check=coded(code, **values)) as raised:
         imported(tmp_path, content.replace(old, new))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_no_times_and_no_step(tmp_path):
     content = text([*file_header(x_columns="No"), *segment_header(), *body(x_columns="No")]).replace("Delta_X", "Delta")
-    with pytest.raises(UnusableInputError, match="neither times"):
+    with pytest.raises(UnusableInputError, check=coded("import.lvm_no_time")):
         imported(tmp_path, content)
 
 

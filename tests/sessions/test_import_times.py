@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from coded import coded, says
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import code_of
 from tissueid.sessions.imports import Choices, Source, import_test, parse_map
-from tissueid.sessions.imports.clock import clock_of
+from tissueid.sessions.imports.sample_clock import clock_of
 
 MAP = ["force=force:N", "position=position:m"]
 
@@ -36,7 +38,7 @@ def test_a_steady_clock_has_its_rate(rate, start):
 def test_rounded_times_are_a_steady_clock():
     clock = clock_of(np.round(np.arange(4000) / 600.0, 4))
     assert clock.rate_hz == pytest.approx(600.0, rel=1e-4)
-    assert "of a sample off a steady clock" in clock.notices[0]
+    assert says(clock.notices[0], "import.jitter")
 
 
 def test_missing_rows_are_left_empty_and_told(tmp_path):
@@ -44,7 +46,9 @@ def test_missing_rows_are_left_empty_and_told(tmp_path):
     found = imported(written(tmp_path, times))
     assert found.test.samples == 20
     assert np.flatnonzero(np.isnan(found.test.signals["force"])).tolist() == [5, 6, 12]
-    assert any("3 samples are missing by the times (after row 4 and in 1 other places)" in n for n in found.notices)
+    notice = next(notice for notice in found.notices if code_of(notice) == "import.samples_missing")
+    assert says(notice, "import.samples_missing", missing=3)
+    assert says(notice.values["where"], "import.after_rows", row=4, others=1)
 
 
 @settings(max_examples=60, deadline=None)
@@ -58,19 +62,23 @@ def test_any_few_missing_rows_are_found(data, rate, n):
 
 
 @pytest.mark.parametrize(
-    ("times", "words"),
+    ("times", "code", "values"),
     [
-        ([0.0, 0.01, 0.024, 0.03, 0.04], "irregular, with steps from 0.006 to 0.014 s: --resample"),
-        ([0.0, 0.01, 0.01, 0.02], "time stands still at row 2"),
-        ([0.0, 0.01, 0.02, 0.0, 0.01], "time runs backwards at row 3"),
-        ([0.0, 0.01, float("nan"), 0.03], "time of row 2 is missing"),
-        ([0.0, 0.01, 0.02, 500.0], "leave 49997 of 50001 samples out"),
-        ([0.0, 0.01, 0.02, 1e12], "more samples than a test can have"),
-        (np.cumsum(np.linspace(0.01, 0.0105, 2000)), "irregular"),
+        (
+            [0.0, 0.01, 0.024, 0.03, 0.04],
+            "import.irregular",
+            {"most": pytest.approx(0.014)},
+        ),
+        ([0.0, 0.01, 0.01, 0.02], "import.time_stands_still", {"row": 2}),
+        ([0.0, 0.01, 0.02, 0.0, 0.01], "import.time_runs_backwards", {"row": 3}),
+        ([0.0, 0.01, float("nan"), 0.03], "import.time_missing", {"row": 2}),
+        ([0.0, 0.01, 0.02, 500.0], "import.missing", {"missing": 49997, "samples": 50001}),
+        ([0.0, 0.01, 0.02, 1e12], "import.gaps", {}),
+        (np.cumsum(np.linspace(0.01, 0.0105, 2000)), "import.irregular", {}),
     ],
 )
-def test_no_clock(tmp_path, times, words):
-    with pytest.raises(UnusableInputError, match=words):
+def test_no_clock(tmp_path, times, code, values):
+    with pytest.raises(UnusableInputError, check=coded(code, **values)):
         imported(written(tmp_path, times))
 
 
@@ -85,8 +93,7 @@ def test_irregular_times_are_resampled_when_asked(tmp_path):
     force = found.test.signals["force"]
     np.testing.assert_allclose(force[np.isfinite(force)], 2 * grid[np.isfinite(force)], atol=1e-12)
     assert np.isnan(force[(grid > 0.52) & (grid < 0.68)]).all()
-    assert any("resampled to 100 Hz by straight lines" in notice for notice in found.notices)
-    assert any("left empty" in notice for notice in found.notices)
+    assert {"import.resampled", "import.gaps_empty"} <= {code_of(notice) for notice in found.notices}
 
 
 def test_resampling_makes_nothing_of_what_is_missing(tmp_path):
@@ -99,7 +106,7 @@ def test_resampling_makes_nothing_of_what_is_missing(tmp_path):
 def test_times_without_end_are_not_resampled(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,a,b\n0,1,2\n1e300,2,1\n1.2e308,1,2\n")
-    with pytest.raises(UnusableInputError, match="make a test"):
+    with pytest.raises(UnusableInputError, check=coded("import.resampled_size")):
         imported(path, "time=time:s", "input=a:V", "output=b:V", resample_hz=1e9)
 
 
@@ -110,20 +117,21 @@ def test_units_of_time(tmp_path):
 
 def test_milliseconds_given_as_seconds_are_doubted(tmp_path):
     found = imported(written(tmp_path, [0, 2, 4, 6]))
-    assert any("the rate is 0.5 Hz, which is implausible" in notice for notice in found.notices)
+    notice = next(notice for notice in found.notices if code_of(notice) == "import.rate_implausible")
+    assert says(notice, "import.rate_implausible", rate=0.5)
 
 
 def test_rate_in_place_of_times(tmp_path):
     path = written(tmp_path, [0.0, 0.01, 0.024, 0.03, 0.04])
     assert imported(path, rate_hz=100.0).test.samples == 5
-    with pytest.raises(UnusableInputError, match="leave out one"):
+    with pytest.raises(UnusableInputError, check=coded("import.rate_and_time")):
         imported(path, *MAP, "time=time:s", rate_hz=100.0)
 
 
 def test_without_times_or_rate(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("force,position\n1,2\n3,4\n")
-    with pytest.raises(UnusableInputError, match="no column that is plainly time: --map time=COLUMN:UNIT, or --rate"):
+    with pytest.raises(UnusableInputError, check=coded("import.no_time")):
         imported(path)
     with pytest.raises(UnusableInputError, match="--resample needs times"):
         imported(path, rate_hz=10.0, resample_hz=5.0)

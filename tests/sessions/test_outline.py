@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from coded import coded
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
@@ -36,21 +37,21 @@ def test_an_outline_has_all_but_the_signals(path):
 
 def test_one_test_is_read_alone(path):
     assert read_test(path, 3).samples == 1000
-    with pytest.raises(SessionFormatError, match="no test 2"):
+    with pytest.raises(SessionFormatError, check=coded("session.no_test_number", number=2)):
         read_test(path, 2)
 
 
 def test_an_outline_is_as_suspicious_as_reading(path, tmp_path):
-    with pytest.raises(SessionFormatError, match="no such file"):
+    with pytest.raises(SessionFormatError, check=coded("file.missing")):
         read_outline(tmp_path / "none.h5")
     with h5py.File(path, "r+") as file:
         del file["tests/0001/signals/force"]
         file["tests/0001/signals/force"] = np.zeros(7)
-    with pytest.raises(SessionFormatError, match="not of one length"):
+    with pytest.raises(SessionFormatError, check=coded("session.lengths")):
         read_outline(path)
     with h5py.File(path, "w") as file:
         file.attrs["x"] = 1
-    with pytest.raises(SessionFormatError, match="not a TissueID session"):
+    with pytest.raises(SessionFormatError, check=coded("session.not_one")):
         read_outline(path)
 
 
@@ -60,5 +61,5 @@ def test_an_outline_refuses_what_is_too_large_to_be_read(path):
         for name in list(signals):
             del signals[name]
             signals.create_dataset(name, shape=(9_000_000,), chunks=(100_000,), dtype="f8")
-    with pytest.raises(SessionFormatError, match="27003000 numbers; at most 5000000"):
+    with pytest.raises(SessionFormatError, check=coded("session.too_many_numbers", numbers=27_003_000, most=5_000_000)):
         read_outline(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from coded import coded
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
@@ -78,21 +79,21 @@ def test_quantiles_are_joined_by_straight_lines():
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "refusal"),
     [
-        (lambda: Quantiles((1.0,)), "at least 2 values, not 1"),
-        (lambda: Quantiles(()), "at least 2 values, not 0"),
-        (lambda: Quantiles((1.0, 3.0, 2.0)), "must not fall"),
-        (lambda: Quantiles((1.0, 1.0)), "all values of the quantiles are 1"),
-        (lambda: Quantiles((1.0, 2.0), (0.0, 0.5, 1.0)), "2 values, 3 probabilities"),
-        (lambda: Quantiles((1.0, 2.0), (0.0, 0.9)), "begin at 0 and end at 1"),
-        (lambda: Quantiles((1.0, 2.0, 3.0, 4.0), (0.0, 0.7, 0.3, 1.0)), "must rise"),
-        (lambda: Uniform().levels(1), "at least 2 samples, not 1"),
-        (lambda: Gaussian().levels(0), "at least 2 samples, not 0"),
+        (lambda: Quantiles((1.0,)), coded("quantiles.few", values=1)),
+        (lambda: Quantiles(()), coded("quantiles.few", values=0)),
+        (lambda: Quantiles((1.0, 3.0, 2.0)), coded("quantiles.fall")),
+        (lambda: Quantiles((1.0, 1.0)), coded("quantiles.equal", values=1.0)),
+        (lambda: Quantiles((1.0, 2.0), (0.0, 0.5, 1.0)), coded("quantiles.lengths", values=2, probabilities=3)),
+        (lambda: Quantiles((1.0, 2.0), (0.0, 0.9)), coded("quantiles.ends")),
+        (lambda: Quantiles((1.0, 2.0, 3.0, 4.0), (0.0, 0.7, 0.3, 1.0)), coded("quantiles.rise")),
+        (lambda: Uniform().levels(1), coded("distribution.samples", n=1)),
+        (lambda: Gaussian().levels(0), coded("distribution.samples", n=0)),
     ],
 )
-def test_what_is_no_distribution_is_refused_in_one_line(make, told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+def test_what_is_no_distribution_is_refused_in_one_line(make, refusal):
+    with pytest.raises(UnusableInputError, check=refusal) as refused:
         make()
     assert "\n" not in str(refused.value)
 

@@ -7,14 +7,15 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded
 
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import guided as with_preload
 from tissueid.stimuli import interchange as module
 from tissueid.stimuli import rebuild, stimulus_names
+from tissueid.stimuli.autocorrelation_bounds import least_error
 from tissueid.stimuli.distributions import Binary, Exponential, Gaussian, Uniform
 from tissueid.stimuli.interchange import Progress, arrange, autocorrelation, interchange
-from tissueid.stimuli.joint_limits import least_error
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Butterworth, ExponentialDecay
 
@@ -120,16 +121,16 @@ def test_a_result_that_is_not_what_was_followed_is_a_defect(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(
-    ("start", "target", "told"),
+    ("start", "target", "refusal"),
     [
-        (np.arange(10.0), np.array([1.0]), "from lag 0, where it is 1, to lag 1 at least"),
-        (np.arange(10.0), np.array([0.9, 0.1]), "from lag 0, where it is 1"),
-        (np.arange(10.0), np.ones(11), "10 samples have no autocorrelation at 10 lags"),
-        (np.full(10, 0.1), np.ones(3), "all samples are equal"),
+        (np.arange(10.0), np.array([1.0]), coded("interchange.target")),
+        (np.arange(10.0), np.array([0.9, 0.1]), coded("interchange.target")),
+        (np.arange(10.0), np.ones(11), coded("interchange.short", size=10, lags=10)),
+        (np.full(10, 0.1), np.ones(3), coded("interchange.constant")),
     ],
 )
-def test_what_cannot_be_searched_for_is_refused(start: np.ndarray, target: np.ndarray, told: str):
-    with pytest.raises(UnusableInputError, match=told):
+def test_what_cannot_be_searched_for_is_refused(start: np.ndarray, target: np.ndarray, refusal):
+    with pytest.raises(UnusableInputError, check=refusal):
         interchange(start, target, tolerance=1e-6, max_trials=100)
 
 
@@ -203,46 +204,59 @@ def test_a_design_that_falls_short_is_told_and_not_played():
     designed = kind.design()
     assert not designed.reached
     with pytest.raises(
-        UnusableInputError, match=r"after 500 tried swaps .* over 500 lags is .*, not 1e-09: allow more"
+        UnusableInputError, check=coded("interchange.not_reached", tried=500, lags=500, tolerance=1e-9, hint="")
     ):
         kind.played(designed)
     two = Interchange(distribution="binary", spectrum="white", seconds=0.5, lags=100, tolerance=1e-6, max_trials=500)
-    with pytest.raises(UnusableInputError, match=r"not 1e-06 \(two-valued ones stop at about 0\.001\): allow"):
+    with pytest.raises(
+        UnusableInputError, check=coded("interchange.not_reached", tolerance=1e-6, hint="interchange.binary")
+    ):
         two.build()
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "refusal"),
     [
-        ({"cutoff_hz": 1000.0}, "a cut-off of 1000 Hz needs more than 2000 samples a second"),
-        ({"seconds": 0.25}, "500 lags need at least 1000 samples, not 500: ask for fewer lags"),
-        ({"seconds": 0.001}, "too short for interchange"),
+        (
+            {"cutoff_hz": 1000.0},
+            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+        ),
+        ({"seconds": 0.25}, coded("interchange.lags", lags=500, needed=1000, samples=500)),
+        ({"seconds": 0.001}, coded("shape.short", seconds=0.001, sample_rate=2000.0, name="interchange")),
         (
             {"distribution": "binary"},
-            r"no binary signal has this autocorrelation: at lags 2, 3 and 5 it is 0\.7479.*some two are equal; the "
-            r"error cannot fall below 0\.0\d+, and 1e-06 was asked for",
+            coded(
+                "interchange.unreachable", distribution="binary", tolerance=1e-06, reason="autocorrelation.two_valued"
+            ),
         ),
-        ({"distribution": "binary", "spectrum": "second_order"}, "no binary signal has this autocorrelation"),
+        (
+            {"distribution": "binary", "spectrum": "second_order"},
+            coded(
+                "interchange.unreachable", distribution="binary", tolerance=1e-06, reason="autocorrelation.two_valued"
+            ),
+        ),
         (
             {"distribution": "exponential", "spectrum": "second_order", "natural_hz": 400.0, "damping": 0.01},
-            r"samples of this distribution cannot be correlated below -0\.\d+; the error cannot fall below",
+            coded(
+                "interchange.unreachable", distribution="exponential", tolerance=1e-06, reason="autocorrelation.too_low"
+            ),
         ),
         (
             {"spectrum": "autocorrelation", "lags_s": (0.0, 0.0005, 0.001), "correlations": (1.0, 0.9, 0.0)},
-            "its spectrum would be negative, at 1000 Hz",
+            coded("autocorrelation.impossible", frequency=1000.0),
         ),
-        ({"spectrum": "power"}, "at least 2 frequencies"),
-        ({"quantiles": (0.0, 1.0)}, "quantiles are given, and belong to distribution 'quantiles'"),
-        ({"densities": (0.0, 1.0)}, "densities are given, and belong to spectrum 'power'"),
-        ({"distribution": "quantiles"}, "at least 2 values, not 0"),
-        ({"tolerance": 0.0}, "option 'tolerance'"),
-        ({"correlations": "much"}, "option 'correlations'"),
-        ({"distribution": "normal"}, "option 'distribution'"),
-        ({"force_min_n": 9.0}, "must be below the greatest"),
+        ({"spectrum": "power"}, coded("spectrum.table_lengths", frequencies_hz=0, densities=0)),
+        ({"quantiles": (0.0, 1.0)}, coded("shape.table", table="quantiles", option="distribution", choice="quantiles")),
+        ({"densities": (0.0, 1.0)}, coded("shape.table", table="densities", option="spectrum", choice="power")),
+        ({"distribution": "quantiles"}, coded("quantiles.few", values=0)),
+        ({"tolerance": 0.0}, coded("option.refused", option="tolerance", reason="option.least")),
+        ({"correlations": "much"}, coded("option.list", option="correlations")),
+        ({"distribution": "normal"}, coded("option.refused", option="distribution", reason="option.choice")),
+        ({"force_min_n": 9.0}, coded("stimulus.range", what="force", least=9.0, greatest=8.0, unit="N")),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, object], told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, object], refusal):
+    with pytest.raises(UnusableInputError, check=refusal) as refused:
         Interchange.from_options(options)
     assert "\n" not in str(refused.value)
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal, stats
@@ -141,23 +142,32 @@ def test_a_binary_signal_keeps_its_two_values_and_most_of_its_spectrum():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "refusal"),
     [
-        ({"cutoff_hz": 1e-4}, r"a cut-off of 0\.0001 Hz is too low"),
-        ({"cutoff_hz": 5e-324}, r"a cut-off of 4\.9\d*e-324 Hz is too low"),
-        ({"spectrum": "band", "cutoff_hz": 1e-4}, r"no power at any multiple of 0\.25 Hz, which is what 4 s can hold"),
-        ({"spectrum": "power", "frequencies_hz": (10.01, 10.02), "densities": (1.0, 1.0)}, "no power at any multiple"),
-        ({"distribution": "quantiles", "quantiles": (-1e308, 1e308)}, "too near or too far to be scaled"),
-        ({"distribution": "quantiles", "quantiles": (0.0, 1.7e308)}, "too near or too far to be scaled"),
-        ({"distribution": "quantiles", "quantiles": (0.0, 5e-324)}, "too near or too far to be scaled"),
+        (
+            {"cutoff_hz": 1e-4},
+            coded("spectrum.low_cutoff", cutoff_hz=0.0001, sample_rate_hz=2000.0, reason="spectrum.settling"),
+        ),
+        (
+            {"cutoff_hz": 5e-324},
+            coded("spectrum.low_cutoff", cutoff_hz=5e-324, sample_rate_hz=2000.0, reason="spectrum.settling"),
+        ),
+        ({"spectrum": "band", "cutoff_hz": 1e-4}, coded("shape.no_power", samples=0.25, seconds=4.0)),
+        (
+            {"spectrum": "power", "frequencies_hz": (10.01, 10.02), "densities": (1.0, 1.0)},
+            coded("shape.no_power", samples=0.25, seconds=4.0),
+        ),
+        ({"distribution": "quantiles", "quantiles": (-1e308, 1e308)}, coded("quantiles.scale")),
+        ({"distribution": "quantiles", "quantiles": (0.0, 1.7e308)}, coded("quantiles.scale")),
+        ({"distribution": "quantiles", "quantiles": (0.0, 5e-324)}, coded("quantiles.scale")),
         (
             {"force_min_n": 5.0, "force_max_n": 5.0 + 1e-9},
-            r"the range from 5 to 5 N is narrower than 1e-06 N: widen it",
+            coded("stimulus.narrow", low=5.0, least=1e-06, unit="N"),
         ),
     ],
 )
-def test_what_leaves_nothing_to_play_is_refused_in_one_line(options: dict[str, object], told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+def test_what_leaves_nothing_to_play_is_refused_in_one_line(options: dict[str, object], refusal):
+    with pytest.raises(UnusableInputError, check=refusal) as refused:
         Noise.from_options(options)
     assert "\n" not in str(refused.value)
 
@@ -171,22 +181,34 @@ def test_tables_survive_json():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "refusal"),
     [
-        ({"cutoff_hz": 1000.0}, r"a cut-off of 1000 Hz needs more than 2000 samples a second"),
-        ({"cutoff_hz": 1500.0}, r"a cut-off of 1500 Hz needs more than 3000 samples a second"),
-        ({"force_min_n": 8.0}, r"the least force \(8 N\) must be below the greatest \(8 N\)"),
-        ({"seconds": 0.001}, "too short for noise"),
-        ({"seconds": -1.0}, "option 'seconds'"),
-        ({"order": 0}, "option 'order'"),
-        ({"colour": "pink"}, "option 'colour'"),
-        ({"spectrum": "band", "cutoff_hz": 1000.0}, r"a cut-off of 1000 Hz needs more than 2000 samples a second"),
-        ({"spectrum": "power", "frequencies_hz": (1.0, 2.0), "densities": (1.0, -1.0)}, "cannot be negative"),
-        ({"lags_s": (0.0, 1.0)}, "lags_s are given, and belong to spectrum 'autocorrelation'"),
-        ({"distribution": "quantiles", "quantiles": (2.0, 1.0)}, "must not fall"),
+        (
+            {"cutoff_hz": 1000.0},
+            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+        ),
+        (
+            {"cutoff_hz": 1500.0},
+            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1500.0, needed=3000.0, sample_rate_hz=2000.0),
+        ),
+        ({"force_min_n": 8.0}, coded("stimulus.range", what="force", least=8.0, greatest=8.0, unit="N")),
+        ({"seconds": 0.001}, coded("shape.short", seconds=0.001, sample_rate=2000.0, name="noise")),
+        ({"seconds": -1.0}, coded("option.refused", option="seconds", reason="option.greater")),
+        ({"order": 0}, coded("option.refused", option="order", reason="option.least")),
+        ({"colour": "pink"}, coded("option.unknown", option="colour")),
+        (
+            {"spectrum": "band", "cutoff_hz": 1000.0},
+            coded("spectrum.nyquist", what="a cut-off", frequency_hz=1000.0, needed=2000.0, sample_rate_hz=2000.0),
+        ),
+        (
+            {"spectrum": "power", "frequencies_hz": (1.0, 2.0), "densities": (1.0, -1.0)},
+            coded("spectrum.negative", at=2.0, densities=-1.0),
+        ),
+        ({"lags_s": (0.0, 1.0)}, coded("shape.table", table="lags_s", option="spectrum", choice="autocorrelation")),
+        ({"distribution": "quantiles", "quantiles": (2.0, 1.0)}, coded("quantiles.fall")),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, object], told: str):
-    with pytest.raises(UnusableInputError, match=told) as refused:
+def test_what_cannot_be_built_is_refused_in_one_line(options: dict[str, object], refusal):
+    with pytest.raises(UnusableInputError, check=refusal) as refused:
         Noise.from_options(options)
     assert "\n" not in str(refused.value)

@@ -4,16 +4,17 @@ import json
 
 import numpy as np
 import pytest
+from coded import coded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.stimuli import get_stimulus, guided, rebuild
-from tissueid.stimuli.appraisal import appraise
 from tissueid.stimuli.kinds.quiet import Quiet
 from tissueid.stimuli.kinds.slow_ramp import SlowRamp
 from tissueid.stimuli.kinds.step_hold import StepHold
+from tissueid.stimuli.stimulus_check import appraise
 
 KINDS = (Quiet, SlowRamp, StepHold)
 
@@ -75,24 +76,28 @@ def test_they_are_built_again_sample_for_sample(kind: type):
 
 
 @pytest.mark.parametrize(
-    ("kind", "options", "says"),
+    ("kind", "options", "refusal"),
     [
-        ("quiet", {"seconds": 0.0}, "seconds"),
-        ("quiet", {"force_max_n": 3.0}, "no option 'force_max_n'"),
-        ("slow_ramp", {"force_min_n": 4.0, "force_max_n": 4.0}, "must be below"),
-        ("slow_ramp", {"seconds": 0.001}, "more seconds"),
-        ("step_hold", {"seconds": 0.02}, "do not fit into holds"),
-        ("step_hold", {"rise_s": 0.0}, "rise_s"),
-        ("step_hold", {"seconds": 4.0, "sample_rate": 0.5}, "a sample or more"),
+        ("quiet", {"seconds": 0.0}, coded("option.refused", option="seconds", reason="option.greater")),
+        ("quiet", {"force_max_n": 3.0}, coded("option.unknown", option="force_max_n")),
+        (
+            "slow_ramp",
+            {"force_min_n": 4.0, "force_max_n": 4.0},
+            coded("stimulus.range", what="force", least=4.0, greatest=4.0, unit="N"),
+        ),
+        ("slow_ramp", {"seconds": 0.001}, coded("slow_ramp.short", least=4)),
+        ("step_hold", {"seconds": 0.02}, coded("step_hold.rise", rise_s=0.01, hold_s=0.005)),
+        ("step_hold", {"rise_s": 0.0}, coded("option.refused", option="rise_s", reason="option.least")),
+        ("step_hold", {"seconds": 4.0, "sample_rate": 0.5}, coded("step_hold.short")),
     ],
 )
-def test_what_does_not_hold_together_is_refused_in_one_line(kind: str, options: dict[str, float], says: str):
-    with pytest.raises(UnusableInputError, match=says) as caught:
+def test_what_does_not_hold_together_is_refused_in_one_line(kind: str, options: dict[str, float], refusal):
+    with pytest.raises(UnusableInputError, check=refusal) as caught:
         get_stimulus(kind).from_options(options)
     assert "\n" not in str(caught.value)
 
 
 def test_they_say_when_they_are_too_long():
     for kind in KINDS:
-        with pytest.raises(UnusableInputError, match="is the most"):
+        with pytest.raises(UnusableInputError, check=coded("stimulus.samples", limit=5_000_000)):
             rebuild({"type": kind.name, "seconds": 600.0, "sample_rate": 1e6})

@@ -1,4 +1,4 @@
-"""The chain as an instrument plays it: equilibria, a closed form, the step that it integrates with, and its housing."""
+"""The chain in real time: equilibria, a closed form, the integration step, and the end bumpers."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from tissueid.twin import Instrument, Player, Start, Tissue
 from tissueid.twin.effects.contact_loss import EFFECT as CONTACT_LOSS
 from tissueid.twin.effects.dry_friction import EFFECT as DRY_FRICTION
 from tissueid.twin.effects.quantization import EFFECT as QUANTIZATION
-from tissueid.twin.simulation import Acting
+from tissueid.twin.simulation import ActiveEffect
 
 RATE = 2000.0
 DEVICE = Instrument()
@@ -29,7 +29,7 @@ def settled(tissue, volts, device=DEVICE, seconds=3.0):
 
 
 def test_it_comes_to_rest_where_forces_balance():
-    end = settled(SPRING, 12.0).where
+    end = settled(SPRING, 12.0).state
     assert end.current_a == pytest.approx(1.0, rel=1e-6)
     assert end.velocity_m_s == pytest.approx(0.0, abs=1e-9)
     assert end.position_m == pytest.approx(SPRING.surface_m + (3.0 + DEVICE.weight_n) / 1000.0, abs=1e-8)
@@ -45,11 +45,11 @@ def test_a_linear_chain_matches_its_transfer_function():
         signal.butter(8, 200, fs=RATE, output="sos"), np.random.default_rng(1).standard_normal(4000)
     )
     under_way = settled(SPRING, 8.0)
-    rest = under_way.where
+    rest = under_way.state
     _, _, position = under_way.play(volts)
     discrete = signal.cont2discrete(([kf], denominator), 1 / RATE, method="zoh")
     b, a = np.ravel(discrete[0]), discrete[1]
-    # The twin tells a sample at the end of the period in which its command was held; lfilter at the beginning.
+    # The twin reads at the end of the hold of a command, lfilter at its start.
     expected = signal.lfilter(b, a, np.append(volts - 8.0, 0.0))[1:] + rest.position_m
     np.testing.assert_allclose(position, expected, atol=2e-4 * np.ptp(expected))
 
@@ -69,31 +69,31 @@ def test_the_amplifier_stops_at_its_limit():
 
 
 def test_the_tissue_only_pushes():
-    end = settled(SPRING, 0.0, replace(DEVICE, weight_n=-0.6)).where
+    end = settled(SPRING, 0.0, replace(DEVICE, weight_n=-0.6)).state
     assert end.position_m < 0.001, "pulled away by its weight, it ends at the stop"
 
 
 def test_the_far_end_of_the_stroke_holds_it():
     under_way = player()
-    under_way.meet(1.0)
+    under_way.set_surface(1.0)
     under_way.play(np.full(2000, 40.0))
-    assert under_way.where.position_m == pytest.approx(DEVICE.stroke_m, abs=2e-4)
+    assert under_way.state.position_m == pytest.approx(DEVICE.stroke_m, abs=2e-4)
 
 
-def test_a_twin_that_knows_how_the_probe_lifts_off_says_so_itself():
-    sticking = Acting(CONTACT_LOSS, np.array([0.1, 1.0]))
+def test_a_twin_with_lift_off_gets_no_one_sided_contact():
+    sticking = ActiveEffect(CONTACT_LOSS, np.array([0.1, 1.0]))
     device = replace(DEVICE, weight_n=-0.6)
     under_way = player(SPRING, device, acting=[sticking])
     under_way.play(np.zeros(6000))
-    assert under_way.where.position_m == pytest.approx(SPRING.surface_m - 0.6 / 1000.0, abs=1e-5)
+    assert under_way.state.position_m == pytest.approx(SPRING.surface_m - 0.6 / 1000.0, abs=1e-5)
 
 
 @pytest.mark.parametrize(
     "acting",
     [
         (),
-        (Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0])),),
-        (Acting(QUANTIZATION, np.array(QUANTIZATION.starts[0])),),
+        (ActiveEffect(DRY_FRICTION, np.array(DRY_FRICTION.starts[0])),),
+        (ActiveEffect(QUANTIZATION, np.array(QUANTIZATION.starts[0])),),
     ],
     ids=["baseline", "dry friction", "quantization"],
 )
@@ -104,24 +104,24 @@ def test_cutting_a_command_in_two_changes_nothing(acting):
     whole = one.play(volts)
     pieces = np.hstack((other.play(volts[:150]), other.play(volts[150:])))
     np.testing.assert_array_equal(whole, pieces)
-    assert one.where == other.where
+    assert one.state == other.state
 
 
-def test_four_effects_and_a_housing_are_played_and_five_are_too_many():
-    friction = Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
+def test_four_effects_and_the_end_bumpers_fit_and_five_do_not():
+    friction = ActiveEffect(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
     assert np.isfinite(player(acting=[friction] * 4).play(np.full(20, 20.0))).all()
     with pytest.raises(ValueError, match="at most"):
         player(acting=[friction] * 5)
 
 
-def test_figures_change_under_way_but_not_the_effects():
-    """From then on as one that always had them, once the difference has died away; the surface stays."""
-    friction = Acting(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
-    stronger = Acting(DRY_FRICTION, 2.0 * friction.values)
+def test_parameters_can_change_during_a_simulation_but_not_the_effects():
+    """Check that a changed simulation converges to one that always had the new parameters, at the same surface."""
+    friction = ActiveEffect(DRY_FRICTION, np.array(DRY_FRICTION.starts[0]))
+    stronger = ActiveEffect(DRY_FRICTION, 2.0 * friction.values)
     one, other = player(acting=[friction]), player(acting=[stronger])
-    one.vary(Tissue(surface_m=0.5, stiffness_n_per_m=900.0), [stronger])
-    other.vary(Tissue(stiffness_n_per_m=900.0), [stronger])
+    one.set_parameters(Tissue(surface_m=0.5, stiffness_n_per_m=900.0), [stronger])
+    other.set_parameters(Tissue(stiffness_n_per_m=900.0), [stronger])
     volts = np.full(200, 20.0)
     np.testing.assert_array_equal(one.play(volts), other.play(volts))
     with pytest.raises(ValueError, match="which effects"):
-        one.vary(Tissue(), [])
+        one.set_parameters(Tissue(), [])

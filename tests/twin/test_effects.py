@@ -1,45 +1,37 @@
-"""What every effect of the library must pass, whatever it says of itself."""
+"""Requirements of every effect of the library."""
 
 import ctypes
 import functools
 
 import numpy as np
 import pytest
+from coded import coded
 
 from tissueid.errors import UnusableInputError
-from tissueid.twin import bus, figures, simulation
+from tissueid.twin import bus, chain_parameters, simulation
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import STAGES, Effect, kin
+from tissueid.twin.effect import STAGES, Effect, nested
 
 RATE = 2000.0
 SURFACE = 0.009
-INSTRUMENT = figures.Instrument(weight_n=0.2)
-TISSUE = figures.Tissue(SURFACE, 0.015, 5.0, 150.0, 350.0, 250.0)
+INSTRUMENT = chain_parameters.Instrument(weight_n=0.2)
+TISSUE = chain_parameters.Tissue(SURFACE, 0.015, 5.0, 150.0, 350.0, 250.0)
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
-NAMES = {
-    "drive": "latency amplifier_lag amplifier_clipping amplifier_deadband amplifier_drift",
-    "coil": "eddy_currents coil_heating inductance_position force_constant_position flux_saturation reluctance_force",
-    "mechanics": "dry_friction directional_friction quadratic_drag end_stop mount_resonance cogging",
-    "tissue": "tissue_stiffening viscoelasticity tissue_hysteresis preconditioning added_mass contact_loss "
-    "directional_damping reflex",
-    "sensing": "sensor_nonlinearity sensor_lag sensor_backlash clock_skew quantization dropped_samples",
-    "environment": "mains_hum physiological_motion",
-}
 EVERY = pytest.mark.parametrize("one", all_effects().values(), ids=lambda one: one.name)
 
 
 def commands(size=800):
-    """A mean with noise about it that also crosses zero, smooth enough that no sample stands alone."""
+    """Return a command with a mean and smooth noise that also crosses zero."""
     rng = np.random.default_rng(8)
     noise = np.convolve(rng.normal(size=size + 40), np.hanning(9) / 3.0, "same")[40:]
     return np.r_[np.full(60, 14.0), 14.0 + 9.0 * noise[60:]]
 
 
 def play(acting=(), kind="stochastic", substeps=4):
-    """One of the tests of a session, with readings at rest on the surface to begin with."""
+    """Simulate one of the tests of a session, from rest on the surface."""
     noise = commands() - 14.0
     command = {"stochastic": 14.0 + noise, "shallow": 5.0 + noise, "spring": 0.8 * noise, "quiet": np.zeros(400)}[kind]
-    met = figures.spring(0.012, 1000.0, 0.005, 0.4) if kind == "spring" else TISSUE
+    met = chain_parameters.spring(0.012, 1000.0, 0.005, 0.4) if kind == "spring" else TISSUE
     start = simulation.Start(command[0] / INSTRUMENT.resistance_ohm, met.surface_m)
     readings = simulation.simulate(
         command, RATE, INSTRUMENT, met, start, acting, on_tissue=kind != "spring", substeps=substeps
@@ -53,27 +45,29 @@ def plain(kind="stochastic", substeps=4):
 
 
 def at(one: Effect, values):
-    return [simulation.Acting(one, np.array(values, np.float64))]
+    return [simulation.ActiveEffect(one, np.array(values, np.float64))]
 
 
 def in_noises(one, other):
-    """The largest root-mean-square difference of any channel, in deviations of its noise."""
+    """Return the largest root-mean-square difference of any channel, in deviations of its noise."""
     return max(np.sqrt(np.mean((one[name] - other[name]) ** 2)) / NOISE[name] for name in NOISE)
 
 
-def test_every_name_of_the_contract_is_in_the_library_at_its_stage():
-    found = {stage: {name for name, one in all_effects().items() if one.stage == stage} for stage in STAGES}
-    assert found == {stage: set(names.split()) for stage, names in NAMES.items()}
+def test_the_library_is_ordered_along_the_chain():
+    stages = [STAGES.index(one.stage) for one in all_effects().values()]
+    assert stages == sorted(stages)
+    assert set(stages) == set(range(len(STAGES)))
+    assert all(one.name == name for name, one in all_effects().items())
 
 
-def test_a_name_that_nobody_knows_is_refused_with_those_that_there_are():
-    with pytest.raises(UnusableInputError, match=r"there is no effect 'rust': choose one of .*dry_friction"):
+def test_an_unknown_name_is_refused():
+    with pytest.raises(UnusableInputError, check=coded("effect.unknown", name="rust", known=", ".join(all_effects()))):
         effect("rust")
 
 
 @EVERY
-def test_it_says_what_it_is(one):
-    known = {name for names in NAMES.values() for name in names.split()}
+def test_its_declaration_is_complete(one):
+    known = set(all_effects())
     for text in (one.title, one.equation, one.signature, one.source, one.remedy):
         assert len(text) > 5
     assert one.mistaken_for
@@ -96,7 +90,7 @@ def test_its_starts_and_priors_lie_within_its_bounds(one):
 
 @EVERY
 def test_it_leaves_something_in_the_records_at_its_starts(one):
-    if one.from_test or one.from_tests or one.starts_from is not None:
+    if one.estimate_from_record or one.estimate_from_records or one.starts_from is not None:
         pytest.skip("where it starts is read from the record")
     kinds = ("stochastic", "shallow", "spring")
     change = max(in_noises(play(at(one, start), kind), plain(kind)) for start in one.starts for kind in kinds)
@@ -120,7 +114,7 @@ def test_it_stays_finite_to_the_ends_of_its_ranges(one):
 
 @EVERY
 def test_it_vanishes_at_its_neutral_value(one):
-    # A logarithm is only fitted to the end of its range, where next to nothing may be left.
+    # A logarithmic parameter is tested at the end of its range, where the effect is negligible.
     ends = {}
     for k, parameter in enumerate(one.parameters):
         if parameter.neutral is not None:
@@ -135,7 +129,7 @@ def test_it_vanishes_at_its_neutral_value(one):
 
 
 @EVERY
-def test_ten_times_as_many_steps_change_next_to_nothing(one):
+def test_ten_times_as_many_steps_change_little(one):
     for start in one.starts:
         for kind in ("stochastic", "spring"):
             coarse, fine = play(at(one, start), kind), play(at(one, start), kind, 40)
@@ -186,7 +180,7 @@ def test_the_compiled_hook_is_the_one_that_is_written(one):
         (bus.DAMPING_GROWTH, 150.0),
     ):
         given[:, at_] = value * (1.0 + 0.05 * rng.random(steps))
-    # A hook that acts in several places is called in their order, step by step.
+    # A hook with several places is called in their order, step by step.
     places = sorted(one.places)
     where = np.tile(places, steps)
     given = np.repeat(given, len(places), axis=0)
@@ -204,19 +198,19 @@ def test_the_compiled_hook_is_the_one_that_is_written(one):
         np.testing.assert_allclose(built, written, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(other, state, rtol=1e-9, atol=1e-12)
         acts = acts or (written[:, : bus.SIZE] != given[:, : bus.SIZE]).any()
-    assert acts or one.from_test or one.from_tests or one.recording is not None
+    assert acts or one.estimate_from_record or one.estimate_from_records or one.recording is not None
 
 
 @EVERY
-def test_a_test_twice_gives_the_same_twice(one):
+def test_simulations_are_repeatable(one):
     first, second = play(at(one, one.starts[0])), play(at(one, one.starts[0]))
     for name in NOISE:
         np.testing.assert_array_equal(first[name], second[name])
 
 
-def test_a_special_case_and_its_general_form_are_kin():
+def test_a_special_case_and_its_general_form_are_nested():
     dry, directional, drag = map(effect, ("dry_friction", "directional_friction", "quadratic_drag"))
-    assert kin(dry, directional)
-    assert kin(directional, dry)
-    assert not kin(dry, drag)
-    assert not kin(drag, drag)
+    assert nested(dry, directional)
+    assert nested(directional, dry)
+    assert not nested(dry, drag)
+    assert not nested(drag, drag)

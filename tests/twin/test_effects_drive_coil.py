@@ -1,4 +1,4 @@
-"""Effects of drive and coil: each against a solution of its own equation by other means, and where it shows."""
+"""Effects of drive and coil, compared with independent solutions of their equations."""
 
 import math
 
@@ -7,15 +7,15 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicHermiteSpline
 
-from tissueid.twin import figures, simulation
+from tissueid.twin import chain_parameters, simulation
 from tissueid.twin.catalogue import all_effects
 
 RATE = 2000.0
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
-PLAIN = figures.Instrument(weight_n=0.0)
-BLOCKED = figures.Instrument(weight_n=0.0, force_constant_n_per_a=1e-12)
-"""Without force constant there is no back-EMF: the coil by itself."""
-TISSUE = figures.Tissue(0.009, 0.015, 5.0, 150.0, 350.0, 250.0)
+PLAIN = chain_parameters.Instrument(weight_n=0.0)
+BLOCKED = chain_parameters.Instrument(weight_n=0.0, force_constant_n_per_a=1e-12)
+"""Without force constant there is no back-EMF."""
+TISSUE = chain_parameters.Tissue(0.009, 0.015, 5.0, 150.0, 350.0, 250.0)
 DRIVE = ("latency", "amplifier_lag", "amplifier_clipping", "amplifier_deadband", "amplifier_drift")
 
 
@@ -26,7 +26,7 @@ def commands(size=1200, mean=14.0, seed=3):
 
 def play(name=None, values=(), command=None, instrument=PLAIN, met=TISSUE, rate=RATE, **more):
     command = commands() if command is None else command
-    acting = [] if name is None else [simulation.Acting(all_effects()[name], np.array(values, float))]
+    acting = [] if name is None else [simulation.ActiveEffect(all_effects()[name], np.array(values, float))]
     start = simulation.Start(command[0] / instrument.resistance_ohm, met.surface_m)
     return simulation.simulate(command, rate, instrument, met, start, acting, **more).readings
 
@@ -36,12 +36,12 @@ def rms(values):
 
 
 def settled(name, values, volts, stiffness=1000.0):
-    """Position, from where the spring is slack, and current at rest."""
-    readings = play(name, values, np.full(3000, float(volts)), met=figures.spring(0.012, stiffness, 0.0, 20.0))
+    """Return the position from the rest of the spring, and the current, at equilibrium."""
+    readings = play(name, values, np.full(3000, float(volts)), met=chain_parameters.spring(0.012, stiffness, 0.0, 20.0))
     return readings.position[-1] - 0.012, readings.current[-1]
 
 
-# Where they show.
+# Signals in which they show.
 
 
 @pytest.mark.parametrize("name", DRIVE)
@@ -49,7 +49,7 @@ def test_faults_of_the_drive_are_gone_once_the_measured_voltage_is_given(name):
     start = all_effects()[name].starts[-1]
     faulty, plain = play(name, start), play()
     assert rms(faulty.voltage - plain.voltage) > 5 * NOISE["voltage"]
-    given = simulation.Given(voltage=faulty.voltage)
+    given = simulation.MeasuredSignals(voltage=faulty.voltage)
     np.testing.assert_array_equal(play(name, start, given=given).current, play(given=given).current)
 
 
@@ -75,7 +75,7 @@ def test_faults_of_the_coil_leave_the_voltage_alone(name, values, channel):
 
 def test_a_force_alone_leaves_the_current_of_a_given_motion_alone():
     position = 0.011 + 5e-4 * np.sin(2 * np.pi * 20.0 * np.arange(1200) / RATE)
-    given = simulation.Given(position=position, velocity=np.gradient(position) * RATE)
+    given = simulation.MeasuredSignals(position=position, velocity=np.gradient(position) * RATE)
     plain = play(given=given)
     np.testing.assert_array_equal(play("reluctance_force", (0.1, 0.0), given=given).current, plain.current)
     changed = play("flux_saturation", (0.1, 2.0, 1.0, 0.0), given=given).current
@@ -86,8 +86,8 @@ def test_a_force_alone_leaves_the_current_of_a_given_motion_alone():
 
 
 def test_a_delay_of_whole_samples_shifts_everything():
-    # On the spring without a mean nothing moves before the first command does.
-    met, command = figures.spring(0.012, 1000.0), commands(mean=0.0)
+    # On the spring without a mean nothing moves before the first command.
+    met, command = chain_parameters.spring(0.012, 1000.0), commands(mean=0.0)
     late, plain = play("latency", (3.0 / RATE, 1.0), command, met=met), play(command=command, met=met)
     for name in NOISE:
         np.testing.assert_allclose(getattr(late, name)[3:], getattr(plain, name)[:-3], rtol=1e-7, atol=1e-9)
@@ -95,7 +95,7 @@ def test_a_delay_of_whole_samples_shifts_everything():
 
 def test_a_delay_between_samples_is_that_of_a_command_at_a_higher_rate():
     command = commands()
-    # Its edges take a tenth of a sample: in the mean they come half of that later.
+    # An edge takes a tenth of a sample, which delays its mean by half of that.
     late = play("latency", (1.45 / RATE, 0.0), substeps=40)
     fine = np.r_[np.full(12, command[0]), np.repeat(command, 8)][: 8 * command.size]
     expected = play(command=fine, rate=8 * RATE, substeps=5)
@@ -105,7 +105,7 @@ def test_a_delay_between_samples_is_that_of_a_command_at_a_higher_rate():
         assert rms(getattr(late, name) - there) < 1e-3 * np.std(there)
 
 
-def test_a_delay_held_anew_weights_two_commands():
+def test_a_delay_held_again_weights_two_commands():
     command = commands()
     late = play("latency", (2.25 / RATE, 1.0))
     np.testing.assert_allclose(late.voltage[4:], 0.75 * command[2:-2] + 0.25 * command[1:-3], rtol=1e-9)
@@ -153,7 +153,7 @@ def test_clipping_spans_hard_and_soft_limits():
     assert (np.diff(beyond) > 0.0).all()
 
 
-def test_a_dead_zone_swallows_small_commands():
+def test_a_dead_zone_removes_small_commands():
     command = np.linspace(-10.0, 10.0, 501)
     wide = play("amplifier_deadband", (2.0, 1.0, 100.0, 0.0), command).voltage
     np.testing.assert_allclose(wide, np.sign(command) * np.maximum(np.abs(command) - 2.0, 0.0), atol=0.02)
@@ -227,7 +227,7 @@ def test_eddy_currents_take_energy_and_give_none():
     assert beyond_copper[-1] > 0.0
 
 
-def test_the_winding_keeps_the_heat_that_it_is_given():
+def test_the_winding_stores_heat():
     volts = 18.0
     current = play("coil_heating", (20.0, 500.0), np.full(9000, volts), BLOCKED).current
     time = np.arange(1, 9001) / RATE
@@ -240,7 +240,7 @@ def test_the_winding_keeps_the_heat_that_it_is_given():
 
 
 def through(low, high, values):
-    """A curve through values at equal distances, with the mean of the neighbouring slopes at each."""
+    """Return a curve through values at equal distances with mean slopes."""
     places = np.linspace(low, high, len(values))
     slopes = np.gradient(values, places)
     return CubicHermiteSpline(places, values, slopes)
@@ -252,7 +252,7 @@ SHARES = (0.7, 0.8, 1.0, 1.3, 1.5)
 def test_inductance_by_place_sets_how_fast_current_settles():
     along = through(0.006, 0.022, SHARES)
     for position, share in ((0.007, along(0.007)), (0.0163, along(0.0163)), (0.021, along(0.021)), (0.030, 1.5)):
-        still = simulation.Given(position=np.full(40, position), velocity=np.zeros(40))
+        still = simulation.MeasuredSignals(position=np.full(40, position), velocity=np.zeros(40))
         step = np.r_[np.zeros(4), np.full(36, 12.0)]
         current = play("inductance_position", (0.006, 0.022, 1.0, *SHARES), step, given=still).current
         expected = 1.0 - np.exp(-12.0 / (1e-3 * share) * np.arange(1, 37) / RATE)
@@ -279,7 +279,7 @@ def test_the_force_constant_along_the_stroke_shows_in_force_and_back_emf():
         away, current = settled("force_constant_position", values, volts)
         assert 1000.0 * away == pytest.approx(constant(0.012 + away) * current, rel=1e-5)
     velocity = np.full(600, 0.06)
-    moving = simulation.Given(position=0.008 + 0.06 * np.arange(600) / RATE, velocity=velocity)
+    moving = simulation.MeasuredSignals(position=0.008 + 0.06 * np.arange(600) / RATE, velocity=velocity)
     current = play("force_constant_position", values, np.zeros(600), given=moving).current
     np.testing.assert_allclose(current[10:], -constant(moving.position[10:]) * 0.06 / 12.0, rtol=2e-3)
 
@@ -306,7 +306,7 @@ def test_flux_saturates_by_current_and_by_its_sign(bias):
     for volts in (-18.0, -6.0, 6.0, 18.0):
         away, current = settled("flux_saturation", (0.05, 2.0, 0.4, bias), volts)
         assert 1000.0 * away == pytest.approx(3.0 * current * left(current) / none, rel=1e-4)
-    moving = simulation.Given(position=np.full(400, 0.012), velocity=np.full(400, 0.05))
+    moving = simulation.MeasuredSignals(position=np.full(400, 0.012), velocity=np.full(400, 0.05))
     current = play("flux_saturation", (0.05, 2.0, 0.4, bias), np.full(400, 12.0), given=moving).current[-1]
     assert 12.0 - 12.0 * current == pytest.approx(3.0 * left(current) / none * 0.05, rel=1e-4)
 

@@ -1,4 +1,4 @@
-"""Effects of sensor and surroundings, against means that share nothing with them."""
+"""Effects of sensors and surroundings, compared with independent computations."""
 
 import math
 import tracemalloc
@@ -8,13 +8,13 @@ import pytest
 from scipy import integrate
 from scipy.interpolate import CubicHermiteSpline
 
-from tissueid.twin import bus, figures, simulation
+from tissueid.twin import bus, chain_parameters, simulation
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import Effect, Parameter, Readings
 
 RATE = 2000.0
 SURFACE = 0.0095
-TISSUE = figures.Tissue(SURFACE, 0.02, 5.0, 150.0, 450.0, 200.0)
+TISSUE = chain_parameters.Tissue(SURFACE, 0.02, 5.0, 150.0, 450.0, 200.0)
 SENSING = ("sensor_nonlinearity", "sensor_lag", "sensor_backlash", "clock_skew", "quantization")
 NOISE = {"voltage": 2e-3, "current": 0.95e-3, "position": 1.9e-6}
 
@@ -41,9 +41,9 @@ def triangle(size=9000):
 
 
 def played(command, seed=1, acting=(), **given):
-    """A test as recorded, with its noise, and the clean simulation of the baseline beside it."""
+    """Return a test with noise, and the clean simulation of the baseline."""
     start = simulation.Start(command[0] / 12.0, SURFACE)
-    instrument = figures.Instrument(weight_n=0.1)
+    instrument = chain_parameters.Instrument(weight_n=0.1)
     clean = simulation.simulate(command, RATE, instrument, TISSUE, start, acting, **given).readings
     rng = np.random.default_rng(seed)
     signals = {name: getattr(clean, name) + std * rng.normal(size=command.size) for name, std in NOISE.items()}
@@ -55,7 +55,7 @@ def with_prediction(signals, clean):
 
 
 def slipped(values, slips):
-    """What is left when ``lost`` samples are taken out before sample ``at`` of the record; the end is missing."""
+    """Remove ``lost`` samples before sample ``at`` of the record; the end is missing."""
     left = list(values)
     for at, lost in slips:
         del left[at : at + lost]
@@ -72,7 +72,7 @@ def test_sensing_leaves_voltage_and_current_as_they_were(name):
     one = effect(name)
     _, plain = played(stochastic(size=1500))
     for start in one.starts:
-        _, there = played(stochastic(size=1500), acting=[simulation.Acting(one, np.array(start))])
+        _, there = played(stochastic(size=1500), acting=[simulation.ActiveEffect(one, np.array(start))])
         np.testing.assert_array_equal(there.voltage, plain.voltage)
         np.testing.assert_array_equal(there.current, plain.current)
 
@@ -151,7 +151,7 @@ def test_quantization_is_the_mean_of_rounded_readings_and_knows_their_spread(blu
     drawn = origin + step * turn((exact + noise - origin) / step)
     ours = recorded("quantization", exact, step, origin, threshold, blur)
     assert np.abs(ours - drawn.mean(axis=0)).max() < 5.0 * step * max(blur, 0.5) / np.sqrt(20000)
-    # What is left besides the noise, by its variance; rounding can also take noise away.
+    # Variance of the residual in addition to the noise; rounding can also remove noise.
     left = effect("quantization").irreducible(np.array([step, origin, threshold, blur]))
     assert left["position"] <= step / np.sqrt(12.0)
     spread = np.mean(drawn.var(axis=0)) - (blur * step) ** 2
@@ -163,7 +163,7 @@ def test_quantization_reads_its_grid_off_the_record(step):
     signals, _ = played(stochastic())
     coarse = np.round((signals["position"] - 2e-6) / step) * step + 2e-6
     coarse[2000:2010] = np.nan
-    found = effect("quantization").from_test({"position": coarse.astype(np.float32).astype(float)}, RATE)
+    found = effect("quantization").estimate_from_record({"position": coarse.astype(np.float32).astype(float)}, RATE)
     assert found["step_m"] == pytest.approx(step, rel=2e-4)
     off = (found["origin_m"] - 2e-6) / step
     assert abs(off - round(off)) < 0.1
@@ -174,58 +174,58 @@ def test_quantization_reads_its_grid_off_the_record(step):
 def test_no_grid_is_found_where_there_is_none():
     signals, _ = played(stochastic())
     for fine in (signals["position"], np.round(signals["position"] / 4.88e-7) * 4.88e-7, np.full(500, np.nan)):
-        assert effect("quantization").from_test({"position": fine}, RATE)["step_m"] == 5e-7
+        assert effect("quantization").estimate_from_record({"position": fine}, RATE)["step_m"] == 5e-7
 
 
 @pytest.mark.parametrize("command", [stochastic(), triangle()], ids=["stochastic", "ramp"])
-def test_slips_of_the_record_are_found_to_the_sample(command):
+def test_losses_of_the_record_are_exact(command):
     true = [(1207, 1), (2600, 7), (5000, 2), (8100, 5)] if np.ptp(np.diff(command)) > 1.0 else [(2300, 7), (6900, 4)]
     signals, _ = played(0.99 * command)
     signals = {name: slipped(values, true) for name, values in signals.items()} | {"command": command}
-    found = effect("dropped_samples").from_test(signals, RATE)
+    found = effect("dropped_samples").estimate_from_record(signals, RATE)
     assert found["position_alone"] == 0.0
     assert [lost for _, lost in slips_in(found)] == [lost for _, lost in true]
     near = 1 if np.ptp(np.diff(command)) > 1.0 else 6
     assert all(abs(ours - at) < near for (ours, _), (at, _) in zip(slips_in(found), true, strict=True))
 
 
-def test_what_is_lost_while_the_command_stands_still_is_put_amid_that():
+def test_losses_during_a_constant_command_are_placed_in_its_middle():
     command = np.r_[np.full(1000, 14.0), stochastic()[1000:]]
     signals, _ = played(command)
     signals = {name: slipped(values, [(400, 2), (5000, 1)]) for name, values in signals.items()} | {"command": command}
-    (still, lost), later = slips_in(effect("dropped_samples").from_test(signals, RATE))
+    (still, lost), later = slips_in(effect("dropped_samples").estimate_from_record(signals, RATE))
     assert 300 < still < 700
     assert lost == 2
     assert later == (5000, 1)
 
 
-def test_slips_of_the_position_alone_are_found_by_the_back_emf():
+def test_losses_of_the_position_are_found_by_the_back_emf():
     signals, _ = played(stochastic())
     true = [(1500, 3), (4000, 1), (6768, 8)]
     signals["position"] = slipped(signals["position"], true)
-    found = effect("dropped_samples").from_test(signals, RATE)
+    found = effect("dropped_samples").estimate_from_record(signals, RATE)
     assert found["position_alone"] == 1.0
     assert [lost for _, lost in slips_in(found)] == [3, 1, 8]
     assert all(abs(ours - at) < 25 for (ours, _), (at, _) in zip(slips_in(found), true, strict=True))
 
 
 @pytest.mark.parametrize("command", [stochastic(), triangle()], ids=["stochastic", "ramp"])
-def test_slips_of_the_position_alone_are_found_closely_where_the_motion_is_known(command):
+def test_losses_of_the_position_are_exact_with_a_prediction(command):
     signals, clean = played(command)
     moving = command.size == 9000 and np.ptp(np.diff(command)) > 1.0
     true = [(1500, 3), (4000, 1), (6768, 8)] if moving else [(2500, 9), (6800, 6)]
     signals["position"] = slipped(signals["position"], true)
-    found = slips_in(effect("dropped_samples").from_test(with_prediction(signals, clean), RATE))
+    found = slips_in(effect("dropped_samples").estimate_from_record(with_prediction(signals, clean), RATE))
     assert [lost for _, lost in found] == [lost for _, lost in true]
     assert all(abs(ours - at) < (3 if moving else 120) for (ours, _), (at, _) in zip(found, true, strict=True))
 
 
-def test_a_position_that_ends_early_lost_no_more_than_can_be_looked_for():
+def test_losses_are_limited_to_the_searched_range():
     signals, _ = played(stochastic())
     signals["position"][4000:] = np.nan
     tracemalloc.start()
     try:
-        assert slips_in(effect("dropped_samples").from_test(signals, RATE)) == []
+        assert slips_in(effect("dropped_samples").estimate_from_record(signals, RATE)) == []
         assert (
             tracemalloc.get_traced_memory()[1] < 150e6
         )  # a table of lags as wide as what is missing is ten times that
@@ -233,7 +233,7 @@ def test_a_position_that_ends_early_lost_no_more_than_can_be_looked_for():
         tracemalloc.stop()
 
 
-def test_no_slips_are_found_where_a_filter_a_delay_or_nothing_is():
+def test_filters_and_delays_are_not_losses():
     signals, clean = played(stochastic())
     lagging = effect("sensor_lag").recording(clean, np.array([3e-3, 0.4, 0.0])).position
     late = np.r_[np.full(3, signals["voltage"][0]), signals["voltage"][:-3]]
@@ -242,7 +242,7 @@ def test_no_slips_are_found_where_a_filter_a_delay_or_nothing_is():
         if "voltage" in changed and changed["voltage"] is late:
             changed["current"] = np.r_[np.full(3, signals["current"][0]), signals["current"][:-3]]
             changed["position"] = np.r_[np.full(3, signals["position"][0]), signals["position"][:-3]]
-        assert slips_in(effect("dropped_samples").from_test(changed, RATE)) == []
+        assert slips_in(effect("dropped_samples").estimate_from_record(changed, RATE)) == []
 
 
 def test_lost_samples_bring_what_comes_after_forward():
@@ -288,14 +288,14 @@ def test_sensor_nonlinearity_is_a_function_of_position_alone():
 def test_hum_is_found_in_each_test_and_its_quadratures_are_the_same_in_all(hertz, predicted):
     one = effect("mains_hum")
     names = [parameter.name for parameter in one.parameters]
-    # By what the two tests differ, the phases of the mains alone, is what from_test has to find.
+    # The two tests differ only by the phases of the mains, which estimate_from_record has to find.
     turned = []
     for seed, at in ((1, 0.7), (2, 2.9)):
         signals, clean = played(stochastic(seed), seed)
         wave = 2 * np.pi * hertz * clean.time + at
         signals["voltage"] = signals["voltage"] + 0.05 * np.cos(wave) + 0.02 * np.sin(3 * wave)
         signals["position"] = signals["position"] + 2e-5 * np.sin(wave)
-        found = one.from_test(with_prediction(signals, clean) if predicted else signals, RATE)
+        found = one.estimate_from_record(with_prediction(signals, clean) if predicted else signals, RATE)
         assert found["frequency_hz"] == pytest.approx(hertz, abs=0.004 if predicted else 0.02)
         turned.append((found["phase_1_rad"] - at, found["phase_3_rad"] - 3 * at))
     apart = np.angle(np.exp(1j * (np.array(turned[0]) - np.array(turned[1]))))
@@ -313,7 +313,7 @@ def test_the_probe_follows_a_surface_that_moves_slowly_and_not_on_the_spring():
     one = effect("physiological_motion")
     names = [parameter.name for parameter in one.parameters]
     values = dict(zip(names, one.starts[0], strict=True)) | {"breathing_sine_1_m": 5e-4, "pulse_cosine_3_m": 2e-5}
-    acting = [simulation.Acting(one, np.array([values[name] for name in names]))]
+    acting = [simulation.ActiveEffect(one, np.array([values[name] for name in names]))]
     command = np.full(6000, 15.0)
     _, plain = played(command)
     _, there = played(command, acting=acting)
@@ -343,7 +343,7 @@ def test_moving_surface_is_that_of_its_equation():
 
 
 def moved_surface(values, time):
-    """By how far the surface is moved at a time, by the equation of ``physiological_motion``, m."""
+    """Return the motion of the surface by the equation of ``physiological_motion``, m."""
     breath = 2 * np.pi * values["breathing_hz"] * time
     beat = 2 * np.pi * values["pulse_hz"] * time
     beat += values["pulse_sway_cosine_rad"] * np.cos(breath) + values["pulse_sway_sine_rad"] * np.sin(breath)
@@ -365,7 +365,7 @@ def test_breathing_pulse_and_tremor_are_read_off_the_record():
     pulse = 6e-5 * np.exp(-((((1.15 * time + 0.2) % 1.0 - 0.3) / 0.12) ** 2))
     moved = 3e-4 * np.sin(2 * np.pi * 0.31 * time + 1.0) + pulse + 2e-5 * np.sin(2 * np.pi * 9.6 * time)
     signals["position"] = signals["position"] + moved
-    (found,) = effect("physiological_motion").from_tests([with_prediction(signals, clean)], RATE)
+    (found,) = effect("physiological_motion").estimate_from_records([with_prediction(signals, clean)], RATE)
     assert found["breathing_hz"] == pytest.approx(0.31, abs=0.05)
     assert found["pulse_hz"] == pytest.approx(1.15, abs=0.05)
     assert found["tremor_hz"] == pytest.approx(9.6, abs=0.05)
@@ -381,7 +381,7 @@ def test_breathing_hurries_and_slows_the_pulse():
     values |= {"pulse_cosine_1_m": 2e-5, "pulse_cosine_2_m": 1.5e-5, "pulse_sine_3_m": 1e-5, "pulse_cosine_4_m": 5e-6}
     moved = np.array([moved_surface(values, at) for at in clean.time])
     signals["position"] = signals["position"] + moved
-    (found,) = effect("physiological_motion").from_tests([with_prediction(signals, clean)], RATE)
+    (found,) = effect("physiological_motion").estimate_from_records([with_prediction(signals, clean)], RATE)
     assert found["pulse_hz"] == pytest.approx(1.25, abs=0.05)
     assert found["pulse_sway_sine_rad"] == pytest.approx(0.6, abs=0.25)
     left = moved - moved.mean() - [moved_surface(found, at) - found["mean_m"] for at in clean.time]
@@ -395,7 +395,7 @@ def test_rates_are_those_of_all_tests_and_heights_those_of_each():
     for (recorded_, met), phase, mean in (((quiet, still), 0.3, 0.0), ((signals, clean), 2.1, 2e-4)):
         sways = 1e-4 * np.sin(2 * np.pi * 0.27 * met.time + phase) + 1e-5 * np.cos(2 * np.pi * 1.31 * met.time + phase)
         tests.append(with_prediction(recorded_ | {"position": recorded_["position"] + sways + mean}, met))
-    both = effect("physiological_motion").from_tests(tests, RATE)
+    both = effect("physiological_motion").estimate_from_records(tests, RATE)
     for found, mean in zip(both, (0.0, 2e-4), strict=True):
         assert found["breathing_hz"] == pytest.approx(0.27, abs=0.02)
         assert found["pulse_hz"] == pytest.approx(1.31, abs=0.05)
@@ -411,7 +411,11 @@ def test_records_without_anything_in_them_give_values_within_bounds(name, size):
     empty, still = np.full(size, np.nan), np.full(size, 0.0121)
     for values in (empty, still):
         signals = {"command": still, "voltage": values, "current": values, "position": values}
-        found = one.from_test(signals, RATE) if one.from_test else one.from_tests([signals], RATE)[0]
+        found = (
+            one.estimate_from_record(signals, RATE)
+            if one.estimate_from_record
+            else one.estimate_from_records([signals], RATE)[0]
+        )
         assert set(found) == set(bounds)
         assert all(bounds[key].low <= value <= bounds[key].high for key, value in found.items())
 
@@ -424,7 +428,7 @@ def test_only_what_hooks_into_the_chain_is_held_to_its_number_of_parameters():
         Effect(*about, places=(bus.SURFACE,), hook=effect("physiological_motion").hook)
 
 
-def test_what_is_fixed_is_not_counted_and_what_each_test_has_counts_once():
+def test_fixed_parameters_do_not_count_and_per_test_parameters_count_once():
     assert effect("dropped_samples").order == 0
     assert effect("quantization").order == 2
     assert effect("mains_hum").order == 24

@@ -1,4 +1,4 @@
-"""Lifting off: a surface that returns by itself, the law of two bodies, landing within a step."""
+"""Loss of contact: a free surface, the law of two bodies, contact within a step."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from tissueid.twin import bus
 from tissueid.twin.catalogue import effect
-from tissueid.twin.figures import Instrument
-from tissueid.twin.simulation import Acting, Start, simulate
+from tissueid.twin.chain_parameters import Instrument
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
 
 
 def test_a_probe_that_lifts_off_flies_and_comes_down_on_a_surface_that_returns():
@@ -27,7 +27,7 @@ def test_a_probe_that_lifts_off_flies_and_comes_down_on_a_surface_that_returns()
 
 
 def lifted(then, velocity, taken, slowing_s=10.0):
-    """Forces along a motion that leaves the tissue at 2 mm in the eleventh step, of 0.1 ms, and goes on like that."""
+    """Return forces along a motion that leaves the tissue at 2 mm in the eleventh step of 0.1 ms."""
     depth = np.concatenate([np.full(11, 0.002), then])
     speed = np.concatenate([np.zeros(10), [-0.5], velocity])
 
@@ -42,17 +42,17 @@ def lifted(then, velocity, taken, slowing_s=10.0):
 @pytest.mark.parametrize(
     ("slowing_s", "at_m"), [(10.0, 2e-3 * math.exp(-1.0)), (0.01, 2e-3 * math.exp(-math.log(2.0)))]
 )
-def test_a_surface_left_behind_returns_by_its_own_stiffness_and_damping(slowing_s, at_m):
-    # Without mass it goes as exp(-k / b t), 10 ms, or as (1 + t / T)^(-k T / b) where the return slows.
+def test_a_free_surface_returns_by_its_own_stiffness_and_damping(slowing_s, at_m):
+    # Without mass the decay is exp(-k / b t), 10 ms, or (1 + t / T)^(-k T / b) where the return slows.
     then = np.concatenate([np.zeros(100), [at_m - 4e-5, at_m + 4e-5]])
-    told = lifted(then, np.zeros(102), 0.0, slowing_s)[:, bus.TISSUE_FORCE]
-    assert told[5] == pytest.approx(0.8)
-    assert np.abs(told[11:-1]).max() < 1e-3
-    assert told[-1] > 0.1
+    result = lifted(then, np.zeros(102), 0.0, slowing_s)[:, bus.TISSUE_FORCE]
+    assert result[5] == pytest.approx(0.8)
+    assert np.abs(result[11:-1]).max() < 1e-3
+    assert result[-1] > 0.1
 
 
 def thrown(seconds, slowing_s, adhesion_n):
-    """Depth of a heavy probe without a coil that tissue throws out from 5 mm, by events, and how often it lifts."""
+    """Return the depth of a heavy probe that tissue throws out from 5 mm, by events, and the number of lift-offs."""
     mass, drag, weight, taken = 0.3, 0.5, 1.0, TISSUE.mass_kg
 
     def stiffness(y):
@@ -84,8 +84,8 @@ def thrown(seconds, slowing_s, adhesion_n):
     at, off, state, lifts, is_off = 0.0, 0.0, [0.005, -0.2], 0, False
     while at < times[-1]:
         law, event = (apart, lands) if is_off else (together, lets_go)
-        told = times[(times > at) & (times <= times[-1])]
-        found = solve_ivp(law, (at, times[-1]), state, events=event, t_eval=told, rtol=1e-9, atol=1e-12, max_step=1e-3)
+        later = times[(times > at) & (times <= times[-1])]
+        found = solve_ivp(law, (at, times[-1]), state, events=event, t_eval=later, rtol=1e-9, atol=1e-12, max_step=1e-3)
         depth.extend(found.y[0])
         if found.status != 1:
             break
@@ -103,7 +103,7 @@ def thrown(seconds, slowing_s, adhesion_n):
 def test_lifting_off_and_landing_follow_the_law_of_two_bodies(slowing_s, adhesion_n):
     expected, lifts = thrown(0.15, slowing_s, adhesion_n)
     device = Instrument(weight_n=1.0, force_constant_n_per_a=1e-9, moving_mass_kg=0.3, bearing_damping_n_s_per_m=0.5)
-    acting = [Acting(effect("contact_loss"), np.array([slowing_s, adhesion_n]))]
+    acting = [ActiveEffect(effect("contact_loss"), np.array([slowing_s, adhesion_n]))]
     start = Start(0.0, SURFACE + 0.005, -0.2)
     found = simulate(np.zeros(expected.size), RATE, device, TISSUE, start, acting).readings.position - SURFACE
     assert lifts >= 1
@@ -111,8 +111,8 @@ def test_lifting_off_and_landing_follow_the_law_of_two_bodies(slowing_s, adhesio
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.ptp(expected))
 
 
-def test_where_in_a_step_it_lands_does_not_matter():
-    # The cost of a fit has no teeth: the motion changes by as little as the figures do.
+def test_the_instant_of_contact_in_a_step_does_not_matter():
+    # The cost of a fit is smooth: the motion changes in proportion to the parameters.
     command = noise(mean=2.0)
     ends = [play("contact_loss", (slowing, 0.05), command).readings.position for slowing in np.linspace(0.1, 0.101, 9)]
     steps = [np.abs(two - one).max() for one, two in itertools.pairwise(ends)]

@@ -121,13 +121,13 @@ def _on_the_rig() -> Iterator[Claim]:
     line, hammerstein, cascade_vaf = np.median([vaf for vaf, _ in found], axis=0)
     yield Claim(
         what=f"rig, median of {len(found)} sessions, held-out VAF: `lms`, `hammerstein`, `cascade`",
-        asked="told",
+        asked="reported",
         measured=f"{line:.1f}, {hammerstein:.1f}, {cascade_vaf:.1f} %",
         kept=bool(np.isfinite(cascade_vaf)),
     )
     yield Claim(
         what="rig: sessions called by the name of a block structure",
-        asked="told",
+        asked="reported",
         measured=f"{sum(confident for _, confident in found)} of {len(found)}",
         kept=True,
     )

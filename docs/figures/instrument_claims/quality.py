@@ -19,8 +19,8 @@ from firmware_sim.firmware import Firmware
 from firmware_sim.models import MODELS
 from firmware_sim.presets import load_preset, preset_names
 from tissueid.acquisition import GuidedTest, NoiseChoice, SessionRecorder, run_guided_test
-from tissueid.acquisition.placing import place
 from tissueid.acquisition.quality import judge
+from tissueid.acquisition.surface_detection import place
 from tissueid.device import DeviceDescription
 from tissueid.instrument import SerialInstrument
 from tissueid.sessions import SIGNAL_UNITS, Test

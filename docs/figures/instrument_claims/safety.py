@@ -27,8 +27,8 @@ WIDE = Limits(max_force_n=14.9, max_temperature_c=80.0, max_seconds=60.0)
 UPSET_AFTER = 2000
 HOST_OFF: dict[str, object] = {
     **{f"tissueid.instrument.driver.check_{name}": None for name in ("stimulus", "command", "limits")},
-    "tissueid.instrument.judge.Judge.take": None,
-    "tissueid.instrument.judge.Judge.arm": None,
+    "tissueid.instrument.sample_monitor.SampleMonitor.check": None,
+    "tissueid.instrument.sample_monitor.SampleMonitor.arm": None,
 }
 FIRMWARE_OFF: dict[str, object] = {
     "firmware_sim.guard.Guard.judge": (0, Fault.NONE),

@@ -11,9 +11,9 @@ from engine_claims.base import Claim
 
 from benchmarks import plain_interchange
 from tissueid.errors import UnusableInputError
+from tissueid.stimuli.autocorrelation_bounds import least_error
 from tissueid.stimuli.distributions import Binary, Uniform
 from tissueid.stimuli.interchange import Interchanged, arrange, interchange
-from tissueid.stimuli.joint_limits import least_error
 from tissueid.stimuli.kinds.interchange import Interchange
 from tissueid.stimuli.spectra import Band, Spectrum
 

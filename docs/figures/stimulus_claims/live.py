@@ -14,10 +14,10 @@ from tissueid.acquisition.guided import play
 from tissueid.acquisition.live import LiveIdentification
 from tissueid.device import DeviceDescription
 from tissueid.identification.engines.lms import Lms
-from tissueid.identification.online.live_view import METHODS, Method, start_identifier, view
-from tissueid.identification.online.precision import PARAMETERS, Precision, precision
-from tissueid.identification.online.sliding import SlidingLms
-from tissueid.identification.online.stopping import StopRule
+from tissueid.identification.live.live_view import METHODS, Method, start_identifier, view
+from tissueid.identification.live.precision import PARAMETERS, Precision, precision
+from tissueid.identification.live.sliding import SlidingLms
+from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import CLINICAL, SAMPLE, SerialInstrument, SerialLink
 from tissueid.records import Record
 from tissueid.stimuli.base import guided, to_voltage
@@ -91,7 +91,7 @@ def _samples(record: Record) -> np.ndarray:
 
 def _last_view(record: Record) -> Iterator[Claim]:
     """The last view of a test against the engine on the whole record."""
-    live = LiveIdentification(DEVICE, apart=False)
+    live = LiveIdentification(DEVICE, separate_process=False)
     samples = _samples(record)
     for first in range(0, samples.size, 100):
         live.feed(samples[first : first + 100])
@@ -117,7 +117,7 @@ def _cost(record: Record) -> Iterator[Claim]:
     for method in METHODS:
         shares, longest_s = [], 0.0
         for _ in range(TIMED_RUNS):
-            live = LiveIdentification(DEVICE, method=method, apart=False)
+            live = LiveIdentification(DEVICE, method=method, separate_process=False)
             feeding = []
             for first in range(0, samples.size, 20):
                 begin = time.perf_counter()

@@ -12,10 +12,10 @@ from firmware_sim.bench import Bench
 from tissueid.device import DeviceDescription
 from tissueid.identification.validation.distortion import distortion
 from tissueid.records import Record
-from tissueid.stimuli.appraisal import appraise
 from tissueid.stimuli.base import guided, to_voltage
 from tissueid.stimuli.crest import lowered, peak_ratio, schroeder_phases
 from tissueid.stimuli.kinds.multisine import Multisine
+from tissueid.stimuli.stimulus_check import appraise
 
 RANGE = {"force_min_n": known.LOW_N, "force_max_n": known.HIGH_N}
 RANDOM = Multisine(phases="random", draws=20, **RANGE)

@@ -13,7 +13,7 @@ from support import connect
 from tissueid.acquisition import MultistepTest, SessionRecorder, run_multistep
 from tissueid.instrument import Instrument, SimulatedInstrument
 from tissueid.sessions import Test
-from tissueid.stimuli.redesign import DepthDesign
+from tissueid.stimuli.depth_uniform import DepthDesign
 
 STEPS = 3
 SECONDS = 3.0

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.lazily import on_first_use
+from tissueid.lazy_import import lazy_attributes
 
 if TYPE_CHECKING:
-    from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice
     from tissueid.acquisition.guided import GuidedTest, Phase, Progress, play, run_guided_test
     from tissueid.acquisition.journal import JournalError, journal_path
     from tissueid.acquisition.multistep import MultistepTest, Step, check_multistep, run_multistep
     from tissueid.acquisition.recorder import SessionRecorder
     from tissueid.acquisition.recovery import recover
+    from tissueid.acquisition.stimulus_choice import PRELOAD_S, NoiseChoice
 else:
-    __getattr__ = on_first_use(
+    __getattr__ = lazy_attributes(
         __name__,
         {
-            "choice": ("PRELOAD_S", "NoiseChoice"),
+            "stimulus_choice": ("PRELOAD_S", "NoiseChoice"),
             "guided": ("GuidedTest", "Phase", "Progress", "play", "run_guided_test"),
             "journal": ("JournalError", "journal_path"),
             "multistep": ("MultistepTest", "Step", "check_multistep", "run_multistep"),

@@ -1,4 +1,4 @@
-"""The guided test: place, preload at the mean load, stochastic stimulus, release (thesis 2.4.2, 7.1.1)."""
+"""The guided test: place the probe, hold the mean load, play the stimulus, release (thesis 2.4.2, 7.1.1)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.choice import PRELOAD_S
-from tissueid.acquisition.feedback import SetPoints, preload, rehearse, set_point_count
-from tissueid.acquisition.placing import PLACE_S, Placement, find_orientation, find_surface, place
-from tissueid.acquisition.playing import Phase, Progress, ignore, never, play
+from tissueid.acquisition.background_work import run_while_polling
+from tissueid.acquisition.playback import Phase, Progress, ignore, never, play
 from tissueid.acquisition.quality import Quality
 from tissueid.acquisition.recorder import Preparation, SessionRecorder
 from tissueid.acquisition.recovery import OpenTest
-from tissueid.acquisition.waiting import meanwhile
+from tissueid.acquisition.set_points import SetPoints, preload, rehearse, set_point_count
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
+from tissueid.acquisition.surface_detection import PLACE_S, Placement, find_orientation, find_surface, place
 from tissueid.configuration import Configuration
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, TissueIDError, UnusableInputError
@@ -28,9 +28,12 @@ from tissueid.instrument import (
     Run,
     check_stimulus,
     force,
-    not_played,
-    until_released,
+    is_not_played,
+    trim_at_release,
 )
+from tissueid.language import marked
+from tissueid.messages import Action, Message, Verbatim
+from tissueid.sessions.model import reason_notes
 from tissueid.stimuli.base import Array, Stimulus, Unit, to_voltage
 from tissueid.stimuli.feedback import FeedbackKind
 from tissueid.wire import Flag
@@ -49,15 +52,15 @@ __all__ = [
 ]
 
 _ACCELEROMETER_END_M_S2 = 2.0 * GRAVITY_M_S2
-"""Beyond it the accelerometer is at its end: that of a handheld is, when the coil's reaction shakes it."""
+"""Range of the accelerometer, m/s^2; the reaction of the coil can drive that of a handheld beyond it."""
 
 
 @dataclass(frozen=True)
 class GuidedTest:
-    """One test to be run: the stimulus, where, and how far it may go.
+    """Specification of a test: stimulus, site and limits.
 
-    An open-loop stimulus brings its preload with it; one that is generated while the test runs is given one of
-    ``preload_s``. ``notes`` go into the session with the test, and so does the ``configuration`` with its probe.
+    An open-loop stimulus contains its preload; a feedback stimulus gets one of ``preload_s``. ``notes`` and the
+    ``configuration`` with its probe are stored with the test.
     """
 
     stimulus: Stimulus | FeedbackKind
@@ -71,7 +74,7 @@ class GuidedTest:
 
     @property
     def opening(self) -> Stimulus:
-        """What is known and loaded before the test: all of it, or the preload of a feedback stimulus.
+        """The part that is loaded before the test: the whole stimulus, or the preload of a feedback stimulus.
 
         Raises:
             UnusableInputError: the preload is shorter than its rise.
@@ -81,33 +84,45 @@ class GuidedTest:
         return self.stimulus
 
 
-def _enough_was_known() -> str:
-    return "enough was known"
+def _precise_enough() -> str:
+    return _PRECISE
+
+
+_PRECISE = Message("test.precise", "the estimates were precise enough")
 
 
 def _cause(error: BaseException) -> str:
-    """Why a test broke off, in words."""
+    """Return why a test was stopped."""
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
+        return Message("test.interrupted", "interrupted")
     if isinstance(error, TissueIDError):
-        return str(error)
-    return f"a defect of the software: {type(error).__name__}: {error}"
+        return error.message
+    return Message(
+        "test.defect",
+        "a defect of the software: {kind}: {error}",
+        kind=type(error).__name__,
+        error=Verbatim(error),
+    )
 
 
 def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float64]:
-    """The command of a test, shape (n,), V; refused before anybody is touched when it could not be played.
+    """Return the command of a test, shape (n,), V, after checking that it can be played.
 
-    Of a feedback stimulus the command is the preload, and what is judged is the whole range that it may ask for; then
-    it is rehearsed.
+    For a feedback stimulus the command is the preload; its whole force range is checked, and it is rehearsed.
 
     Raises:
         LimitError: too strong, too long, or beyond the amplifier.
-        UnusableInputError: another sample rate than the device's, or a source that leaves its range.
+        UnusableInputError: the sample rate differs from the device's, or the source leaves its range.
     """
     opening, kind = test.opening, test.stimulus
     if opening.sample_rate_hz != device.sample_rate_hz:
         raise UnusableInputError(
-            f"the stimulus has {opening.sample_rate_hz:g} samples a second, the instrument {device.sample_rate_hz:g}"
+            Message(
+                "test.sample_rate",
+                "the stimulus has a sample rate of {stimulus:g} Hz, the instrument one of {instrument:g} Hz",
+                stimulus=opening.sample_rate_hz,
+                instrument=device.sample_rate_hz,
+            )
         )
     command = _command(opening.values, opening.unit, device, test.limits)
     if isinstance(kind, FeedbackKind):
@@ -118,16 +133,21 @@ def check_test(test: GuidedTest, device: DeviceDescription) -> NDArray[np.float6
 
 
 def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limits) -> NDArray[np.float64]:
-    """The command, V, shape (n,), for values (n,), within the limits. Who asked for newtons is answered in newtons.
+    """Return the command, V, shape (n,), for values (n,); a force limit is reported in the unit of the values.
 
     Raises:
-        LimitError: says which limit.
+        LimitError: the values exceed a limit.
     """
     peak = float(np.max(np.abs(values), initial=0.0))
     if unit == "N" and peak > limits.max_force_n:
         raise LimitError(
-            f"the stimulus reaches {peak:.1f} N; the limit is {limits.max_force_n:.4g} N: lower the force range "
-            "(--max-force, --min-force) to it"
+            Message(
+                "test.stimulus_force",
+                "the stimulus reaches {force:.1f} N; the limit is {limit:.4g} N: reduce the force range ({options})",
+                force=peak,
+                limit=limits.max_force_n,
+                options=Action("test.force_range", "--max-force, --min-force", marked("Lowest force, Highest force")),
+            )
         )
     command = to_voltage(values, device, unit)
     check_stimulus(command, device, limits)
@@ -135,7 +155,7 @@ def _command(values: Array, unit: Unit, device: DeviceDescription, limits: Limit
 
 
 class _Recording:
-    """One test on its way into the recorder, and past the quality gate at its end."""
+    """Record one test and judge it by the quality gate at its end."""
 
     def __init__(
         self,
@@ -161,7 +181,7 @@ class _Recording:
         self._preparation = Preparation()
 
     def prepare(self) -> None:
-        """Before the coil is energised: it can be recorded and logged, or is refused.
+        """Check, before the coil is energised, that the test can be recorded and logged.
 
         Raises:
             JournalError, SessionFormatError, AuditError: it cannot.
@@ -171,7 +191,7 @@ class _Recording:
         self._recorder.prepare(samples, limits=self._test.limits, preparation=self._preparation, **about)
 
     def begin(self, run: Run) -> None:
-        """The coil is energised."""
+        """Store the beginning of the run; the coil is energised now."""
         self.planned = run
         limits: dict[str, str | float] = {f"limit_{name}": value for name, value in asdict(self._test.limits).items()}
         attributes = {
@@ -193,9 +213,9 @@ class _Recording:
         self._open = OpenTest(number, run, attributes)
 
     def take(self, samples: NDArray[np.void], fraction: float) -> None:
-        """Samples of the run, and the fraction of it that is played; those after a release are counted alone."""
-        played = samples[:0] if self.after_release else until_released(samples)
-        self.after_release += int(np.count_nonzero(not_played(samples[played.size :])))
+        """Record samples of the run; those after a release are only counted."""
+        played = samples[:0] if self.after_release else trim_at_release(samples)
+        self.after_release += int(np.count_nonzero(is_not_played(samples[played.size :])))
         if self.after_release and not played.size:
             return
         samples = played
@@ -207,19 +227,20 @@ class _Recording:
         self._progress(Progress(phase, fraction, samples))
 
     def end(self, run: Run, why: Callable[[], str]) -> None:
-        """It was played, to its end or to where it was enough."""
+        """Close a test that was played to its end, or until it was precise enough."""
         assert self.planned is not None
         early: dict[str, str | float] = {}
         if run.samples < self.planned.samples:
             seconds = (run.samples - self.preload_samples) / self._instrument.device.sample_rate_hz
-            early = {"ended_early_s": seconds, "reason": f"ended after {seconds:.2f} s: {why()}"}
+            reason = Message("test.ended", "ended after {seconds:.2f} s: {why}", seconds=seconds, why=why())
+            early = reason_notes(reason) | {"ended_early_s": seconds}
         self._close("completed", run, early)
         self._progress(Progress(Phase.RELEASE, 1.0, np.zeros(0, SAMPLE)))
 
     def abort(self, error: BaseException) -> None:
-        """It broke off; where it had not begun there is nothing to close."""
+        """Close a test that failed; without a beginning there is nothing to close."""
         if self.planned is not None:
-            self._close("aborted", self.planned, {"reason": _cause(error)}, error)
+            self._close("aborted", self.planned, reason_notes(_cause(error)), error)
         else:
             self._recorder.not_begun(error, _cause(error), self._preparation)
 
@@ -240,9 +261,9 @@ class _Recording:
         self._recorder.end_test(status, run.samples, cause=cause, **notes)
 
     def _figures(self) -> dict[str, str | float]:
-        """Mean force on the tissue with the weight in it, and how many samples a converter was at its end for."""
+        """Return the mean force on the tissue, including the weight, and the number of saturated samples."""
         samples = np.concatenate([*(self._open.blocks if self._open else ()), np.zeros(0, SAMPLE)])
-        samples = samples[self.preload_samples :]  # before it the probe may come from the end of its stroke
+        samples = samples[self.preload_samples :]  # during the preload the probe may come from the end of its stroke
         if not samples.size:
             return {}
         device = self._instrument.device
@@ -260,7 +281,7 @@ class _Recording:
         return figures
 
     def _quality(self, status: str, run: Run, notes: dict[str, str | float]) -> Quality | None:
-        """What the gate says; None of a test without a sample."""
+        """Return the result of the quality gate; None for a test without samples."""
         if self._open is None:
             return None
         self._open.end(status, dict(notes), run.samples)
@@ -270,9 +291,9 @@ class _Recording:
         gate = self._recorder.gate
         if status == "completed":
             try:
-                return meanwhile(self._instrument, lambda: gate.judge(test))
+                return run_while_polling(self._instrument, lambda: gate.judge(test))
             except InstrumentError:
-                pass  # all of the run was received; whoever uses the instrument next is told
+                pass  # all of the run was received; the next user of the instrument gets the error
         return gate.judge(test)
 
 
@@ -285,23 +306,23 @@ def run_guided_test(
     progress: Callable[[Progress], None] = ignore,
     cancelled: Callable[[], bool] = never,
     enough: Callable[[], bool] = never,
-    why: Callable[[], str] = _enough_was_known,
+    why: Callable[[], str] = _precise_enough,
     clock: Callable[[], float] = time.perf_counter,
 ) -> int:
-    """Run one guided test into the recorder; returns its number.
+    """Run and record one guided test; return its number.
 
-    A test that breaks off is closed as aborted with what was recorded, and the error goes on to the caller. One that
-    ends after its preload because ``enough`` says so is completed, with as many samples as were played and a note of
-    when and ``why`` it ended. ``surface_m`` is where the tissue begins, or what ``place`` found; without it the probe
-    is placed first, and where it is a number alone the orientation is taken to be as it is now. ``clock`` times the
-    generation of a feedback stimulus. The quality gate judges the test before it is closed, and its notes keep that.
+    A test that fails is closed as aborted with its samples so far, and the error is raised. A test that ends after its
+    preload because ``enough`` returned True is completed; its notes hold when and ``why`` it ended. ``surface_m`` is
+    the surface position or the result of ``place``; without it the probe is placed first, and with a bare position the
+    orientation is measured now. ``clock`` times the generation of a feedback stimulus. The quality gate judges the
+    test before it is closed; its notes hold the result.
 
     Raises:
         CancelledError, LimitError, InstrumentError, JournalError, AuditError, UnusableInputError.
     """
     device = instrument.device
     test = replace(test, limits=instrument.narrowed(test.limits))
-    command = meanwhile(instrument, lambda: check_test(test, device), cancelled)
+    command = run_while_polling(instrument, lambda: check_test(test, device), cancelled)
     if surface_m is None:
         placement = place(instrument, test.limits, progress=progress, cancelled=cancelled)
     elif isinstance(surface_m, Placement):
@@ -312,7 +333,7 @@ def run_guided_test(
     if isinstance(test.stimulus, FeedbackKind):
         recording.set_points = SetPoints(test.stimulus, device, placement.surface_m, command.size, clock=clock)
     try:
-        meanwhile(instrument, recording.prepare, cancelled)
+        run_while_polling(instrument, recording.prepare, cancelled)
         run = play(
             instrument,
             command,

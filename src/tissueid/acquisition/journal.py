@@ -1,8 +1,8 @@
 """The journal: an append-only file of checksummed entries that holds a sitting until its session is written.
 
-An HDF5 file that is open for writing is lost when its host dies at the wrong moment. A journal never is: whatever
-was cut off at its end fails its checksum, and all that stands before it is whole (docs/decisions/0003-journal.md). So
-is all that stands after a place that the disk damaged.
+An HDF5 file that is open for writing is lost if its host dies at the wrong moment. A journal is not: a truncated last
+entry fails its checksum, and all other entries remain readable, even after a place that the disk damaged
+(docs/decisions/0003-journal.md).
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from tissueid.acquisition.entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
+from tissueid.acquisition.journal_entries import MAGIC, Damage, Entry, encode_entry, encode_json, read_entries
+from tissueid.atomic_write import create_private, sync_folder, write_all
 from tissueid.errors import TissueIDError
-from tissueid.sessions.members import journal_path
-from tissueid.whole_file import create_private, sync_folder, write_all
+from tissueid.messages import Action, Message
+from tissueid.sessions.hdf5_members import RECOVER_PLACE, journal_path
 
 __all__ = [
     "MAGIC",
@@ -36,34 +37,36 @@ __all__ = [
 ]
 
 SYNC_S = 1.0
+"""Longest time, s, from an entry to its sync to the disk."""
 MAX_WAITING = 64 * 1024 * 1024
-"""Bytes that wait for the disk; a recorder allows less."""
+"""Most bytes that may wait for the disk; a recorder allows less."""
 PATIENCE_S = 30.0
-"""How long the end of a sitting waits for a disk that does not answer. No coil waits for it."""
+"""Seconds that the end of a sitting waits for a disk that does not respond. The coil is free meanwhile."""
 _LOOK_S = 0.05
-"""Between two looks whether the thread that writes is still there."""
+"""Seconds between two checks that the writing thread is alive."""
+RECOVER = Action("session.recover", "tissueid recover", RECOVER_PLACE)
 
 
 class JournalError(TissueIDError):
-    """The journal cannot be written: the disk is full, or failed. The test is stopped, what is synced is kept."""
+    """The journal cannot be written: the disk is full or failed. The test is stopped; synced entries are kept."""
 
 
 @dataclass
 class _Flush:
-    """Asks the writing thread to sync what came before, and with ``last`` to end; then sets ``done``."""
+    """A request to the writing thread: sync all earlier entries, end if ``last``, then set ``done``."""
 
     last: bool = False
     done: threading.Event = field(default_factory=threading.Event)
 
 
 class Journal:
-    """A journal being written. A thread does the writing, so that a slow disk does not starve the heartbeat.
+    """A journal that is being written, by a thread, so that a slow disk does not delay the heartbeat.
 
-    What fails once is final: nothing is written after it, for what a disk says after that is not to be relied on.
-    ``max_waiting`` bytes may wait for a disk that stands still. Nobody waits longer than ``patience_s`` for it.
+    The first failure is final: nothing is written after it, because the disk is no longer reliable. At most
+    ``max_waiting`` bytes wait for the disk. ``sync`` and ``close`` wait at most ``patience_s``.
 
     Raises:
-        JournalError: the file is there already, or cannot be made.
+        JournalError: the file exists or cannot be created.
     """
 
     def __init__(
@@ -76,16 +79,34 @@ class Journal:
         try:
             self._file: IO[bytes] = os.fdopen(create_private(path), "wb", buffering=0)
         except FileExistsError as error:
-            raise JournalError(f"{path} is left from an unfinished session: run 'tissueid recover' first") from error
+            raise JournalError(
+                Message(
+                    "journal.exists",
+                    "{path} is left from an unfinished session: use {action} first",
+                    path=str(path),
+                    action=RECOVER,
+                )
+            ) from error
         except OSError as error:
-            raise JournalError(f"cannot write {path}: {error.strerror}") from error
+            raise JournalError(
+                Message(
+                    "file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror)
+                )
+            ) from error
         try:
             lock(self._file)
             self._write(MAGIC)
         except OSError as error:
             self._file.close()
             _remove(path)
-            raise JournalError(f"cannot write {path}: {error.strerror}. Nothing was begun") from error
+            raise JournalError(
+                Message(
+                    "journal.not_begun",
+                    "cannot write {path}: {reason}. Nothing was started",
+                    path=str(path),
+                    reason=str(error.strerror),
+                )
+            ) from error
         self._queue: queue.SimpleQueue[bytes | _Flush] = queue.SimpleQueue()
         self._error: BaseException | None = None
         self._appended = self._synced = 0
@@ -96,21 +117,26 @@ class Journal:
         self._thread.start()
 
     def append(self, entry: bytes) -> int:
-        """Queue an entry; returns its number, to be compared with ``synced``.
+        """Queue an entry; return its number, to be compared with ``synced``.
 
         Raises:
-            JournalError: an earlier write failed, or too much waits to be written.
+            JournalError: an earlier write failed, or too many bytes wait to be written.
         """
         self.check()
         if self._appended_bytes - self._written_bytes > self._max_waiting:
             raise JournalError(
-                f"the disk does not take what is recorded into {self.path}. What reached it is kept; once the disk "
-                "answers again, 'tissueid recover' makes the session from it"
+                Message(
+                    "journal.disk_slow",
+                    "the disk is too slow to record into {path}. The written part is kept; when the disk responds "
+                    "again, {action} makes the session from it",
+                    path=str(self.path),
+                    action=RECOVER,
+                )
             )
         return self.leave(entry)
 
     def leave(self, entry: bytes) -> int:
-        """As ``append``, but never refused: for the end of a test, which must not fail over its recording."""
+        """Queue an entry without any check: for the end of a test, which must not fail because of its recording."""
         self._appended += 1
         self._appended_bytes += len(entry)
         self._queue.put(entry)
@@ -118,39 +144,52 @@ class Journal:
 
     @property
     def synced(self) -> int:
-        """How many entries are known to be on the disk."""
+        """Number of entries that are on the disk."""
         return self._synced
 
     def check(self) -> None:
-        """Raise what the writing thread met, if anything."""
+        """Raise the error of the writing thread, if there is one.
+
+        Raises:
+            JournalError: an entry could not be written.
+        """
         if isinstance(self._error, FileNotFoundError):
             raise JournalError(
-                f"{self.path} was removed or moved away while it was written; where it still is, 'tissueid recover' "
-                "makes the session from it"
+                Message(
+                    "journal.moved",
+                    "{path} was removed or moved while it was written; if it still exists, {action} makes the session "
+                    "from it",
+                    path=str(self.path),
+                    action=RECOVER,
+                )
             ) from self._error
         if self._error is not None:
             reason = getattr(self._error, "strerror", None) or str(self._error) or type(self._error).__name__
             raise JournalError(
-                f"cannot write {self.path}: {reason}. What was recorded before is kept in it; once that is mended, "
-                "'tissueid recover' makes the session from it"
+                Message(
+                    "journal.failed",
+                    "cannot write {path}: {reason}. The recording so far is kept in it; when the cause is removed, "
+                    "{action} makes the session from it",
+                    path=str(self.path),
+                    reason=reason,
+                    action=RECOVER,
+                )
             ) from self._error
 
     def sync(self) -> None:
-        """Wait until everything appended so far is on the disk.
+        """Wait until all entries so far are on the disk.
 
         Raises:
-            JournalError: it cannot be brought there, or not in time.
+            JournalError: they could not be written, or not in time.
         """
         self._wait_for(_Flush())
         self.check()
 
     def close(self) -> None:
-        """Write what is queued, sync, and close. Errors are left for ``check``.
-
-        A disk that stands still is not waited for for ever: the file is closed when it answers.
+        """Write the queued entries, sync, and close; ``check`` raises errors of writing.
 
         Raises:
-            JournalError: it does not answer in time.
+            JournalError: the disk does not respond in time; the file is closed when it does.
         """
         if self._last is None:
             self._last = _Flush(last=True)
@@ -171,29 +210,39 @@ class Journal:
             if not self._thread.is_alive() and not request.done.is_set():
                 self.check()
                 raise JournalError(
-                    f"the writing of {self.path} ended before its time. What was recorded before is kept in it; "
-                    "'tissueid recover' makes the session from it"
+                    Message(
+                        "journal.thread_ended",
+                        "the writing of {path} ended unexpectedly. The recording so far is kept in it; {action} makes "
+                        "the session from it",
+                        path=str(self.path),
+                        action=RECOVER,
+                    )
                 )
             if time.monotonic() >= until:
                 raise self._no_answer()
 
     def _no_answer(self) -> JournalError:
         return JournalError(
-            f"the disk of {self.path} does not answer. What reached it is kept; once it answers again, "
-            "'tissueid recover' makes the session from it"
+            Message(
+                "journal.no_answer",
+                "the disk of {path} does not respond. The written part is kept; when the disk responds again, {action} "
+                "makes the session from it",
+                path=str(self.path),
+                action=RECOVER,
+            )
         )
 
     def _write_all(self) -> None:
         try:
             self._take_all()
-        except BaseException as error:  # noqa: BLE001 - told by ``check``: a thread that is gone writes nothing
+        except BaseException as error:  # noqa: BLE001 - ``check`` raises it
             self._fail(error)
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
 
     def _take_all(self) -> None:
-        """Write what is queued until told to end."""
+        """Write queued entries until the last request."""
         written = 0
         sync_at: float | None = None
         while True:
@@ -207,7 +256,7 @@ class Journal:
                 if self._error is None and due and written > self._synced:
                     self._sync()
                     self._synced, sync_at = written, None
-            except Exception as error:  # noqa: BLE001 - memory that ran out loses as much as a disk that did
+            except Exception as error:  # noqa: BLE001 - exhausted memory loses entries as a full disk does
                 self._fail(error)
                 sync_at = None
             if isinstance(item, bytes):
@@ -219,7 +268,7 @@ class Journal:
                 item.done.set()
 
     def _end(self, request: _Flush) -> None:
-        """Close the file, so that nobody holds it any more."""
+        """Close the file, which releases its lock."""
         try:
             self._file.close()
         except OSError as error:
@@ -228,13 +277,13 @@ class Journal:
         request.done.set()
 
     def _fail(self, error: BaseException) -> None:
-        """Whatever comes after is not written; a file without a name keeps nothing that was."""
+        """Keep the first error; if the file has no name any more, nothing in it counts as synced."""
         self._error = self._error or error
         if not self._is_anywhere():
             self._synced = 0
 
     def _next(self, sync_at: float | None) -> bytes | _Flush | None:
-        """The next item, or None when it is time to sync."""
+        """Return the next item, or None when a sync is due."""
         try:
             return self._queue.get(timeout=None if sync_at is None else max(0.0, sync_at - time.monotonic()))
         except queue.Empty:
@@ -244,10 +293,10 @@ class Journal:
         write_all(self._file.fileno(), data)
 
     def _sync(self) -> None:
-        """Bring the file to the disk, and its name.
+        """Sync the file and, once, its folder.
 
         Raises:
-            FileNotFoundError: it has another name by now, or none.
+            FileNotFoundError: the file was renamed or removed.
             OSError: the disk failed.
         """
         os.fsync(self._file.fileno())
@@ -258,30 +307,32 @@ class Journal:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
 
     def _is_anywhere(self) -> bool:
-        """Whether the file still has a name: without one, nothing that it holds can be found again."""
+        """Return whether the file still has a name, without which its content is lost."""
         try:
             return os.fstat(self._file.fileno()).st_nlink > 0
         except (OSError, ValueError):
-            return True  # what cannot be asked any more may hold it all the same
+            return True  # unknown, for instance after a disconnected disk
 
 
 def _remove(path: Path) -> None:
-    """Remove a file; one that cannot be removed is in nobody's way."""
+    """Remove a file; ignore a failure."""
     with contextlib.suppress(OSError):
         path.unlink()
 
 
 def lock(file: IO[bytes]) -> None:
-    """Hold the file until it is closed, so that nobody recovers a journal that is being written.
+    """Lock the file until it is closed, so that no other process recovers a journal that is being written.
 
     Raises:
-        JournalError: another process holds it.
+        JournalError: another process has locked it.
     """
     try:
         import fcntl
-    except ImportError:  # Windows refuses to rename or delete an open file, which does the same
+    except ImportError:  # Windows does not rename or delete an open file, which has the same effect
         return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        raise JournalError(f"{file.name} is being written by a test that still runs") from error
+        raise JournalError(
+            Message("journal.running", "{path} is being written by a test that still runs", path=str(file.name))
+        ) from error

@@ -1,7 +1,7 @@
-"""Identification beside a running test: the loop that polls hands its samples over and never waits for an answer.
+"""Identification during a test: the polling loop passes its samples on and never waits for a result.
 
-Nothing that is handed over is lost; when the looking falls behind it takes all that has come at once and looks less
-often. What goes wrong here is kept and told; it never ends a test.
+No sample is lost: an estimate that is late uses all samples so far. Errors are stored in ``problem`` and never end a
+test.
 """
 
 from __future__ import annotations
@@ -9,34 +9,33 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.live_looks import LiveLooks, LiveSettings
+from tissueid.acquisition.live_estimator import LiveEstimator, LiveSettings
 from tissueid.acquisition.live_process import LiveProcess
 from tissueid.device import DeviceDescription
+from tissueid.identification.live.live_view import LiveView, Method
+from tissueid.identification.live.stopping import StopRule
 from tissueid.identification.online.identifier import RECENT_S
-from tissueid.identification.online.live_view import LiveView, Method
-from tissueid.identification.online.stopping import StopRule
 from tissueid.instrument import force
 
 
 class LiveIdentification:
-    """Identification of one test while it runs. ``feed`` from the loop that polls; ``latest`` from anywhere.
+    """Identification of a running test. Call ``feed`` from the polling loop and ``latest`` from any thread.
 
-    Make it before the probe is placed: the process takes a second or two until it looks for the first time. What was
-    fed until then is not lost.
+    Create it before the probe is placed: the process needs a second or two to start. Samples until then are kept.
 
     Args:
-        device: gives the sample rate, and the force that belongs to a current.
-        preload_s: seconds at the start of the run that are not identified.
-        method: how the response is found; the parameters are found in the same way for all.
-        memory: how long the impulse response lasts, s.
-        window_s: of the sliding method: how much of the latest samples counts; all of them when None.
-        stop: when it is good enough; never when None.
-        apart: look in a process of its own. Without it nothing happens until ``step`` is called.
-        external_spring_n_per_m: stands beside the tissue and is taken off the stiffness that is told. A rule to stop by
-            looks at both together, which is what the test determines.
+        device: gives the sample rate and the force constant.
+        preload_s: seconds at the start of the run that are not used.
+        method: method of the impulse response; the parameters are estimated in the same way for all methods.
+        memory: length of the impulse response, s.
+        window_s: length of the sliding window, s; all samples if None.
+        stop: rule that ends the test when the estimates are precise enough; never if None.
+        separate_process: estimate in a separate process. Without it, estimates are made by calls of ``step``.
+        external_spring_n_per_m: stiffness of a spring parallel to the tissue, which is subtracted from the reported
+            stiffness. The stop rule uses the sum of both, which is what the test determines.
 
     Raises:
-        UnusableInputError: a method that cannot be started so.
+        UnusableInputError: invalid settings of the method.
         pydantic.ValidationError: a number out of its bounds.
     """
 
@@ -49,11 +48,11 @@ class LiveIdentification:
         memory: float = 0.125,
         window_s: float | None = RECENT_S,
         stop: StopRule | None = None,
-        apart: bool = True,
+        separate_process: bool = True,
         external_spring_n_per_m: float = 0.0,
     ) -> None:
         self._spring = external_spring_n_per_m
-        self._told: tuple[LiveView, LiveView] | None = None
+        self._shown: tuple[LiveView, LiveView] | None = None
         self._device = device
         self._preload = round(preload_s * device.sample_rate_hz)
         self._first_index: int | None = None
@@ -61,12 +60,12 @@ class LiveIdentification:
         settings = LiveSettings(
             sample_rate_hz=device.sample_rate_hz, method=method, memory=memory, window_s=window_s, stop=stop
         )
-        self._looks = LiveProcess(settings) if apart else LiveLooks(settings)
+        self._estimator = LiveProcess(settings) if separate_process else LiveEstimator(settings)
 
     def feed(self, samples: NDArray[np.void]) -> None:
-        """Take samples of the run, shape (k,) of instrument.SAMPLE, from its first on; never waits.
+        """Add samples of the run, shape (k,) of instrument.SAMPLE; never waits.
 
-        The first sample fed is the first of the run. Samples that are left out are gaps.
+        The first sample must be the first of the run. Missing samples are gaps.
         """
         if not samples.size:
             return
@@ -81,43 +80,43 @@ class LiveIdentification:
         block[0, place] = force(samples[new], self._device)
         block[1, place] = samples["position"][new]
         self._fed += block.shape[1]
-        self._looks.take(block[0], block[1])
+        self._estimator.take(block[0], block[1])
 
     def step(self) -> bool:
-        """Without a process: look, if a look is due; True when one was made."""
-        return self._looks.step() if isinstance(self._looks, LiveLooks) else False
+        """Without a separate process: make an estimate if one is due; return whether one was made."""
+        return self._estimator.step() if isinstance(self._estimator, LiveEstimator) else False
 
     def latest(self) -> LiveView | None:
-        """The newest look; None before the first."""
-        view = self._looks.news.view
+        """Return the newest estimate; None before the first."""
+        view = self._estimator.update.view
         if view is None or not self._spring:
             return view
-        if self._told is None or self._told[0] is not view:
-            self._told = view, view.without_spring(self._spring)
-        return self._told[1]
+        if self._shown is None or self._shown[0] is not view:
+            self._shown = view, view.without_spring(self._spring)
+        return self._shown[1]
 
     def enough(self) -> bool:
-        """True once the rule has been met; it stays true."""
-        return bool(self._looks.news.enough)
+        """Return whether the stop rule has been met so far."""
+        return bool(self._estimator.update.enough)
 
     @property
     def reason(self) -> str:
-        """Why it is enough, in words; empty until it is."""
-        return self._looks.news.enough
+        """Why the stop rule is met; "" until it is."""
+        return self._estimator.update.enough
 
     @property
     def problem(self) -> str:
-        """What ended the looking, in one line; empty while all is well."""
-        return self._looks.news.problem
+        """The error that ended the estimates; "" without one."""
+        return self._estimator.update.problem
 
     @property
     def busy_s(self) -> float:
-        """Processor time of the looks so far, s."""
-        return self._looks.news.busy_s
+        """Processor time of the estimates so far, s."""
+        return self._estimator.update.busy_s
 
     def close(self) -> None:
-        """Look once more at all that was fed, and end. May be called again."""
-        if isinstance(self._looks, LiveLooks):
-            self._looks.step(last=True)
+        """Make a last estimate from all samples, and end. May be called again."""
+        if isinstance(self._estimator, LiveEstimator):
+            self._estimator.step(last=True)
         else:
-            self._looks.close()
+            self._estimator.close()

@@ -1,8 +1,8 @@
-"""Live identification in a process of its own: its numerics can never hold up the loop that polls.
+"""Live identification in a separate process, so that its computations never delay the polling loop.
 
-A thread would share the interpreter's lock with that loop, and on a busy machine the loop waits whenever the thread
-that holds the lock is put aside; the heartbeat would stop for as long (docs/decisions/0002-one-heartbeat-one-loop.md).
-Force and position go to the process through its input, news come back through its output.
+A thread would share the interpreter's lock with that loop; on a busy machine the heartbeat would stop while the thread
+that holds the lock is preempted (docs/decisions/0002-one-heartbeat-one-loop.md). The process receives force and
+position through its standard input and returns updates through its standard output.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from typing import IO
 
 import numpy as np
 
-from tissueid.acquisition.live_looks import Array, LiveLooks, LiveSettings, News, in_words
-from tissueid.children import start
+from tissueid.acquisition.live_estimator import Array, LiveEstimator, LiveSettings, LiveUpdate, problem_of
+from tissueid.child_process import start
+from tissueid.messages import Message
 
 MOST_SHARE = 0.2
-"""Share of a core that the looking may take: where it would take more, it looks less often."""
+"""Largest share of a core; slower estimates are made less often."""
 
 LAST_LOOK_S = 10.0
-"""How long the last look is waited for."""
+"""Longest wait for the last estimate, s."""
 
 _COUNT = struct.Struct("<q")
 _CLOSING = -1
@@ -37,15 +38,15 @@ _COMMAND = "from tissueid.acquisition.live_process import serve; serve()"
 
 
 class LiveProcess:
-    """The process, as the loop that polls sees it: samples in, news out, and no call that waits but ``close``.
+    """Interface of the polling loop to the process. No call waits except ``close``.
 
     Raises:
-        UnusableInputError: the method cannot be started with these settings.
+        UnusableInputError: invalid settings of the method.
     """
 
     def __init__(self, settings: LiveSettings) -> None:
-        settings.start()  # what does not hold is refused here, and not by a process that ends
-        self.news = News()
+        settings.start()  # invalid settings are refused here
+        self.update = LiveUpdate()
         self._waiting: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._waiting.put(settings.model_dump_json().encode() + b"\n")
         self._closing = False
@@ -58,26 +59,35 @@ class LiveProcess:
                 environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                # In a group of its own Ctrl+C does not reach it: it ends when its input does.
+                # In a separate group, Ctrl+C does not reach it: it ends when its input ends.
                 start_new_session=sys.platform != "win32",
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
         except OSError as error:
-            self._end(f"live identification could not be started: {error.strerror or error}")
+            self._end(
+                Message(
+                    "live.not_started",
+                    "live identification could not be started: {reason}",
+                    reason=str(error.strerror or error),
+                )
+            )
             return
         self._threads = [
             threading.Thread(target=work, args=(stream,), name="live identification", daemon=True)
-            for work, stream in ((self._tell, self._process.stdin), (self._hear, self._process.stdout))
+            for work, stream in (
+                (self._send_blocks, self._process.stdin),
+                (self._receive_updates, self._process.stdout),
+            )
         ]
         for thread in self._threads:
             thread.start()
 
     def take(self, force: Array, position: Array) -> None:
-        """Hand over force (k,), N, and position (k,), m; never waits."""
+        """Pass on force (k,), N, and position (k,), m; never waits."""
         self._waiting.put(_COUNT.pack(force.size) + force.tobytes() + position.tobytes())
 
     def close(self) -> None:
-        """Have a last look at all that was handed over, and end. May be called again."""
+        """Wait for a last estimate from all samples, and end the process. May be called again."""
         if self._closing or self._process is None:
             return
         self._closing = True
@@ -88,48 +98,48 @@ class LiveProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            self._end("live identification did not end in time and was stopped")
+            self._end(Message("live.stopped", "live identification did not end in time and was stopped"))
         for thread in self._threads:
             thread.join()
 
-    def _tell(self, stream: IO[bytes]) -> None:
-        """Send what waits; a pipe that is full holds up this thread alone."""
-        with contextlib.suppress(OSError), stream:  # a process that is gone is told of by the other thread
+    def _send_blocks(self, stream: IO[bytes]) -> None:
+        """Send waiting blocks; a full pipe blocks only this thread."""
+        with contextlib.suppress(OSError), stream:  # the other thread reports an ended process
             while (block := self._waiting.get()) is not None:
                 stream.write(block)
                 stream.flush()
 
-    def _hear(self, stream: IO[bytes]) -> None:
-        """Take the newest news as it comes, until the process ends."""
+    def _receive_updates(self, stream: IO[bytes]) -> None:
+        """Receive updates until the process ends."""
         with stream:
             while True:
                 try:
-                    news = pickle.load(stream)  # noqa: S301 - written by this program's own child
+                    update = pickle.load(stream)  # noqa: S301 - written by this program's own child
                 except (EOFError, OSError, pickle.UnpicklingError):
                     break
-                if isinstance(news, News):
-                    self.news = news
+                if isinstance(update, LiveUpdate):
+                    self.update = update
         if not self._closing:
-            self._end("live identification ended unexpectedly")
+            self._end(Message("live.ended", "live identification ended unexpectedly"))
 
     def _end(self, problem: str) -> None:
-        if not self.news.problem:
-            self.news = replace(self.news, problem=problem)
+        if not self.update.problem:
+            self.update = replace(self.update, problem=problem)
 
 
 def serve() -> None:
-    """The process itself: look until the input ends. What ends it sooner is told as its last news."""
+    """Run the process: make estimates until the input ends. An error is sent as the last update."""
     incoming, outgoing = sys.stdin.buffer, sys.stdout.buffer
-    sys.stdout = sys.stderr  # whatever else is printed must not mix with the news
+    sys.stdout = sys.stderr  # other output must not mix with the updates
     try:
-        _look(incoming, outgoing)
-    except Exception as error:  # noqa: BLE001 - nobody reads what this process prints; the test goes on beside it
-        _publish(outgoing, News(problem=in_words(error)))
+        _estimate(incoming, outgoing)
+    except Exception as error:  # noqa: BLE001 - the test continues; the parent shows the error
+        _publish(outgoing, LiveUpdate(problem=problem_of(error)))
 
 
-def _look(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
-    looks = LiveLooks(LiveSettings.model_validate_json(incoming.readline()))
-    looks.rehearse()
+def _estimate(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
+    estimator = LiveEstimator(LiveSettings.model_validate_json(incoming.readline()))
+    estimator.rehearse()
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     blocks: queue.SimpleQueue[tuple[Array, Array] | None] = queue.SimpleQueue()
@@ -140,21 +150,21 @@ def _look(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         try:
             block = blocks.get(timeout=rest) if rest > 0.0 else blocks.get()
             while block is not None:
-                looks.take(*block)
+                estimator.take(*block)
                 block = blocks.get_nowait()
             break
         except queue.Empty:
             pass
-        busy_s = looks.news.busy_s
-        if time.monotonic() >= resting_until and looks.step():
-            _publish(outgoing, looks.news)
-            resting_until = time.monotonic() + (looks.news.busy_s - busy_s) * (1.0 / MOST_SHARE - 1.0)
-    if looks.step(last=True):
-        _publish(outgoing, looks.news)
+        busy_s = estimator.update.busy_s
+        if time.monotonic() >= resting_until and estimator.step():
+            _publish(outgoing, estimator.update)
+            resting_until = time.monotonic() + (estimator.update.busy_s - busy_s) * (1.0 / MOST_SHARE - 1.0)
+    if estimator.step(last=True):
+        _publish(outgoing, estimator.update)
 
 
 def _receive(incoming: IO[bytes], blocks: queue.SimpleQueue[tuple[Array, Array] | None]) -> None:
-    """Read block after block; None when the other side closes or is gone."""
+    """Read blocks; put None when the input ends."""
     try:
         while True:
             head = incoming.read(_COUNT.size)
@@ -164,11 +174,11 @@ def _receive(incoming: IO[bytes], blocks: queue.SimpleQueue[tuple[Array, Array] 
                 return
             force, position = np.frombuffer(body).reshape(2, count)
             blocks.put((force, position))
-    finally:  # whatever ends the reading, the looking must not wait for more
+    finally:  # the estimator must not wait for more
         blocks.put(None)
 
 
-def _publish(outgoing: IO[bytes], news: News) -> None:
-    with contextlib.suppress(OSError):  # nobody listens any more; the end of the input follows
-        pickle.dump(news, outgoing, protocol=pickle.HIGHEST_PROTOCOL)
+def _publish(outgoing: IO[bytes], update: LiveUpdate) -> None:
+    with contextlib.suppress(OSError):  # the parent has ended; the end of the input follows
+        pickle.dump(update, outgoing, protocol=pickle.HIGHEST_PROTOCOL)
         outgoing.flush()

@@ -1,4 +1,4 @@
-"""The multistep test: identify, redesign the stimulus for a uniform depth, test again, without supervision (6.3)."""
+"""The multistep test: identify, redesign the stimulus for a uniform depth, and repeat (thesis 6.3)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.choice import PRELOAD_S
+from tissueid.acquisition.background_work import run_while_polling
 from tissueid.acquisition.guided import GuidedTest, check_test, run_guided_test
-from tissueid.acquisition.placing import Placement, place
-from tissueid.acquisition.playing import Progress
+from tissueid.acquisition.playback import Progress
 from tissueid.acquisition.recorder import SessionRecorder
-from tissueid.acquisition.waiting import meanwhile
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
+from tissueid.acquisition.surface_detection import Placement, place
 from tissueid.configuration import Configuration
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
@@ -22,27 +22,31 @@ from tissueid.identification.base import Model
 from tissueid.identification.registry import get_engine
 from tissueid.identification.validation import validate
 from tissueid.instrument import CLINICAL, SAMPLE, Instrument, Limits
+from tissueid.messages import Message
 from tissueid.records import Record, joined
 from tissueid.stimuli.base import Array, guided
+from tissueid.stimuli.depth_uniform import DepthDesign, Redesign, redesign, uniform_distance
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.redesign import DepthDesign, Redesign, redesign, uniform_distance
 
 _ENGINES = ("wiener", "dpn")
-"""Tried in this order, the quick one first."""
+"""Engines in the order in which they are tried, fastest first."""
 
 _WELL_ENOUGH_PERCENT = 99.0
-"""Held-out VAF at which no slower engine is tried."""
+"""Held-out VAF, %, from which no slower engine is tried."""
 
 _FITTED_SHARE = 0.75
+"""Share of each record that is fitted; the rest is held out."""
+
+_PLACING = Message("test.placing", "placing the probe")
 
 
 @dataclass(frozen=True)
 class Step:
     """One test of a multistep run.
 
-    ``distance`` is the measured Kolmogorov distance of the depth from uniform over ``depth_min_m`` to ``depth_max_m``,
-    which is the range that was asked, or what of it the forces can reach. Before the first test nothing was
-    ``predicted``, and no engine had been fitted: None.
+    ``distance`` is the measured Kolmogorov distance of the depth from a uniform distribution over ``depth_min_m`` to
+    ``depth_max_m``, the requested range or its part within reach of the forces. For the first test ``predicted`` and
+    ``engine`` are None.
     """
 
     number: int
@@ -56,7 +60,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Described:
-    """A description fitted to all tests so far, and how well it foretold what it was not fitted to."""
+    """A model fitted to all tests so far, and its score on held-out data."""
 
     engine: str
     model: Model
@@ -65,7 +69,7 @@ class Described:
 
 @dataclass(frozen=True)
 class MultistepTest:
-    """What a multistep run is to do: at most ``steps`` tests, fewer when the depth is as even as ``target`` says."""
+    """Specification of a multistep run: at most ``steps`` tests, fewer if the distance falls to ``target``."""
 
     design: DepthDesign
     site: str
@@ -77,7 +81,7 @@ class MultistepTest:
     configuration: Configuration = field(default_factory=Configuration)
 
     def guided_test(self, noise: Noise, notes: dict[str, str | float]) -> GuidedTest:
-        """One of its tests."""
+        """Return one of its tests."""
         return GuidedTest(
             guided(noise.build(), self.preload_s),
             self.site,
@@ -88,20 +92,29 @@ class MultistepTest:
 
 
 def check_multistep(test: MultistepTest, device: DeviceDescription) -> None:
-    """Refuse what could not be played, before anybody is touched.
+    """Check, before the first test, that the run can be played.
 
     Raises:
-        LimitError: the force range or the length goes beyond the limits.
-        UnusableInputError: another sample rate than the device's, a depth beyond its stroke, or a configuration that
-            has no depth.
+        LimitError: the force range or the length exceeds the limits.
+        UnusableInputError: the sample rate differs from the device's, the depth exceeds its stroke, or the
+            configuration has no depth.
     """
     if not test.configuration.has_depth:
         raise UnusableInputError(
-            f"a multistep test spreads over depths, and there are none in the configuration {test.configuration.name}"
+            Message(
+                "multistep.no_depth",
+                "a multistep test needs a depth, which the configuration {configuration} does not have",
+                configuration=test.configuration.name,
+            )
         )
     if test.design.depth_max_m > device.stroke_m:
         raise UnusableInputError(
-            f"a depth of {1e3 * test.design.depth_max_m:g} mm is beyond the stroke of {1e3 * device.stroke_m:g} mm"
+            Message(
+                "multistep.depth",
+                "a depth of {depth:g} mm exceeds the stroke of {stroke:g} mm",
+                depth=1e3 * test.design.depth_max_m,
+                stroke=1e3 * device.stroke_m,
+            )
         )
     ends = np.array([test.design.force_min_n, test.design.force_max_n])
     check_test(test.guided_test(test.design.with_quantiles(ends, test.seed), {}), device)
@@ -116,21 +129,19 @@ def run_multistep(
     progress: Callable[[str, Progress], None] = lambda _label, _progress: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> tuple[Step, ...]:
-    """Run the tests into the recorder; every one of them is kept, with notes of what it was designed for.
+    """Run and record the tests; return the steps. Each test has notes about its design.
 
-    ``progress`` is told which test it is, in words. Between tests the coil is free and the line to the instrument is
-    kept alive.
+    ``progress`` receives a label of the test and its progress. Between tests the coil is free and the connection to
+    the instrument is kept alive.
 
     Raises:
-        UnusableInputError: nothing of the depth range is within reach, or no engine could be fitted.
+        UnusableInputError: no part of the depth range is within reach, or no engine could be fitted.
         CancelledError, LimitError, InstrumentError, JournalError: as for one test.
     """
     device, design = instrument.device, test.design
     check_multistep(test, device)
     if surface_m is None:
-        surface_m = place(
-            instrument, test.limits, progress=lambda p: progress("placing the probe", p), cancelled=cancelled
-        )
+        surface_m = place(instrument, test.limits, progress=lambda p: progress(_PLACING, p), cancelled=cancelled)
     origin_m = surface_m.surface_m if isinstance(surface_m, Placement) else surface_m
     records: list[Record] = []
     steps: list[Step] = []
@@ -139,7 +150,7 @@ def run_multistep(
     while True:
         notes = _notes(design, len(steps) + 1, described, redesigned)
         noise = design.first(test.seed) if redesigned is None else redesigned.stimulus
-        label = f"step {len(steps) + 1} of {test.steps}"
+        label = Message("multistep.step", "step {step} of {steps}", step=len(steps) + 1, steps=test.steps)
         blocks: list[NDArray[np.void]] = []
 
         def take(p: Progress, label: str = label, blocks: list[NDArray[np.void]] = blocks) -> None:
@@ -176,16 +187,18 @@ def run_multistep(
         if distance <= test.target or len(steps) == test.steps:
             return tuple(steps)
         seed = test.seed + len(steps)
-        described, redesigned = meanwhile(instrument, partial(_next, records, design, seed, test.preload_s), cancelled)
+        described, redesigned = run_while_polling(
+            instrument, partial(_next, records, design, seed, test.preload_s), cancelled
+        )
 
 
 def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES) -> Described:
-    """Fit engines to three quarters of each record, take the one that foretells the rest best, and fit it to all.
+    """Fit engines to three quarters of each record, choose the best on the held-out rest, and fit it to all.
 
-    A slower engine is tried only where the quicker ones do not foretell well enough.
+    A slower engine is tried only if the faster ones do not score well enough.
 
     Raises:
-        UnusableInputError: none could be fitted; the line is that of the last.
+        UnusableInputError: no engine could be fitted; with the reason of the last one.
     """
     whole = tuple(records)
     cuts = [round(_FITTED_SHARE * len(record)) for record in whole]
@@ -208,7 +221,13 @@ def describe_system(records: Iterable[Record], engines: Iterable[str] = _ENGINES
         if worst >= _WELL_ENOUGH_PERCENT:
             break
     if best is None:
-        raise UnusableInputError(f"nothing could be fitted to the tests so far: {refused}")
+        raise UnusableInputError(
+            Message(
+                "multistep.no_fit",
+                "no model could be fitted to the tests so far: {reason}",
+                reason=refused.message if refused is not None else "",
+            )
+        )
     return Described(best[1], get_engine(best[1]).from_options({"hold": "zero-order"}).fit(joined(whole)), best[0])
 
 
@@ -218,10 +237,10 @@ def _next(records: list[Record], design: DepthDesign, seed: int, preload_s: floa
 
 
 def _record(blocks: list[NDArray[np.void]], device: DeviceDescription, surface_m: float, preload_s: float) -> Record:
-    """Command, as the force that it holds at rest, and depth from the surface, after the preload.
+    """Return command, as the static force it gives, and depth below the surface, after the preload.
 
-    From the command and not from the measured force: what is to be designed is a command, and the brake of the coil's
-    own motion is part of what answers it.
+    The command is used instead of the measured force because a command is designed: the damping by the coil's motion
+    belongs to the response.
     """
     samples = np.concatenate([*blocks, np.zeros(0, SAMPLE)])[round(preload_s * device.sample_rate_hz) :]
     force_n: Array = samples["command"] / device.voltage_for_force(1.0)

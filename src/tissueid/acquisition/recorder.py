@@ -1,4 +1,4 @@
-"""The recorder: takes a sitting into the journal, and makes its session file at the end."""
+"""The recorder: write a sitting into the journal, and make its session file at the end."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.acquisition.journal import (
+    RECOVER,
     SYNC_S,
     Entry,
     Journal,
@@ -28,47 +29,50 @@ from tissueid.acquisition.journal import (
 )
 from tissueid.acquisition.quality import QualityGate
 from tissueid.acquisition.recovery import session_into
-from tissueid.audit import Trail
+from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, SessionExistsError, SessionFormatError
 from tissueid.instrument import CLINICAL, SAMPLE, SIGNALS, Limits, Run
+from tissueid.language import marked
+from tissueid.messages import Action, Message
 from tissueid.sessions import MAX_NUMBERS, Session, Subject, read_own_session
 
 WAITING_S = 30.0
-"""Seconds of samples that may wait for a disk that stands still; then the test ends."""
+"""Seconds of samples that may wait for the disk; then the test ends."""
 ROOM_LEFT = 32_000_000
-"""Bytes that must be free beyond what a test is reckoned to take."""
+"""Bytes that must remain free after a test."""
 _NUMBERS = len(SIGNALS) + 2
-"""Of a sample in a session: what was recorded, force and time."""
+"""Numbers of a sample in a session: recorded signals, force and time."""
 _IN_SESSION = 8 * _NUMBERS + 2
-"""Bytes of a sample in a session at the worst; most are compressed to half."""
+"""Most bytes of a sample in a session; compression usually halves them."""
 HEAD_S = 1.0
-"""Seconds of samples after which the journal says again whose they are: what follows a damage is read by it."""
+"""Seconds of samples after which the journal repeats the head of the test, to read the samples after a damage."""
 _HEAD_SHARE = 0.1
-"""Of the journal at most, however long the description of a stimulus is."""
+"""Largest share of the journal that these repetitions take."""
 _CALIBRATION = ("state", "static_file", "static_date", "sweep_file", "sweep_date")
-"""What the audit log keeps of the calibration in force."""
+"""Entries of the active calibration in the audit log."""
+_OUT = Action("session.recover_out", "--out", marked("in another folder"))
 
 _Result = TypeVar("_Result")
 
 
 @dataclass
 class Preparation:
-    """How far it has come to prepare one test; whoever gave it up is not told of its beginning afterwards."""
+    """State of preparing one test. A test that was given up is not logged as begun afterwards."""
 
     logged: bool = False
     given_up: bool = False
 
 
 class SessionRecorder:
-    """One sitting being recorded. ``finish`` leaves a session file; a host that dies leaves the journal.
+    """Record one sitting. ``finish`` makes a session file; if the host dies, the journal remains.
 
-    What is done goes into the audit log by ``trail``, where one is given: before the sitting and before each test,
-    which are refused where that fails; at the end of each test without waiting for it. See ``trail.problem``.
+    With ``trail``, the audit log gets an entry before the sitting and before each test, which fail if it cannot be
+    written, and one at the end of each test, without waiting (see ``trail.problem``).
 
     Raises:
-        SessionFormatError: the session file is there already.
-        JournalError: an unfinished one is there, or the folder cannot be written, or is full.
+        SessionFormatError: the session file exists already.
+        JournalError: an unfinished journal exists, or the folder is not writable or full.
         AuditError: the sitting cannot be logged.
     """
 
@@ -78,27 +82,29 @@ class SessionRecorder:
         device: DeviceDescription,
         subject: Subject | None = None,
         *,
-        trail: Trail | None = None,
+        trail: AuditTrail | None = None,
         sync_s: float = SYNC_S,
     ) -> None:
         if path.is_dir():
-            raise SessionFormatError(f"{path} is a folder; name a session file")
+            raise SessionFormatError(
+                Message("session.is_folder", "{path} is a folder; name a session file", path=str(path))
+            )
         if path.exists():
             raise SessionExistsError(path)
         if not path.parent.is_dir():
-            raise SessionFormatError(f"there is no folder {path.parent}")
+            raise SessionFormatError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
         self.path = path
         self.session_id = str(uuid.uuid4())
         self.trail = trail
         self.tests_begun = 0
         self.samples_appended = 0
         self.gate = QualityGate(device)
-        """Judges the tests of this sitting as they end, each against those before it."""
+        """Quality gate of this sitting."""
         self._sample_rate_hz = device.sample_rate_hz
         self._head = b""
-        """Whose the samples of the running test are, to be repeated."""
+        """Head of the running test, which is repeated in the journal."""
         self._head_at = 0
-        """Samples of the running test after which that is due."""
+        """Number of samples of the running test after which the next repetition is due."""
         self._sample_entries: deque[tuple[int, int]] = deque()
         self._run_samples = 0
         self._turn = threading.Lock()
@@ -131,36 +137,42 @@ class SessionRecorder:
         preparation: Preparation | None = None,
         **about: str | float,
     ) -> None:
-        """Before a test of so many samples begins: whether it can be recorded and logged; waits for the disk.
+        """Check, before a test of ``samples`` samples, that it can be recorded, and log it; wait for the disk.
 
-        ``about`` goes into the audit log with it. ``preparation`` is for a caller that may not wait for the end of
-        this: see ``not_begun``.
+        ``about`` is stored in the audit log. ``preparation`` is for a caller that does not wait for the end of this
+        call: see ``not_begun``.
 
         Raises:
-            CancelledError: it was given up meanwhile, and is not logged.
-            JournalError: the recording has failed, or there is no room for the test.
-            SessionFormatError: the session would be too large to be read again.
-            AuditError: it cannot be logged.
+            CancelledError: the test was given up meanwhile, and is not logged.
+            JournalError: the recording failed, or the disk has no room for the test.
+            SessionFormatError: the session would be too large to be read.
+            AuditError: the test cannot be logged.
         """
         self._journal.check()
         if (self.samples_appended + samples) * _NUMBERS > MAX_NUMBERS:
-            raise SessionFormatError(f"{self.path} would grow too large to be read: go on in another session file")
+            raise SessionFormatError(
+                Message(
+                    "session.too_large",
+                    "{path} would become too large to be read: continue in another session file",
+                    path=str(self.path),
+                )
+            )
         self._check_room(samples)
         if self.trail is not None:
             step = preparation or Preparation()
             if limits != CLINICAL:
                 with self._wanted(step):
-                    answer = self.trail.ask(
+                    answer = self.trail.submit(
                         "limits.chosen", subject=self.session_id, old=asdict(CLINICAL), new=asdict(limits)
                     )
                 answer.result()
             with self._wanted(step):
-                answer = self.trail.ask("test.begun", subject=self._test(self.tests_begun + 1), new=about)
+                answer = self.trail.submit("test.begun", subject=self._test(self.tests_begun + 1), new=about)
                 step.logged = True
             answer.result()
 
     def begin_test(self, run: Run, **attributes: Any) -> int:
-        """A test starts; ``attributes`` are those of ``sessions.Test``. Returns its number."""
+        """Record the beginning of a test with these attributes of ``sessions.Test``; return its number."""
         self.tests_begun += 1
         self._run_samples = 0
         entry = {"number": self.tests_begun, "run": asdict(run), "attributes": attributes}
@@ -175,10 +187,10 @@ class SessionRecorder:
         self._head_at += math.ceil(max(HEAD_S * self._sample_rate_hz, least))
 
     def add(self, samples: NDArray[np.void]) -> None:
-        """Samples of the running test, shape (k,) of instrument.SAMPLE.
+        """Record samples of the running test, shape (k,) of instrument.SAMPLE.
 
         Raises:
-            JournalError: they cannot be written, or wait for too long.
+            JournalError: they cannot be written, or too many wait for the disk.
         """
         if samples.size:
             if self._run_samples >= self._head_at:
@@ -188,27 +200,27 @@ class SessionRecorder:
             self.samples_appended += samples.size
             self._run_samples += samples.size
             self._sample_entries.append((number, self.samples_appended))
-            # What is on the disk is forgotten but for the newest: an hour of it is a great many.
+            # Only the newest synced entry is needed; an hour has very many.
             synced = self._journal.synced
             while len(self._sample_entries) > 1 and self._sample_entries[1][0] <= synced:
                 self._sample_entries.popleft()
 
     @property
     def samples_acknowledged(self) -> int:
-        """How many samples of this sitting are known to be on the disk."""
+        """Number of samples of this sitting that are on the disk."""
         synced = self._journal.synced
         return max((total for number, total in tuple(self._sample_entries) if number <= synced), default=0)
 
     def event(self, kind: str, **details: Any) -> None:
-        """Something that happened: a gap, a fault, a verdict. Never fails; a journal that did is told by the others."""
+        """Record an event such as a gap, a fault or a verdict. Never raises: other methods report a failed journal."""
         self._journal.leave(encode_json(Entry.EVENT, {"kind": kind, **details, "test": self.tests_begun}))
 
     def end_test(
         self, status: str, samples: int | None = None, *, cause: BaseException | None = None, **notes: str | float
     ) -> None:
-        """The running test is over: ``status`` completed or aborted, by ``cause``. Never fails and never waits.
+        """Record the end of the running test, completed or aborted by ``cause``. Never raises and never waits.
 
-        ``samples`` is how many were played of a test that was completed before its time; all without it.
+        ``samples`` is the number of samples that a test played that was completed early.
         """
         entry: dict[str, Any] = {"test": self.tests_begun, "status": status, "notes": notes}
         if samples is not None:
@@ -217,10 +229,9 @@ class SessionRecorder:
         self._log_end(self.tests_begun, _ending(status, cause), self._run_samples, str(notes.get("reason", "")))
 
     def not_begun(self, cause: BaseException, reason: str, preparation: Preparation | None = None) -> None:
-        """The test that was prepared did not begin. Never fails and never waits.
+        """Log that the prepared test did not begin. Never raises and never waits.
 
-        With a ``preparation`` that may still go on in another thread: what it has not logged by now it never will, and
-        then there is no end to log either.
+        If ``preparation`` has not yet logged the beginning in its thread, it never will, and there is no end to log.
         """
         with self._turn:
             if preparation is not None:
@@ -231,24 +242,24 @@ class SessionRecorder:
 
     @contextlib.contextmanager
     def _wanted(self, preparation: Preparation) -> Iterator[None]:
-        """Hand over a line of the log, unless its test was given up.
+        """Hold the lock while a line is logged, unless the test was given up.
 
         Raises:
-            CancelledError: it was.
+            CancelledError: the test was given up.
         """
         with self._turn:
             if preparation.given_up:
-                raise CancelledError("the test was given up while it was prepared")
+                raise CancelledError(Message("test.given_up", "the test was cancelled while it was prepared"))
             yield
 
     def write(self) -> None:
-        """Write the session file from what the journal holds, verify it, and remove the journal.
+        """Write the session file from the journal, verify it, and remove the journal.
 
-        The memory that this takes is that of the longest test, however long the sitting was.
+        The memory used is that of the longest test.
 
         Raises:
-            JournalError: it could not be written, or the journal no longer holds all that went into it; the journal
-                stays for ``tissueid recover``.
+            JournalError: the session could not be written, or the journal is incomplete; it stays for
+                ``tissueid recover``.
         """
         try:
             self._journal.check()
@@ -261,7 +272,7 @@ class SessionRecorder:
         finally:
             self._journal.close()
         self._or_keep(lambda: session_into(self.path, self._journal.path, self.samples_appended))
-        with contextlib.suppress(OSError):  # the session is whole; what is left over 'recover' takes away
+        with contextlib.suppress(OSError):  # the session is complete; 'recover' removes the rest
             self._journal.path.unlink()
         if self.trail is not None:
             self.trail.note(
@@ -272,7 +283,7 @@ class SessionRecorder:
             self.trail.settle()
 
     def finish(self) -> Session:
-        """As ``write``; returns the session, all of it read into memory.
+        """Write the session file as ``write`` does; return the session, read into memory.
 
         Raises:
             JournalError: as ``write``.
@@ -281,9 +292,9 @@ class SessionRecorder:
         return read_own_session(self.path)
 
     def finish_or_discard(self, cause: BaseException | None = None) -> Session | None:
-        """After a failure: keep what was recorded as a session, or leave nothing when there is nothing.
+        """Write the samples so far as a session after a failure; without samples leave no file.
 
-        Where even that fails, the journal stays for ``tissueid recover``.
+        If that fails, the journal stays for ``tissueid recover``.
 
         Raises:
             JournalError: as ``write``.
@@ -299,7 +310,7 @@ class SessionRecorder:
 
     def abandon(self) -> None:
         """Close without a session; the journal stays for ``tissueid recover``."""
-        with contextlib.suppress(JournalError):  # a disk that stands still: it is closed when that answers
+        with contextlib.suppress(JournalError):  # closed when the disk responds
             self._journal.close()
         if self.trail is not None:
             self.trail.settle()
@@ -311,10 +322,10 @@ class SessionRecorder:
             self._journal.path.unlink()
 
     def _check_room(self, samples: int) -> None:
-        """Refuse what would fill the disk: it is better said before a coil is energised.
+        """Check that the disk has room for a test of ``samples`` samples.
 
         Raises:
-            JournalError: says how much is free, and how much is wanted.
+            JournalError: it has not.
         """
         wanted = (
             round(samples * SAMPLE.itemsize * (1.0 + _HEAD_SHARE))
@@ -324,27 +335,48 @@ class SessionRecorder:
         free = self._or_keep(lambda: shutil.disk_usage(self.path.parent).free)
         if free < wanted:
             raise JournalError(
-                f"{self.path.parent} has {free / 1e6:,.0f} MB free, and {wanted / 1e6:,.0f} MB are wanted: make room, "
-                "or name a session on another disk"
+                Message(
+                    "disk.full",
+                    "{folder} has {free:.0f} MB free, and {wanted:.0f} MB are needed: free some space, or choose a "
+                    "session file on another disk",
+                    folder=str(self.path.parent),
+                    free=free / 1e6,
+                    wanted=wanted / 1e6,
+                )
             )
 
     def _or_keep(self, work: Callable[[], _Result]) -> _Result:
-        """What the work returns; where the disk fails it, say what is kept, and how the session is made from it.
+        """Return the result of ``work``; if the disk fails, report what is kept and how to make the session from it.
 
         Raises:
-            JournalError: it failed.
+            JournalError: the disk failed.
         """
         try:
             return work()
         except (OSError, SessionFormatError) as error:
-            reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
-            kept = "nothing was recorded"
-            if self.samples_appended:
-                then = "once that is mended, 'tissueid recover' makes the session from it, with --out on another disk"
-                if isinstance(error, SessionExistsError):
-                    then = "move that file away or name another with --out, and 'tissueid recover' makes the session"
-                kept = f"what was recorded is kept in {journal_path(self.path)}; {then}"
-            raise JournalError(f"cannot write {self.path}: {reason}. {kept[0].upper()}{kept[1:]}") from error
+            reason = (error.strerror or str(error)) if isinstance(error, OSError) else error.message
+            values = {"path": str(self.path), "reason": reason, "journal": str(journal_path(self.path))}
+            if not self.samples_appended:
+                words = Message("recording.none", "cannot write {path}: {reason}. Nothing was recorded", **values)
+            elif isinstance(error, SessionExistsError):
+                words = Message(
+                    "recording.kept_exists",
+                    "cannot write {path}: {reason}. The recording is kept in {journal}; move that file away or choose "
+                    "another ({out}), and {action} makes the session",
+                    **values,
+                    out=_OUT,
+                    action=RECOVER,
+                )
+            else:
+                words = Message(
+                    "recording.kept",
+                    "cannot write {path}: {reason}. The recording is kept in {journal}; when the cause is removed, "
+                    "{action} makes the session from it, on another disk if you choose one ({out})",
+                    **values,
+                    out=_OUT,
+                    action=RECOVER,
+                )
+            raise JournalError(words) from error
 
     def _test(self, number: int) -> str:
         return f"{self.session_id} test {number}"
@@ -357,28 +389,28 @@ class SessionRecorder:
             self.trail.note(what, subject=self._test(number), new=new)
 
     def _without_names(self, words: str) -> str:
-        """What goes into the audit log: the names of files may be those of people."""
+        """Return a text for the audit log without file names, which may be names of people."""
         return words.replace(str(self.path), "the session").replace(str(self.path.parent), "its folder")
 
 
 def _twice(entry: bytes) -> bytes:
-    """What all that follows makes no sense without: one bit that turns over must not cost a whole test."""
+    """Return an entry doubled: it is essential, and one flipped bit must not lose a whole test."""
     return 2 * entry
 
 
 def _about(device: DeviceDescription, subject: Subject) -> dict[str, str | float]:
-    """What the audit log keeps of whom and what a sitting measures."""
-    in_force = {name: device.calibration[name] for name in _CALIBRATION if name in device.calibration}
+    """Return pseudonym, instrument and calibration for the audit log."""
+    active = {name: device.calibration[name] for name in _CALIBRATION if name in device.calibration}
     return {
         "pseudonym": subject.pseudonym,
         "model": device.model,
         "serial_number": device.serial_number,
         "firmware_version": device.firmware_version,
-    } | in_force
+    } | active
 
 
 def _ending(status: str, cause: BaseException | None) -> str:
-    """What the audit log calls the end of a test."""
+    """Return the name of the end of a test in the audit log."""
     if isinstance(cause, FirmwareFaultError):
         return "test.fault"
     if isinstance(cause, CancelledError | KeyboardInterrupt):

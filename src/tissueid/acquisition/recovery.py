@@ -1,11 +1,11 @@
-"""From the entries of a journal to a session: at the end of every sitting, and after a host that died."""
+"""Make a session from the entries of a journal: at the end of every sitting, and after the host died."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.entry_contents import (
+from tissueid.acquisition.journal import RECOVER, Damage, Entry, JournalError, journal_path, lock, read_entries
+from tissueid.acquisition.journal_contents import (
     ClosedContent,
     EventContent,
     SittingContent,
@@ -21,12 +22,13 @@ from tissueid.acquisition.entry_contents import (
     TestEndContent,
     content_of,
 )
-from tissueid.acquisition.journal import Damage, Entry, JournalError, journal_path, lock, read_entries
 from tissueid.acquisition.quality import QualityGate, quality_of
-from tissueid.audit import Trail
+from tissueid.atomic_write import remove_leftovers
+from tissueid.audit import AuditTrail
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.instrument import SAMPLE, SIGNALS, Run, force, not_played, until_released
+from tissueid.instrument import SAMPLE, SIGNALS, Run, force, is_not_played, trim_at_release
+from tissueid.messages import Listing, Message
 from tissueid.sessions import (
     MAX_NUMBERS,
     Session,
@@ -37,27 +39,26 @@ from tissueid.sessions import (
     read_session_head,
     write_session,
 )
-from tissueid.whole_file import remove_leftovers
 
 SPARSE_SAMPLES = 500_000
-"""Samples that the tests of a journal may be spread over however few of them are in it: 250 s at 2 kHz."""
+"""Length in samples (250 s at 2 kHz) up to which tests are recovered however few of their samples exist."""
 SPARSE_SHARE = 0.05
-"""Beyond that, the least share that is in it: the memory that recovery takes stays in proportion to the journal."""
+"""Least share of existing samples of longer tests; it keeps the memory in proportion to the journal."""
 MAX_EVENTS_TEXT = 500_000
-"""Characters of the events that are kept with a test, half of the longest text that a session may hold."""
+"""Most characters of the events of a test, half of the longest text in a session."""
 _MAX_STRAYS = 16 * 1024 * 1024
-"""Bytes of samples after a damage that wait for the repeated beginning of their test; it is repeated every second."""
+"""Most bytes of samples after a damage that wait for the repeated head of their test (once a second)."""
 
 _Entries = Iterable[tuple[Entry, bytes]]
 
 
 class _CutOffError(UnusableInputError):
-    """The first entry of a journal is not whole: nothing was recorded yet."""
+    """The first entry of a journal is incomplete: nothing was recorded yet."""
 
 
 @dataclass
 class OpenTest:
-    """A test as its entries come by."""
+    """A test that is being assembled from its entries."""
 
     number: int
     run: Run
@@ -68,15 +69,15 @@ class OpenTest:
     events: list[dict[str, Any]] = field(default_factory=list)
     received: int = 0
     reach: int = 0
-    """Samples from the beginning to the last one received."""
+    """Number of samples from the beginning to the last one received."""
     ended: bool = False
 
     def take(self, payload: bytes, *, keep: bool) -> None:
-        """Samples as they were recorded; those outside the run are left out."""
+        """Add recorded samples; those outside the run are ignored."""
         samples = np.frombuffer(payload, SAMPLE)
         first = self.run.first_index
         inside = samples[(samples["index"] >= first) & (samples["index"] < first + self.run.samples)]
-        played = inside[~not_played(inside)]
+        played = inside[~is_not_played(inside)]
         self.received += played.size
         if played.size:
             self.reach = max(self.reach, int(played["index"].max()) - first + 1)
@@ -84,33 +85,40 @@ class OpenTest:
             self.blocks.append(inside)
 
     def end(self, status: str, notes: dict[str, str | float], samples: int | None) -> None:
-        """It is over, after fewer samples than planned when ``samples`` says so.
+        """End the test, after fewer samples than planned if ``samples`` is given.
 
         Raises:
             UnusableInputError: more samples than planned, or none.
         """
         if samples is not None:
             if not 0 < samples <= self.run.samples:
-                raise UnusableInputError(f"the journal has a test of {self.run.samples} samples that played {samples}")
+                raise UnusableInputError(
+                    Message(
+                        "recovery.wrong_length",
+                        "the journal has a test of {planned} samples that played {played}",
+                        planned=self.run.samples,
+                        played=samples,
+                    )
+                )
             self.run = Run(self.run.first_index, samples)
         self.status, self.notes, self.ended = status, notes, True
 
     @property
     def length(self) -> int:
-        """Samples that the finished test has: one that ended early is as long as what was received of it."""
+        """Number of samples of the finished test; a test that ended early ends with its last received sample."""
         return self.run.samples if self.status == "completed" else min(self.reach, self.run.samples)
 
     def close(self, device: DeviceDescription) -> Test | None:
-        """The finished test, up to the release of the coil, or None when no sample of it was received."""
+        """Return the finished test, up to the release of the coil; None if no sample was received."""
         samples = np.concatenate([*self.blocks, np.zeros(0, SAMPLE)])
         place = samples["index"].astype(np.int64) - self.run.first_index
-        inside = (place >= 0) & (place < self.run.samples)  # one that ended early has fewer than were planned
-        played = until_released(samples[inside])
-        after_release = int(np.count_nonzero(not_played(samples[inside][played.size :])))
+        inside = (place >= 0) & (place < self.run.samples)  # a test that ended early has fewer than planned
+        played = trim_at_release(samples[inside])
+        after_release = int(np.count_nonzero(is_not_played(samples[inside][played.size :])))
         samples, place = played, place[inside][: played.size]
         if not samples.size:
             return None
-        # A test that ended early is as long as what was received and played of it; holes inside it stay NaN.
+        # A test that ended early ends with its last received sample; gaps stay NaN.
         length = self.run.samples if self.status == "completed" else int(place.max()) + 1
         signals = {}
         for name in SIGNALS:
@@ -130,7 +138,7 @@ class OpenTest:
 
 
 def _events_text(events: list[dict[str, Any]]) -> str:
-    """Events as JSON; of a flood of them the first, and how many more there were."""
+    """Return events as JSON; beyond the limit, only the number of the remaining ones."""
     kept: list[str] = []
     size = 2
     for event in events:
@@ -143,9 +151,9 @@ def _events_text(events: list[dict[str, Any]]) -> str:
 
 
 class _Reading:
-    """The tests that the entries of a journal tell of, one by one as they come by.
+    """Assemble the tests of a journal one by one from its entries.
 
-    What makes no sense is passed over and counted as damage. With ``keep`` the tests have their samples.
+    Invalid entries are skipped and counted as damage. With ``keep`` the tests have their samples.
     """
 
     def __init__(self, damage: Damage, *, keep: bool) -> None:
@@ -155,10 +163,10 @@ class _Reading:
         self._test: OpenTest | None = None
         self._seen: set[int] = set()
         self._strays: list[bytes] | None = None
-        """Samples after a damage, which the repeated beginning of their test may claim; None where there was none."""
+        """Samples after a damage that may belong to a test whose repeated head follows; None without a damage."""
 
     def tests(self, entries: _Entries) -> Iterator[OpenTest]:
-        """Each test when all of it has come by."""
+        """Yield each test when its last entry was read."""
         for kind, payload in entries:
             if self._damage.places > self._places:
                 self._strays = []
@@ -178,12 +186,12 @@ class _Reading:
             yield self._test
 
     def _begin(self, payload: bytes) -> OpenTest | None:
-        """Take the beginning of a test; returns the one before, when it is another."""
+        """Begin a test; return the previous test if this is another one."""
         content = content_of(TestContent, payload, self._damage)
         before = self._test
         if content is not None and before is not None and content.number == before.number:
             self._strays = None
-            return None  # the other copy, or a repetition
+            return None  # a copy or a repetition
         self._test = None
         if content is not None and content.number in self._seen:
             self._damage.add(len(payload))
@@ -211,7 +219,7 @@ class _Reading:
     def _end(self, payload: bytes) -> None:
         content = content_of(TestEndContent, payload, self._damage)
         if content is None or self._test is None or content.test not in (None, self._test.number):
-            return  # of another one, the beginning of which is damaged
+            return  # the end of another test, whose head is damaged
         try:
             self._test.end(content.status, dict(content.notes), content.samples)
         except UnusableInputError:
@@ -219,24 +227,32 @@ class _Reading:
 
 
 def _open_tests(entries: _Entries, damage: Damage, *, keep: bool) -> Iterator[OpenTest]:
-    """The tests of which enough is in the journal to make something of them."""
+    """Yield the tests of which enough samples exist."""
     length = received = 0
     for test in _Reading(damage, keep=keep).tests(entries):
         received += test.received
         if not test.received:
             continue
         if length + test.length > max(SPARSE_SAMPLES, received / SPARSE_SHARE):
-            damage.leave_out(f"test {test.number}: {test.received} of its {test.length} samples are there")
+            damage.leave_out(
+                Message(
+                    "recovery.sparse",
+                    "test {number} has only {received} of its {samples} samples",
+                    number=test.number,
+                    received=test.received,
+                    samples=test.length,
+                )
+            )
             continue
         length += test.length
         yield test
 
 
 def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
-    """The session that entries tell of, without its tests, and how many tests it will have.
+    """Return the session of the entries without its tests, and its number of tests.
 
     Raises:
-        UnusableInputError: no beginning of a sitting is whole, or the session would be too large to be read again.
+        UnusableInputError: no head of a sitting is intact, or the session would be too large to be read.
     """
     sitting: SittingContent | None = None
     head = ""
@@ -260,9 +276,11 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
         tests += 1
         samples += test.length
     if sitting is None:
-        raise _CutOffError("the journal was cut off before anything was recorded")
+        raise _CutOffError(Message("recovery.cut_off", "the journal ends before anything was recorded"))
     if samples * (len(SIGNALS) + 2) > MAX_NUMBERS:
-        raise UnusableInputError(f"the journal has {samples} samples: more than a session may hold")
+        raise UnusableInputError(
+            Message("recovery.too_large", "the journal has {samples} samples: too many for a session", samples=samples)
+        )
     session = Session(
         instrument=sitting.device,
         subject=Subject(sitting.subject.pseudonym, dict(sitting.subject.demographics)),
@@ -274,14 +292,14 @@ def _sitting(entries: _Entries, damage: Damage) -> tuple[Session, int]:
 
 
 def _tests(entries: _Entries, device: DeviceDescription, damage: Damage) -> Iterator[Test]:
-    """The tests that entries tell of, one by one. A test without an end is marked recovered."""
+    """Yield the tests of the entries. A test without an end is marked recovered."""
     for item in _open_tests(entries, damage, keep=True):
         if (test := item.close(device)) is not None:
             yield test
 
 
 def _judged(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
-    """Judge the tests that the host died before it could judge, each against those before it."""
+    """Judge the tests that were not judged before the host died, each against those before it."""
     gate = QualityGate(device)
     for test in tests:
         found = gate.judge(test)
@@ -289,10 +307,10 @@ def _judged(tests: Iterator[Test], device: DeviceDescription) -> Iterator[Test]:
 
 
 def session_from_entries(entries: _Entries) -> Session:
-    """The session that a journal's entries tell, all of it in memory.
+    """Return the session of a journal's entries, in memory.
 
     Raises:
-        UnusableInputError: no beginning of a sitting is whole, or the session would be too large.
+        UnusableInputError: no head of a sitting is intact, or the session would be too large.
     """
     entries = tuple(entries)
     session, _ = _sitting(entries, Damage())
@@ -300,46 +318,60 @@ def session_from_entries(entries: _Entries) -> Session:
 
 
 def session_into(path: Path, journal: Path, samples: int) -> None:
-    """Write the session of a journal, one test at a time, when it still holds all that went into it.
-
-    ``samples`` is how many that were.
+    """Write the session of a journal that must hold all ``samples`` that were recorded, one test at a time.
 
     Raises:
-        JournalError: the journal does not hold them, or is damaged; it stays as it is.
-        SessionFormatError, OSError: it cannot be written; nothing is left behind.
+        JournalError: the journal is incomplete or damaged; it stays as it is.
+        SessionFormatError, OSError: the session cannot be written; nothing is left behind.
     """
     try:
         damage = Damage()
         damage, again = Damage(), Damage()
         session, _ = _sitting(_whole(journal, samples, damage), damage)
         if damage.left_out:
-            raise UnusableInputError("; ".join(damage.left_out[:3]))
+            raise UnusableInputError(_few(damage.left_out))
         tests = _tests(_whole(journal, samples, again), session.instrument, again)
         write_session(path, session, tests=tests)
     except SessionFormatError:
-        raise  # the session could not be written: that says nothing of the journal
+        raise  # the session could not be written; the journal is intact
     except UnusableInputError as error:
         raise JournalError(
-            f"{journal} does not hold what went into it: {error}. It is kept; 'tissueid recover' makes a session of "
-            "what can still be read"
+            Message(
+                "recovery.incomplete",
+                "{path} is incomplete: {reason}. It is kept; {action} makes a session of what can be read",
+                path=str(journal),
+                reason=error.message,
+                action=RECOVER,
+            )
         ) from error
 
 
+def _few(left_out: Sequence[str]) -> Message:
+    return Message("recovery.left_out", "{tests}", tests=Listing(tuple(left_out[:3]), "; ", "; "))
+
+
 def _whole(journal: Path, samples: int, damage: Damage) -> Iterator[tuple[Entry, bytes]]:
-    """The entries of a journal that must be whole and hold so many samples.
+    """Yield the entries of a journal that must be intact and hold ``samples``.
 
     Raises:
-        JournalError: at its end, when it was not so.
+        JournalError: after the last entry, if it is not.
     """
     received = 0
     for kind, payload in read_entries(journal, damage):
         received += len(payload) // SAMPLE.itemsize if kind is Entry.SAMPLES else 0
         yield kind, payload
-    # An interrupt may fall between an entry and its being counted: then there are more than were counted.
+    # An interrupt between writing and counting an entry leaves more samples than counted.
     if damage.places or received < samples:
         raise JournalError(
-            f"{journal} was damaged on its disk: {received} of {samples} samples can be read again. It is kept; "
-            "'tissueid recover' makes a session of what can still be read"
+            Message(
+                "recovery.damaged",
+                "{path} was damaged on the disk: {received} of {samples} samples can be read. It is kept; {action} "
+                "makes a session of what can be read",
+                path=str(journal),
+                received=received,
+                samples=samples,
+                action=RECOVER,
+            )
         )
 
 
@@ -347,28 +379,33 @@ def recover(
     path: Path,
     out: Path | None = None,
     *,
-    trail: Trail | None = None,
-    told: Callable[[str], None] = lambda _: None,
+    trail: AuditTrail | None = None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> tuple[Path, Session]:
-    """Finish what a dead host left. ``path`` is the journal or the session that it belongs to.
+    """Make the session of an unfinished journal. ``path`` is the journal or the session that it belongs to.
 
-    ``out`` is where the session goes when there is no room beside the journal. A log that cannot be written does not
-    keep anything from being recovered: see ``trail.problem``. A journal that was damaged before its end is not removed
-    but kept under another name, and ``told`` is given a line that says so: what can be read of it is in the session,
-    the rest is NaN there.
+    ``out`` is the session file, if it cannot be next to the journal. A log that cannot be written does not prevent the
+    recovery: see ``trail.problem``. A damaged journal is kept under another name, and ``report`` receives a message
+    about it; samples that cannot be read are NaN in the session.
 
-    Returns the session file and what it holds.
+    Returns:
+        The session file and the session.
 
     Raises:
-        UnusableInputError: there is nothing to recover, or nothing in it.
+        UnusableInputError: there is nothing to recover.
         JournalError: the test still runs.
         OSError: the session cannot be written; the journal stays as it was.
     """
     journal = path if path.name.endswith(".journal") else journal_path(path)
     target = out or journal.with_name(journal.name.removesuffix(".journal"))
     if not journal.is_file():
-        where = f"{path} has no journal beside it" if path.exists() else f"there is no {journal}"
-        raise UnusableInputError(f"nothing to recover: {where}")
+        if path.exists():
+            raise UnusableInputError(
+                Message("recovery.no_journal", "nothing to recover: {path} has no journal", path=str(path))
+            )
+        raise UnusableInputError(
+            Message("recovery.no_file", "nothing to recover: there is no {path}", path=str(journal))
+        )
     damage = Damage()
     with journal.open("rb") as held:
         lock(held)
@@ -376,7 +413,9 @@ def recover(
     if empty:
         journal.unlink()
         raise UnusableInputError(
-            f"{journal} was empty: nothing had been recorded. It is removed, and not in the way any more"
+            Message(
+                "recovery.empty", "{path} was empty: nothing had been recorded. It has been removed", path=str(journal)
+            )
         )
     with journal.open("rb") as held:
         lock(held)
@@ -384,18 +423,46 @@ def recover(
             session, tests = _sitting(read_entries(journal, damage), damage)
         except UnusableInputError as error:
             if damage.places:
-                raise UnusableInputError(f"{journal} is damaged, and no session can be made of it: {error}") from error
+                raise UnusableInputError(
+                    Message(
+                        "recovery.unreadable",
+                        "{path} is damaged, and no session can be made from it: {reason}",
+                        path=str(journal),
+                        reason=error.message,
+                    )
+                ) from error
             if isinstance(error, _CutOffError):
-                raise UnusableInputError(f"{error}; delete {journal} if it is in the way") from error
+                raise UnusableInputError(
+                    Message("recovery.delete", "{reason}; delete {path}", reason=error.message, path=str(journal))
+                ) from error
             raise
         if not (written := not target.exists()):
             # The host died between the rename and the removal of the journal.
             if read_session_head(target).session_id != session.session_id:
-                raise UnusableInputError(f"{target} is another session; move it away first")
+                raise UnusableInputError(
+                    Message("recovery.other_session", "{path} is another session; move it away first", path=str(target))
+                )
         elif not tests:
-            advice = "it is damaged, and" if damage.places else "delete it if it is in the way:"
-            holds = "; ".join(damage.left_out[:3]) or "no sample of any test"
-            raise UnusableInputError(f"{journal} holds {holds}; {advice} there is nothing to save")
+            if damage.left_out:
+                words = Message(
+                    "recovery.too_few",
+                    "{path} is damaged, and there is nothing to save: {tests}",
+                    path=str(journal),
+                    tests=_few(damage.left_out),
+                )
+            elif damage.places:
+                words = Message(
+                    "recovery.nothing_damaged",
+                    "{path} is damaged, and there is nothing to save: it holds no sample of any test",
+                    path=str(journal),
+                )
+            else:
+                words = Message(
+                    "recovery.nothing",
+                    "{path} holds no sample of any test: there is nothing to save; delete it",
+                    path=str(journal),
+                )
+            raise UnusableInputError(words)
         else:
             again = Damage()
             tests_again = _judged(_tests(read_entries(journal, again), session.instrument, again), session.instrument)
@@ -404,9 +471,9 @@ def recover(
         remove_leftovers(session_file)
     recovered = read_own_session(target) if written else read_session(target)
     if damage.places:
-        told(_keep_damaged(journal, damage))
+        report(_keep_damaged(journal, damage))
     else:
-        with contextlib.suppress(OSError):  # a folder that cannot be written: the session is made, elsewhere
+        with contextlib.suppress(OSError):  # a read-only folder: the session was made elsewhere
             journal.unlink()
     if trail is not None:
         samples = sum(test.samples for test in recovered.tests)
@@ -419,7 +486,7 @@ def recover(
 
 
 def _keep_damaged(journal: Path, damage: Damage) -> str:
-    """Keep a journal under a name that nothing else asks for; returns what to say of it."""
+    """Rename a damaged journal, so that it is not offered for recovery again; return a message about the damage."""
     kept = journal.with_name(journal.name + ".damaged")
     number = 1
     while kept.exists():
@@ -428,10 +495,19 @@ def _keep_damaged(journal: Path, damage: Damage) -> str:
     try:
         journal.rename(kept)
     except OSError:
-        kept = journal  # a folder that cannot be written: it stays where it is
-    places = "1 place" if damage.places == 1 else f"{damage.places} places"
-    left_out = "".join(f"; {words}, and it is left out" for words in damage.left_out[:10])
-    return (
-        f"the journal was damaged at {places}, {damage.bytes} bytes in all: what was recorded there is missing from "
-        f"the session, and everything else is in it{left_out}. The journal is kept as {kept}"
+        kept = journal  # a read-only folder
+    values = {"places": damage.places, "bytes": damage.bytes, "path": str(kept)}
+    if damage.left_out:
+        return Message(
+            "recovery.damage_left_out",
+            "the journal was damaged ({places} places, {bytes} bytes); the session has everything else, without: "
+            "{tests}. The journal is kept as {path}",
+            **values,
+            tests=Listing(tuple(damage.left_out[:10]), "; ", "; "),
+        )
+    return Message(
+        "recovery.damage",
+        "the journal was damaged ({places} places, {bytes} bytes); the session has everything else. The journal is "
+        "kept as {path}",
+        **values,
     )

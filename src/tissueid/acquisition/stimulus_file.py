@@ -1,7 +1,7 @@
-"""A designed stimulus in a file: its description and a checksum, so that it comes back sample for sample or not at all.
+"""Files of designed stimuli: a description and the checksum of the samples.
 
-The file holds no samples. They are built again from the description, and their checksum tells whether this version
-builds what was saved. A stimulus that is generated while a test runs has a description and nothing to check.
+The samples are built again from the description, and the checksum verifies that they are the saved ones. A feedback
+stimulus has a description only.
 """
 
 from __future__ import annotations
@@ -15,60 +15,75 @@ from typing import Any
 import numpy as np
 
 from tissueid import __version__
+from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.stimuli import FeedbackKind, Stimulus, build_specified, specified
-from tissueid.untrusted import json_value
-from tissueid.whole_file import open_regular, whole_file
+from tissueid.untrusted_input import json_value
 
 FORMAT = "tissueid-stimulus"
 FORMAT_VERSION = "1.0"
 _MOST_BYTES = 4 * 1024 * 1024
+"""Largest size of a stimulus file."""
 
 
 def save_stimulus(path: Path, stimulus: Stimulus | FeedbackKind) -> None:
-    """Write a stimulus, whole or not at all; a file that is there is never written over.
+    """Write a stimulus to a new file, completely or not at all.
 
     Raises:
-        UnusableInputError: the file is there already, the folder is missing, or it cannot be written.
+        UnusableInputError: the file exists, the folder is missing, or it cannot be written.
     """
     check_new(path)
     text = json.dumps(_content(stimulus), indent=2, allow_nan=False) + "\n"
     try:
-        with whole_file(path, new=True, shared=True) as partial:
+        with atomic_file(path, new=True, shared=True) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message("file.not_writable", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
+        ) from error
 
 
 def check_new(path: Path) -> None:
-    """Refuse, before any work, a file that a stimulus cannot be saved to.
+    """Check that a stimulus can be saved to a file.
 
     Raises:
-        UnusableInputError: it is there already, or its folder is not.
+        UnusableInputError: the file exists, or its folder does not.
     """
     if path.is_dir():
-        raise UnusableInputError(f"{path} is a folder; name a file")
+        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
     if path.exists():
-        raise UnusableInputError(f"{path} is there already; a saved stimulus is never written over")
+        raise UnusableInputError(
+            Message("stimulus.exists", "{path} exists already; a saved stimulus is never overwritten", path=str(path))
+        )
     if not path.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {path.parent}")
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
 
 
 def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
-    """Read a stimulus: built again and checked, or the specification of one that is generated while a test runs.
+    """Read a stimulus: rebuilt and verified, or the specification of a feedback stimulus.
 
     Raises:
-        UnusableInputError: no such file, not a stimulus, one that asks for too much, or one that this version builds
-            otherwise.
+        UnusableInputError: no such file, not a stimulus, one that is too large, or one that this version builds
+            differently.
     """
     content = _read(path)
     description = content.get("description")
     if not isinstance(description, dict):
-        raise UnusableInputError(f"{path} holds no description of a stimulus")
+        raise UnusableInputError(
+            Message("stimulus.no_description", "{path} holds no description of a stimulus", path=str(path))
+        )
     specification, preload_s = specified(description)
     if isinstance(specification, FeedbackKind):
         if preload_s is not None:
-            raise UnusableInputError(f"{path}: {specification.name!r} takes its preload from the test, not from a file")
+            raise UnusableInputError(
+                Message(
+                    "stimulus.own_preload",
+                    "{path}: '{name}' takes its preload from the test, not from a file",
+                    path=str(path),
+                    name=specification.name,
+                )
+            )
         return specification
     built = build_specified(specification, preload_s)
     _verify(path, content, built)
@@ -76,7 +91,7 @@ def load_stimulus(path: Path) -> Stimulus | FeedbackKind:
 
 
 def checksum(stimulus: Stimulus) -> str:
-    """SHA-256, hexadecimal, of the values as little-endian float64."""
+    """Return the SHA-256, hexadecimal, of the values as little-endian float64."""
     return hashlib.sha256(np.ascontiguousarray(stimulus.values, dtype="<f8").tobytes()).hexdigest()
 
 
@@ -100,46 +115,70 @@ def _content(stimulus: Stimulus | FeedbackKind) -> dict[str, Any]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The JSON object in a stimulus file.
+    """Return the JSON object in a stimulus file.
 
     Raises:
-        UnusableInputError: it cannot be read, is too long, or is something else.
+        UnusableInputError: it cannot be read, is too large, or is no stimulus file.
     """
     try:
         with open_regular(path) as file:
             data = file.read(_MOST_BYTES + 1)
     except FileNotFoundError as error:
-        raise UnusableInputError(f"{path}: no such file") from error
+        raise UnusableInputError(Message("file.missing", "{path}: no such file", path=str(path))) from error
     except OSError as error:
-        raise UnusableInputError(f"cannot read {path}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message("file.not_readable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror))
+        ) from error
     if len(data) > _MOST_BYTES:
-        raise UnusableInputError(f"{path} is larger than {_MOST_BYTES >> 20} MB: that is no saved stimulus")
+        raise UnusableInputError(
+            Message(
+                "stimulus.too_large",
+                "{path} is larger than {most} MB: it is not a saved stimulus",
+                path=str(path),
+                most=_MOST_BYTES >> 20,
+            )
+        )
     try:
         content = json_value(data)
     except ValueError as error:
-        raise UnusableInputError(f"{path} is damaged, or not a saved stimulus") from error
+        raise UnusableInputError(
+            Message("stimulus.damaged", "{path} is damaged, or not a saved stimulus", path=str(path))
+        ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise UnusableInputError(f"{path} is not a saved stimulus")
+        raise UnusableInputError(Message("stimulus.not_one", "{path} is not a saved stimulus", path=str(path)))
     version = content.get("format_version")
     if not isinstance(version, str) or version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
         raise UnusableInputError(
-            f"{path} has format version {str(version)[:20]!r}; this software reads {FORMAT_VERSION}: upgrade it"
+            Message(
+                "stimulus.version",
+                "{path} has format version '{version}', but this software reads {known}: install a newer TissueID",
+                path=str(path),
+                version=str(version)[:20],
+                known=FORMAT_VERSION,
+            )
         )
     return content
 
 
 def _verify(path: Path, content: Mapping[str, Any], built: Stimulus) -> None:
-    """Hold what was built against what was saved.
+    """Compare the rebuilt stimulus with the saved figures.
 
     Raises:
-        UnusableInputError: length, rate, unit or samples are not those that were saved.
+        UnusableInputError: length, sample rate, unit or samples differ.
     """
-    said = (content.get("samples"), content.get("sample_rate_hz"), content.get("unit"))
-    if said != (len(built), built.sample_rate_hz, built.unit):
-        raise UnusableInputError(f"{path}: length, sample rate or unit are not those of its description")
+    saved = (content.get("samples"), content.get("sample_rate_hz"), content.get("unit"))
+    if saved != (len(built), built.sample_rate_hz, built.unit):
+        raise UnusableInputError(
+            Message("stimulus.figures", "{path}: length, rate or unit contradict its description", path=str(path))
+        )
     if content.get("sha256") != checksum(built):
         by = str(content.get("software", "another version"))[:40]
         raise UnusableInputError(
-            f"{path}: what is built from its description differs from what {by} saved: another version, or another "
-            "processor, computes it otherwise; design the stimulus anew"
+            Message(
+                "stimulus.differs",
+                "{path}: the stimulus built from the description differs from the one that {software} saved: another "
+                "version or another processor computes it differently; design the stimulus again",
+                path=str(path),
+                software=by,
+            )
         )

@@ -2,14 +2,13 @@
 
 from tissueid.analysis.ceiling import known_ceiling, repeats
 from tissueid.analysis.comparison import EngineComparison, Entry, compare, specifications
-from tissueid.analysis.fitting import REPORT_ENGINES, Analysis, analyse, analyse_all, fit_split
+from tissueid.analysis.fitting import Analysis, analyse, analyse_all, fit_split
+from tissueid.analysis.option_sweeps import SWEPT_MEMORY_S, SweepRow
 from tissueid.analysis.scoring import Scored
 from tissueid.analysis.split import FIT_SHARE, Split, split, split_records
-from tissueid.analysis.trials import SWEPT_MEMORY_S, SweepRow
 
 __all__ = [
     "FIT_SHARE",
-    "REPORT_ENGINES",
     "SWEPT_MEMORY_S",
     "Analysis",
     "EngineComparison",

@@ -1,4 +1,4 @@
-"""What repeats in the same session say of how much there is to be explained."""
+"""Highest VAF that a model could reach, from repeats of a test in the same session."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from tissueid.analysis.split import FIT_SHARE, Split
 from tissueid.errors import UnusableInputError
 from tissueid.identification.validation.repeats import Ceiling, ceiling
+from tissueid.messages import Listing, Message
 from tissueid.records import Record
 from tissueid.sessions import Session, Test
 
 _USABLE = 0.8
-"""A repeat that holds less than this of the samples which the test itself holds is left out."""
+"""Smallest share of the test's samples that a repeat must hold to be used."""
 
 
 def repeats(session: Session, number: int) -> tuple[Test, ...]:
-    """A test and the others of the session that repeat it, or that it repeats; itself first.
+    """Return a test and the tests of the session that repeat it, or that it repeats; itself first.
 
     Raises:
         UnusableInputError: there is no such test.
@@ -29,10 +30,10 @@ def repeats(session: Session, number: int) -> tuple[Test, ...]:
 
 
 def known_ceiling(session: Session, parts: Split) -> Ceiling | None:
-    """The highest held-out VAF that a model could reach, from repeats of the test that is held out or a part of it.
+    """Return the highest held-out VAF that a model could reach, from repeats of the held-out test or part.
 
-    None without repeats, and where the fitted tests do not all repeat one another. Repeats that broke off or have lost
-    too much are left out, and ``left_out`` says so.
+    None without repeats, and where the fitted tests do not all repeat one another. Repeats that ended early or lost too
+    many samples are listed in ``left_out``.
 
     Raises:
         UnusableInputError: the repeats are not alike, or hold too few samples, or none can be used.
@@ -45,14 +46,19 @@ def known_ceiling(session: Session, parts: Split) -> Ceiling | None:
     first = same[0].record(*names)
     part = slice(0, len(first)) if parts.validated is not None else slice(round(FIT_SHARE * len(first)), len(first))
     wanted = _received(first, part)
-    records, left_out = [first], []
+    records = [first]
+    left_out: list[Message] = []
     for test in same[1:]:
         if wanted and (reason := _too_little(test, names, part, wanted)):
-            left_out.append(f"test {test.number} was left out: {reason}")
+            left_out.append(
+                Message("ceiling.left_out", "test {number} was left out: {reason}", number=test.number, reason=reason)
+            )
         else:
             records.append(test.record(*names))
     if len(records) < 2:
-        raise UnusableInputError(f"no other repeat can be used: {', '.join(left_out)}")
+        raise UnusableInputError(
+            Message("ceiling.no_repeat", "no other repeat can be used: {left_out}", left_out=Listing(tuple(left_out)))
+        )
     return replace(ceiling(records, None if parts.validated is not None else part), left_out=tuple(left_out))
 
 
@@ -61,9 +67,23 @@ def _received(record: Record, part: slice) -> int:
 
 
 def _too_little(test: Test, names: tuple[str, str], part: slice, wanted: int) -> str:
-    """Why a repeat cannot stand beside a test that holds ``wanted`` samples there; empty where it can."""
-    ended = "was broken off" if test.status == "aborted" else "is short or has gaps"
+    """Return why a repeat cannot be used, where ``wanted`` samples are compared; empty where it can."""
+    aborted = test.status == "aborted"
     if test.samples <= round(test.preload_s * test.sample_rate_hz):
-        return f"it {ended}, within its preload"
+        if aborted:
+            return Message("ceiling.ended_in_preload", "it ended early, within its preload")
+        return Message("ceiling.only_preload", "it holds nothing but its preload")
     share = _received(test.record(*names), part) / wanted
-    return "" if share >= _USABLE else f"it {ended}, and holds {100.0 * share:.0f} % of what is compared"
+    if share >= _USABLE:
+        return ""
+    if aborted:
+        return Message(
+            "ceiling.ended_early",
+            "it ended early, and holds {percent:.0f} % of the compared samples",
+            percent=100.0 * share,
+        )
+    return Message(
+        "ceiling.incomplete",
+        "it is short or has gaps, and holds {percent:.0f} % of the compared samples",
+        percent=100.0 * share,
+    )

@@ -1,4 +1,4 @@
-"""All engines on one record: the table of Chen 2010, Fig. 8.1 and Table 8.1, and what it recommends."""
+"""Comparison of engines on one record (Chen 2010, Fig. 8.1 and Table 8.1), with a recommendation."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tissueid.analysis.cross_validation import cross_validated
 from tissueid.analysis.fitting import Analysis, fit_split
-from tissueid.analysis.rotation import every_quarter
+from tissueid.analysis.option_sweeps import Progress, SweepRow, memory_sweep, sized
 from tissueid.analysis.scoring import Scored, candidates, scored
 from tissueid.analysis.split import Split
-from tissueid.analysis.trials import Progress, SweepRow, memory_sweep, sized
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine
-from tissueid.identification.family import Family
+from tissueid.identification.model_family import Family
 from tissueid.identification.recommendation import Recommendation, recommend
 from tissueid.identification.registry import engine_names, get_engine
 from tissueid.identification.validation.repeats import Ceiling
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim, joined
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of the table: an engine with its scores, or the reason why it was refused."""
+    """One row of the table: an engine with its scores, or the reason why it refused the record."""
 
     engine: str
     family: Family
@@ -32,7 +34,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class EngineComparison:
-    """Everything that ``tissueid compare`` finds. ``entries`` stand in the order in which engines were asked for."""
+    """Result of ``tissueid compare``. ``entries`` are in the order of the requested engines."""
 
     entries: tuple[Entry, ...]
     split: Split
@@ -42,7 +44,7 @@ class EngineComparison:
 
     @property
     def analyses(self) -> dict[str, Analysis]:
-        """The analyses that there are, by engine: what figures and reports are made from."""
+        """The analyses by engine, without refused engines."""
         return {entry.engine: entry.scored.analysis for entry in self.entries if entry.scored is not None}
 
 
@@ -51,25 +53,44 @@ def specifications(
     shared: Mapping[str, Any] | None = None,
     own: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> tuple[Engine, ...]:
-    """The engines to compare, all that are installed for None, with their options.
+    """Return the specifications of the engines to compare.
 
-    ``shared`` options go to every engine that has them, ``own`` ones to the engine whose name they stand under.
+    Args:
+        names: names of engines; None for all that are installed.
+        shared: options for every engine that has them.
+        own: options of one engine, by its name.
 
     Raises:
         UnusableInputError: no engine, an unknown or repeated one, an option that none has or that is out of bounds.
     """
     chosen = engine_names() if names is None else tuple(names)
     if not chosen:
-        raise UnusableInputError(f"no engine is named: choose from {', '.join(engine_names())}")
+        raise UnusableInputError(
+            Message(
+                "compare.no_engine",
+                "no engine is given: choose from {names}",
+                names=joined(map(Verbatim, engine_names())),
+            )
+        )
     engines = {name: get_engine(name) for name in chosen}
     if len(engines) < len(chosen):
-        raise UnusableInputError("an engine is named twice")
+        raise UnusableInputError(Message("compare.repeated_engine", "an engine is given twice"))
     for name in own or {}:
         if name not in engines:
-            raise UnusableInputError(f"options are given for {name!r}, which is not among the engines to compare")
+            raise UnusableInputError(
+                Message(
+                    "compare.options_of_other_engine",
+                    "options are given for '{name}', which is not among the engines to compare",
+                    name=Verbatim(name),
+                )
+            )
     for option in shared or {}:
         if not any(option in engine.model_fields for engine in engines.values()):
-            raise UnusableInputError(f"none of these engines has an option {option!r}")
+            raise UnusableInputError(
+                Message(
+                    "compare.no_such_option", "none of these engines has an option '{option}'", option=Verbatim(option)
+                )
+            )
     return tuple(
         engine.from_options(
             {option: value for option, value in (shared or {}).items() if option in engine.model_fields}
@@ -87,10 +108,11 @@ def compare(
     sweep: bool = False,
     progress: Progress = lambda _what, _share: None,
 ) -> EngineComparison:
-    """Fit engines one after another, score them on the same samples, and recommend a description.
+    """Fit engines one after another, score them on the same samples, and recommend one.
 
-    An engine that refuses the record gets a row that says why. ``ceiling`` is what repeats allow, as
-    :func:`known_ceiling` finds it. ``sweep`` adds scores against memory.
+    An engine that refuses the record gets a row with the reason. ``ceiling`` is the highest VAF that repeats allow,
+    from :func:`known_ceiling`. ``sweep`` adds scores against memory. ``progress`` is called with the name of the
+    current step and its completed share.
 
     Raises:
         UnusableInputError: every engine refused the record, or none could be scored on held-out samples.
@@ -102,19 +124,19 @@ def compare(
         try:
             done[engine.name] = fit_split(engine, parts)
         except UnusableInputError as error:
-            refused[engine.name] = str(error)
+            refused[engine.name] = error.message
         progress(engine.name, 1.0)
     if not done:
         raise UnusableInputError(_why_none(refused))
     rows = dict(zip(done, scored(list(done.values()), parts), strict=True))
     specified = {engine.name: engine for engine in engines}
     contenders = candidates(list(rows.values()), [specified[name].family for name in rows], parts)
-    contenders, held_out = every_quarter(contenders, specified, parts, progress)
+    contenders, held_out = cross_validated(contenders, specified, parts, progress)
     found = recommend(
         contenders,
         held_out,
         parts.fitted,
-        judged_on="every quarter held out in turn" if parts.records else parts.validated_on,
+        judged_on=marked("every quarter held out in turn") if parts.records else parts.validated_on,
         ceiling_percent=None if ceiling is None else ceiling.vaf_percent.value,
     )
     return EngineComparison(
@@ -130,4 +152,10 @@ def _why_none(refused: Mapping[str, str]) -> str:
     reason, times = Counter(refused.values()).most_common(1)[0]
     if times == len(refused):
         return reason
-    return f"none of {len(refused)} engines can be fitted; {times} of them: {reason}"
+    return Message(
+        "compare.all_refused",
+        "none of {engines} engines can be fitted; {times} of them: {reason}",
+        engines=len(refused),
+        times=times,
+        reason=reason,
+    )

@@ -1,4 +1,4 @@
-"""A designed stimulus beside what it was to be: amplitudes, autocorrelation, lines, and what it does to the coil."""
+"""Comparison of a designed stimulus with its specification: amplitudes, autocorrelation, lines, load of the coil."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, number, with_unit
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli import Stimulus, StimulusKind, specified
-from tissueid.stimuli.appraisal import Appraisal
 from tissueid.stimuli.distributions import kolmogorov_distance
 from tissueid.stimuli.interchange import Interchanged, autocorrelation
 from tissueid.stimuli.kinds.designed import Designed
 from tissueid.stimuli.kinds.multisine import Multisine
-from tissueid.stimuli.shaped import Shaped
-from tissueid.wording import fixed, number, with_unit
+from tissueid.stimuli.shape_options import Shaped
+from tissueid.stimuli.stimulus_check import Appraisal
 
 LAGS = 500
 """Lags over which the error of the autocorrelation is summed where the stimulus does not say."""
@@ -33,7 +35,7 @@ Row = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A stimulus, the device that is to play it, and what was found of it.
+    """A stimulus, the device that is to play it, and the check of the two.
 
     ``search`` is the interchange that led to it, where there was one and it is known.
     """
@@ -69,7 +71,7 @@ class Design:
             UnusableInputError: the values do not vary, or are too few.
         """
         if self.played.size < 3:
-            raise UnusableInputError("the stimulus is too short for an autocorrelation")
+            raise UnusableInputError(Message("design.too_short", "the stimulus is too short for an autocorrelation"))
         return autocorrelation(self.played, min(self.lags, self.played.size - 2))
 
     @property
@@ -110,11 +112,11 @@ class Design:
         return None if wanted is None else kolmogorov_distance(self.played, wanted)
 
     def rows(self) -> tuple[Row, ...]:
-        """What was found, as label and value."""
+        """Return what was found, as label and value."""
         return (*_appraised(self.appraisal), *self._found())
 
     def answer(self) -> dict[str, Any]:
-        """What was reached of what was asked for, as JSON holds it; None where nothing was asked."""
+        """Return what was reached of what was asked for, as JSON holds it; None where nothing was asked."""
         kind, search = self.specification, self.search
         return {
             "amplitude_distance": self.amplitude_distance,
@@ -142,34 +144,77 @@ class Design:
     def _found(self) -> Iterator[Row]:
         distance, error, kind = self.amplitude_distance, self.autocorrelation_error, self.specification
         if distance is not None:
-            yield "Distribution off the intended one by at most", f"{number(100.0 * distance, 2)} % of the samples"
+            yield (
+                marked("Largest deviation from the intended distribution"),
+                Message("design.deviation", "{percent} % of the samples", percent=number(100.0 * distance, 2)),
+            )
         if error is not None:
-            yield f"Autocorrelation, squared error over {self.autocorrelation.size - 1} lags", number(error, 2)
+            lags = self.autocorrelation.size - 1
+            label = Message("design.correlation_error", "Autocorrelation, squared error over {lags} lags", lags=lags)
+            yield label, number(error, 2)
         if self.search is not None:
-            yield "Swaps accepted, of those tried", f"{self.search.accepted} of {self.search.tried}"
+            yield (
+                marked("Swaps accepted"),
+                Message(
+                    "design.swaps",
+                    "{accepted} of {tried} tried",
+                    accepted=self.search.accepted,
+                    tried=self.search.tried,
+                ),
+            )
         if isinstance(kind, Designed):
             shares = ", ".join(number(100.0 * std, 2) for std in kind.predicted_std)
-            yield "Predicted uncertainty of mass, damping, stiffness", f"{shares} % (standard deviations)"
+            yield (
+                marked("Predicted uncertainty of mass, damping, stiffness"),
+                Message("design.uncertainty", "{shares} % (standard deviations)", shares=shares),
+            )
         if isinstance(kind, Multisine):
             driven, detection = kind.driven_lines(), kind.detection_lines()
-            yield "Lines driven", f"{driven.size}, {number(kind.resolution_hz)} Hz apart or multiples of it"
-            yield "Detection lines", str(detection.size) if detection.size else "none"
+            yield (
+                marked("Lines driven"),
+                Message(
+                    "design.lines",
+                    "{count}, at multiples of {spacing} Hz",
+                    count=int(driven.size),
+                    spacing=number(kind.resolution_hz),
+                ),
+            )
+            yield marked("Detection lines"), str(detection.size) if detection.size else marked("none")
 
 
 def _appraised(found: Appraisal) -> Iterator[Row]:
-    yield "Length", with_unit(fixed(found.seconds, 2), "s")
-    yield "Range of force", f"{fixed(found.force_min_n, 2)} to {fixed(found.force_max_n, 2)} N"
-    yield "Command, coil at rest", f"{fixed(found.voltage_min_v, 1)} to {fixed(found.voltage_max_v, 1)} V"
-    yield "Mean, and root mean square about it", f"{fixed(found.force_mean_n, 2)} N, {fixed(found.force_std_n, 2)} N"
-    yield "Crest factor", fixed(found.crest_factor, 2)
-    yield "95 % and 99 % of its power below", f"{fixed(found.power_95_hz, 0)} Hz, {fixed(found.power_99_hz, 0)} Hz"
+    yield marked("Length"), with_unit(fixed(found.seconds, 2), "s")
+    yield marked("Range of force"), _range(found.force_min_n, found.force_max_n, 2, "N")
+    yield marked("Command, coil at rest"), _range(found.voltage_min_v, found.voltage_max_v, 1, "V")
+    yield marked("Mean and standard deviation"), f"{fixed(found.force_mean_n, 2)} N, {fixed(found.force_std_n, 2)} N"
+    yield marked("Crest factor"), fixed(found.crest_factor, 2)
     yield (
-        "Steepest edge",
-        f"{fixed(found.steepest_edge_n_per_ms, 2)} N/ms, {fixed(found.edge_ratio, 1)} times that of painless noise",
+        marked("95 % and 99 % of the power below"),
+        f"{fixed(found.power_95_hz, 0)} Hz, {fixed(found.power_99_hz, 0)} Hz",
     )
-    yield "Current, rms and peak", f"{fixed(found.rms_current_a, 2)} A, {fixed(found.peak_current_a, 2)} A"
+    yield (
+        marked("Steepest edge"),
+        Message(
+            "design.edge",
+            "{edge} N/ms, {ratio} times that of painless noise",
+            edge=fixed(found.steepest_edge_n_per_ms, 2),
+            ratio=fixed(found.edge_ratio, 1),
+        ),
+    )
+    yield marked("Current, rms and peak"), f"{fixed(found.rms_current_a, 2)} A, {fixed(found.peak_current_a, 2)} A"
     warmth = found.heating
     yield (
-        "Coil warms by",
-        f"{fixed(warmth.expected_k, 1)} K ({fixed(warmth.least_k, 1)} to {fixed(warmth.most_k, 1)} K)",
+        marked("Heating of the coil"),
+        Message(
+            "design.heating",
+            "{expected} K ({least} to {most} K)",
+            expected=fixed(warmth.expected_k, 1),
+            least=fixed(warmth.least_k, 1),
+            most=fixed(warmth.most_k, 1),
+        ),
     )
+
+
+def _range(low: float, high: float, decimals: int, unit: str) -> Message:
+    values = {"low": fixed(low, decimals), "high": fixed(high, decimals), "unit": unit}
+    return Message("design.range", "{low} to {high} {unit}", **values)

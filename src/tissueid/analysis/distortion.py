@@ -1,4 +1,4 @@
-"""Noise, even and odd distortion of a recorded multisine, by the lines that its stimulus says it drove."""
+"""Noise, even and odd distortion of a recorded multisine, from the driven lines that its stimulus declares."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from typing import Any
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.validation.distortion import Distortion, distortion
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 from tissueid.records import Record
 from tissueid.stimuli.kinds.multisine import played_multisine
-from tissueid.wording import fixed
 
 
 def is_multisine(described: Mapping[str, Any]) -> bool:
-    """True where a session's description of a stimulus speaks of a multisine, of ours or from elsewhere."""
+    """Return whether a session describes a stimulus as a multisine, whichever software made it."""
     return "multisine" in str(described).lower()
 
 
 def distortion_of(record: Record, described: Mapping[str, Any]) -> Distortion:
-    """Levels in a record (n,) of a multisine; the driven lines are found where the description does not say them.
+    """Return the levels in a record (n,) of a multisine; the driven lines are estimated where none are declared.
 
     Raises:
         UnusableInputError: all lines were driven, or the record is not that of an odd multisine.
@@ -27,14 +28,22 @@ def distortion_of(record: Record, described: Mapping[str, Any]) -> Distortion:
     if known is None:
         return distortion(record)
     if known.lines == "full":
-        raise UnusableInputError("the multisine drove every line, and distortion shows on lines that are not driven")
+        raise UnusableInputError(
+            Message(
+                "distortion.all_lines_driven",
+                "the multisine drove every line, and distortion shows only on lines that are not driven",
+            )
+        )
     return distortion(record, known.period, known.driven_lines().tolist(), known.settling_s)
 
 
-def levels_in_words(levels: Distortion) -> str:
-    """Noise, even and odd levels relative to the output, those that could be had; empty where none could."""
-    return ", ".join(
-        f"{what} {fixed(decibel, 1)} dB"
-        for what, level in (("noise", levels.noise_rms), ("even", levels.even_rms), ("odd", levels.odd_rms))
-        if (decibel := levels.relative_db(level)) is not None
+def described_levels(levels: Distortion) -> str:
+    """Return noise, even and odd levels relative to the output, as far as they are known; empty where none is."""
+    rows = (
+        (marked("noise {level:.1f} dB"), levels.noise_rms),
+        (marked("even {level:.1f} dB"), levels.even_rms),
+        (marked("odd {level:.1f} dB"), levels.odd_rms),
     )
+    known = ((template, levels.relative_db(level)) for template, level in rows)
+    items = tuple(Message("distortion.level", template, level=level) for template, level in known if level is not None)
+    return Message("distortion.levels", "{levels}", levels=Listing(items)) if items else ""

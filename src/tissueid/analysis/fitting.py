@@ -1,4 +1,4 @@
-"""One engine fitted to the tests of a session and scored on what was held out, with the time that it took."""
+"""Fits of one engine to tests of a session, scored on held-out data, with the time of the fit."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Engine, Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.external_spring import has_stiffness, profile_without_spring, without_spring
-from tissueid.identification.registry import get_engine
+from tissueid.identification.registry import get_engine, report_engines
 from tissueid.identification.validation import validated
+from tissueid.messages import Message
 from tissueid.records import Record
 from tissueid.sessions import Session, Test
-
-REPORT_ENGINES = ("lms", "spectral", "wiener")
 
 
 @dataclass(frozen=True)
 class Analysis:
     """One engine fitted to one or several tests. ``fit_part`` and ``held_out`` index the records as in ``Split``.
 
-    ``test`` is the number of the first test that was fitted, ``tests`` are those of all.
+    ``test`` is the number of the first fitted test, ``tests`` are the numbers of all.
 
-    ``external_spring_n_per_m`` stood beside the tissue: the stiffness among the model's parameters and that of
-    ``depth_profile`` are without it. The model itself, its response and its figures are of both together.
+    ``external_spring_n_per_m`` is the stiffness of a spring parallel to the tissue. It is subtracted from the stiffness
+    among the model's parameters and in ``depth_profile``; the model itself and its response include it.
     """
 
     model: Model
@@ -45,9 +44,9 @@ class Analysis:
     configuration: str = "indentation"
 
     def depth_profile(self, model: Model | None = None) -> DepthProfile | None:
-        """Mass, damping and stiffness of the tissue against depth, without an external spring.
+        """Return mass, damping and stiffness of the tissue against depth, without the external spring.
 
-        By another ``model`` of the same record, if one is given; None for models that hold no depth.
+        ``model`` is another model of the same record to use instead; None for models that do not depend on depth.
         """
         profile = (model or self.model).depth_profile()
         if profile is None or not self.external_spring_n_per_m:
@@ -66,11 +65,17 @@ def analyse(
     input_name: str = "force",
     output_name: str = "position",
 ) -> Analysis:
-    """Fit one engine and score its free-run simulation on data that was not fitted.
+    """Fit one engine and score its free-run simulation on held-out data.
 
-    ``test`` is the number of the fitted test (the first stochastic one by default); ``also`` are those of tests that
-    are fitted together with it; ``validate`` is that of the test it is scored on. Without it the last quarter of every
-    fitted test is held out.
+    Args:
+        session: the session that holds the tests.
+        engine: name of the engine.
+        options: options of the engine by name.
+        test: number of the fitted test; by default the first stochastic one.
+        also: numbers of tests that are fitted together with it.
+        validate: number of the held-out test; by default the last quarter of every fitted test is held out.
+        input_name: signal that is the input.
+        output_name: signal that is the output.
 
     Raises:
         UnusableInputError: unknown engine, option, test or signal, or a record that cannot carry the fit.
@@ -81,11 +86,14 @@ def analyse(
 
 
 def analyse_all(
-    session: Session, engines: Iterable[str] = REPORT_ENGINES, *, test: Test | None = None, validate: int | None = None
+    session: Session, engines: Iterable[str] | None = None, *, test: Test | None = None, validate: int | None = None
 ) -> dict[str, Analysis]:
-    """Several engines on one test, by name, with their default options."""
+    """Fit several engines, by default those of the standard report, to one test. Return the analyses by engine."""
     number = None if test is None else test.number
-    return {name: analyse(session, name, test=number, validate=validate) for name in engines}
+    return {
+        name: analyse(session, name, test=number, validate=validate)
+        for name in (report_engines() if engines is None else engines)
+    }
 
 
 def fit_split(specification: Engine, parts: Split) -> Analysis:
@@ -95,7 +103,7 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
         UnusableInputError: the record cannot carry the fit.
     """
     model, seconds = timed_fit(specification, parts.record, parts.fit_part)
-    with _its_own_fault(specification):
+    with _foreign_failures(specification):
         model = validated(model, parts.held_out_record, parts.held_out).with_report(seconds=seconds)
     return Analysis(
         _without_spring(model, parts.external_spring_n_per_m),
@@ -112,30 +120,32 @@ def fit_split(specification: Engine, parts: Split) -> Analysis:
 
 
 def _without_spring(model: Model, spring_n_per_m: float) -> Model:
-    """The model with the external spring taken off the stiffness that it reports, and a line that says so."""
+    """Return the model with the external spring subtracted from its reported stiffness, and a finding that says so."""
     report = model.report
     if not spring_n_per_m or not (has_stiffness(report.parameters) or model.depth_profile() is not None):
         return model
-    line = (
-        f"The external spring of {spring_n_per_m:g} N/m is subtracted from the stiffness; natural frequency, damping "
-        "ratio, curves and figures of the response are those of tissue and spring together."
+    line = Message(
+        "analysis.spring_subtracted",
+        "The external spring of {spring:g} N/m is subtracted from the stiffness; natural frequency, damping ratio, "
+        "curves and figures of the response are those of tissue and spring together.",
+        spring=spring_n_per_m,
     )
     parameters = without_spring(report.parameters, spring_n_per_m)
     return replace(model, report=replace(report, parameters=parameters, findings=(*report.findings, line)))
 
 
 def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> tuple[Model, float]:
-    """Fit, and return the model with the seconds that it took.
+    """Fit, and return the model with the time of the fit, s.
 
-    Compiled loops are built the first time that a machine meets them, and loaded from a cache afterwards. Neither is
-    counted, so that an engine's figure does not depend on which ran first.
+    The time to compile loops or to load them from the cache is not counted, so that the time does not depend on which
+    engine ran first.
 
     Raises:
         UnusableInputError: the record cannot carry the fit.
     """
     compiling: list[float] = []
     begin = time.perf_counter()
-    with _its_own_fault(specification), install_timer("numba:compiler_lock", compiling.append):
+    with _foreign_failures(specification), install_timer("numba:compiler_lock", compiling.append):
         model = specification.fit(record, fit_part)
         if not isinstance(model, Model):
             raise TypeError(f"fit returned {type(model).__name__}, not a model")
@@ -143,8 +153,8 @@ def timed_fit(specification: Engine, record: Record, fit_part: slice | None) -> 
 
 
 @contextmanager
-def _its_own_fault(engine: Engine) -> Iterator[None]:
-    """Tell a fault of another package's engine as that engine's, so that it costs no other; ours are defects.
+def _foreign_failures(engine: Engine) -> Iterator[None]:
+    """Turn any exception of another package's engine into an error of that engine; built-in engines raise as they do.
 
     Raises:
         UnusableInputError: the engine of another package failed.
@@ -157,4 +167,11 @@ def _its_own_fault(engine: Engine) -> Iterator[None]:
         if type(engine).__module__.startswith("tissueid."):
             raise
         said = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise UnusableInputError(f"the engine {engine.name}, of another package, failed: {said}") from error
+        raise UnusableInputError(
+            Message(
+                "engine.failed",
+                "the engine {name}, of another package, failed: {problem}",
+                name=engine.name,
+                problem=said,
+            )
+        ) from error

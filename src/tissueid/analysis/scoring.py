@@ -1,4 +1,4 @@
-"""Models of one record scored on the samples that all of them can be held to, so that their figures can be compared."""
+"""Scores of several models of one record on the same samples, so that they can be compared."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ import numpy as np
 from tissueid.analysis.fitting import Analysis
 from tissueid.analysis.split import Split
 from tissueid.identification.base import Array, FitReport, Mask, Model
-from tissueid.identification.family import Family
-from tissueid.identification.recommendation import Candidate
+from tissueid.identification.candidates import Candidate
+from tissueid.identification.model_family import Family
+from tissueid.identification.sample_masks import scored_samples
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.validation import aic, aicc, scored_samples, vaf_percent
+from tissueid.identification.validation import aic, aicc, vaf_percent
 from tissueid.identification.validation.vaf_spread import unrelated_p_value
 from tissueid.records import Record
 
 _SHARED = 0.5
-"""A model that would leave the others less than this much of their samples is scored by itself."""
+"""Smallest share of the other models' samples that must remain. A model that leaves fewer is scored on its own."""
 
 _SECOND_ORDER_PARAMETERS = 4
-"""Mass, damping, stiffness and the offset."""
+"""Number of parameters of the second-order model: mass, damping, stiffness and offset."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
     """An analysis whose report holds the scores on shared samples.
 
-    ``parameters`` counts the effective ones where the engine tells them. ``n_fitted`` counts the samples behind VAF
-    and AICc; ``own_samples`` says that these are not the shared ones. ``error`` (n,) is that on the held-out record,
-    NaN where it is not scored.
+    ``parameters`` is the effective number of parameters where the engine reports it. ``n_fitted`` is the number of
+    samples of VAF and AICc; ``own_samples`` is true where these are not the shared ones. ``error`` (n,) is the error
+    on the held-out record, NaN where it is not scored.
     """
 
     analysis: Analysis
@@ -43,11 +44,11 @@ class Scored:
 
 @runtime_checkable
 class Reducible(Protocol):
-    """A linear model with a second-order system behind it."""
+    """A linear model that also holds a second-order system."""
 
     @property
     def input_mean(self) -> float:
-        """Mean input, about which it works."""
+        """Mean input: the operating point."""
 
     @property
     def output_mean(self) -> float:
@@ -55,16 +56,16 @@ class Reducible(Protocol):
 
     @property
     def second_order(self) -> SecondOrderFit:
-        """The system."""
+        """The second-order system fitted to the model's response."""
 
 
 def effective_parameters(report: FitReport) -> float:
-    """Parameters that a fit used: fewer than it has where a prior held them back."""
+    """Return the effective number of parameters: below the number of parameters where a prior restricts them."""
     return report.details.get("effective_parameters", float(report.n_parameters))
 
 
 def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
-    """Score models that were fitted to one split, each on the samples that all of them can be held to."""
+    """Score models of one split, each on the samples that all of them can simulate."""
     unseen = parts.unseen
     simulated = [(a.model.simulate(parts.record.input), a.model.simulate(unseen.input)) for a in analyses]
     fitted, fitted_own = _shared(
@@ -102,7 +103,7 @@ def scored(analyses: Sequence[Analysis], parts: Split) -> list[Scored]:
 
 
 def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split) -> list[Candidate]:
-    """What the recommendation chooses from: every model, and the mass, damping and stiffness behind a linear one."""
+    """Return the candidates of a recommendation: every model, and the second-order system of the best linear one."""
     found = [
         Candidate(
             engine=row.analysis.model.report.engine,
@@ -125,7 +126,7 @@ def candidates(rows: Sequence[Scored], families: Sequence[Family], parts: Split)
 
 
 def _second_order(row: Scored, parts: Split) -> Candidate:
-    """The second-order system of a linear model as a candidate of its own."""
+    """Return the second-order system of a linear model as a separate candidate."""
     model = row.analysis.model
     assert isinstance(model, Reducible)
     used = scored_samples(parts.record, model.memory_samples, parts.fit_part)
@@ -143,9 +144,9 @@ def _second_order(row: Scored, parts: Split) -> Candidate:
 
 
 def held_out_error(model: Model, parts: Split, *, second_order: bool = False) -> Array:
-    """Measured less free-run simulated output on the held-out record, (n,), NaN where the model is not scored.
+    """Return measured minus free-run simulated output on the held-out record, (n,), NaN where it is not scored.
 
-    With ``second_order`` that of the second-order system behind a linear model.
+    ``second_order`` takes the second-order system of a linear model in place of the model.
     """
     unseen = parts.unseen
     used = scored_samples(unseen, model.memory_samples)
@@ -160,7 +161,7 @@ def _second_order_error(model: Reducible, record: Record, used: Mask) -> Array:
 
 
 def _shared(masks: Sequence[Mask]) -> tuple[list[Mask], list[bool]]:
-    """The samples that all masks (n,) share, for each; and whether it keeps its own instead, as it leaves too few."""
+    """Return for each mask (n,) the samples to score, and whether they are its own because it shares too few."""
     own = [False] * len(masks)
     while True:
         together = [k for k in range(len(masks)) if not own[k]]

@@ -1,4 +1,4 @@
-"""What is fitted and what is held out of the tests of a session."""
+"""Fitted and held-out parts of the tests of a session."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ import numpy as np
 
 from tissueid.configuration import spring_of
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 from tissueid.records import Record, joined
 from tissueid.sessions import Session, Test
 
 QUARTERS = 4
 FIT_SHARE = 1.0 - 1.0 / QUARTERS
-"""Without another test to validate on, this much of each test is fitted and the rest is held out."""
+"""Share of each test that is fitted, from its start; the rest is held out unless another test is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
     """Fitted and held-out samples. ``fit_part`` and ``held_out`` index ``record`` and ``held_out_record``.
 
-    ``tests`` are the numbers of the fitted tests, ``records`` what they hold, whole, where a part of each is held out
-    and nothing where another test is, whose number is ``validated``. ``external_spring_n_per_m`` stood beside the
-    tissue in all of them, where the record is force and position.
+    ``tests`` are the numbers of the fitted tests. ``records`` are their whole records where a part of each test is
+    held out, and empty where another test is held out, whose number is ``validated``. ``external_spring_n_per_m`` is
+    the stiffness of the external spring parallel to the tissue in all of them; 0 unless the record is force and
+    position.
 
-    Several tests are joined with a gap between each two, which no engine reaches across. What is held out of them are
-    then separate stretches: ``held_out_record`` holds the whole input, which a free run needs, and as outputs those
-    that were not fitted alone; the others are NaN.
+    Several tests are joined with a gap between each two; no engine uses samples across a gap. Their held-out parts are
+    separate stretches: ``held_out_record`` then holds the whole input, which a free run needs, and NaN for every
+    output that was fitted.
     """
 
     record: Record
@@ -43,21 +46,21 @@ class Split:
 
     @property
     def fitted(self) -> Record:
-        """What was fitted, cut out."""
+        """The fitted part of the record."""
         return self.record[self.fit_part]
 
     @property
     def unseen(self) -> Record:
-        """The held-out record with every output that is not held out hidden (NaN)."""
+        """The held-out record, with NaN for every output that is not held out."""
         output = np.full(len(self.held_out_record), np.nan)
         output[self.held_out] = self.held_out_record.output[self.held_out]
         return replace(self.held_out_record, output=output)
 
     @property
     def other_quarters(self) -> tuple[Split, ...]:
-        """The same tests with another quarter of each held out in place of the last; none when another test is.
+        """The splits that hold out each of the first three quarters of each test; empty where another test is held out.
 
-        Every ``held_out_record`` is as long as this one's, so that errors on all quarters can be laid together.
+        Every ``held_out_record`` is as long as this one's, so that errors on all quarters can be joined.
         """
         return tuple(_hold_out(self.records, quarter, self.tests) for quarter in range(QUARTERS - 1) if self.records)
 
@@ -71,26 +74,40 @@ def split(
     input_name: str = "force",
     output_name: str = "position",
 ) -> Split:
-    """Take tests out of a session and part them.
+    """Split tests of a session into fitted and held-out data.
 
-    ``test`` is the number of the fitted test (the first stochastic one by default), ``also`` those of further ones
-    that are fitted together with it, ``validate`` that of the test that the models are scored on. Without it the last
-    quarter of every fitted test is held out.
+    Args:
+        session: the session that holds the tests.
+        test: number of the fitted test; by default the first stochastic one.
+        also: numbers of tests that are fitted together with it.
+        validate: number of the test that is held out; by default the last quarter of every fitted test is.
+        input_name: signal that is the input.
+        output_name: signal that is the output.
 
     Raises:
-        UnusableInputError: no such test or signal, a test named twice, or tests that cannot be fitted together, such as
-            those of different configurations or with different external springs.
+        UnusableInputError: no such test or signal, a test given twice, or tests of different configurations or with
+            different external springs.
     """
     if input_name == output_name:
-        raise UnusableInputError(f"input and output are the same signal, {input_name!r}")
+        raise UnusableInputError(
+            Message("split.same_signal", "input and output are the same signal, '{signal}'", signal=input_name)
+        )
     first = session.test(test)
     tests = [first, *map(session.test, also)]
     numbers = tuple(t.number for t in tests)
     for number in numbers:
         if numbers.count(number) > 1:
-            raise UnusableInputError(f"test {number} is named twice among the tests to fit")
+            raise UnusableInputError(
+                Message("split.repeated_test", "test {number} is given twice among the tests to fit", number=number)
+            )
     if validate in numbers:
-        raise UnusableInputError(f"test {validate} is one that is fitted: validate on another, or on none")
+        raise UnusableInputError(
+            Message(
+                "split.validates_fitted_test",
+                "test {number} is fitted, so it cannot be held out: validate on another test, or on none",
+                number=validate,
+            )
+        )
     spring = _common_spring(tests if validate is None else [*tests, session.test(validate)])
     if (input_name, output_name) != ("force", "position"):
         spring = 0.0
@@ -99,38 +116,52 @@ def split(
         record = joined(records)
         other = session.test(validate).record(input_name, output_name)
         whole = slice(0, len(record)), slice(0, len(other))
-        parts = Split(record, whole[0], other, whole[1], numbers, f"test {validate}", validated=validate)
+        parts = Split(record, whole[0], other, whole[1], numbers, _test(validate), validated=validate)
     else:
         parts = split_records(records, numbers)
     return replace(parts, external_spring_n_per_m=spring, configuration=first.configuration)
 
 
 def _common_spring(tests: Sequence[Test]) -> float:
-    """The external spring of all the tests, N/m.
+    """Return the stiffness of the external spring that all tests share, N/m.
 
     Raises:
-        UnusableInputError: they differ in it.
+        UnusableInputError: the tests differ in it, or in their configuration.
     """
     springs = [spring_of(test.notes) for test in tests]
     for test, spring in zip(tests, springs, strict=True):
         if test.configuration != tests[0].configuration:
             raise UnusableInputError(
-                f"tests {tests[0].number} and {test.number} are of different configurations, {tests[0].configuration} "
-                f"and {test.configuration}: analyse them one by one"
+                Message(
+                    "split.different_configurations",
+                    "tests {first} and {second} have different configurations, {one} and {other}: analyse them one by "
+                    "one",
+                    first=tests[0].number,
+                    second=test.number,
+                    one=tests[0].configuration,
+                    other=test.configuration,
+                )
             )
         if spring != springs[0]:
             raise UnusableInputError(
-                f"tests {tests[0].number} and {test.number} had external springs of {springs[0]:g} and {spring:g} N/m: "
-                "analyse them one by one"
+                Message(
+                    "split.different_springs",
+                    "tests {first} and {second} had external springs of {one:g} and {other:g} N/m: analyse them one by "
+                    "one",
+                    first=tests[0].number,
+                    second=test.number,
+                    one=springs[0],
+                    other=spring,
+                )
             )
     return springs[0]
 
 
 def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> Split:
-    """Hold the last quarter of every record out; ``tests`` are the numbers that stand for them.
+    """Hold out the last quarter of every record; ``tests`` are the numbers of their tests.
 
     Raises:
-        UnusableInputError: there are none, or they differ in sample rate, signals or units.
+        UnusableInputError: there is no record, or they differ in sample rate, signals or units.
     """
     if len(records) != 1:
         return _hold_out(records, QUARTERS - 1, tests)
@@ -140,7 +171,7 @@ def split_records(records: Sequence[Record], tests: tuple[int, ...] = (1,)) -> S
 
 
 def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -> Split:
-    """Hold a quarter of every record out, by its number from 0, and join what is before and after it."""
+    """Hold out the quarter ``quarter`` (0 to 3) of every record, and join the rest."""
     kept: list[Record] = []
     unseen: list[Record] = []
     for record in records:
@@ -155,7 +186,24 @@ def _hold_out(records: Sequence[Record], quarter: int, tests: tuple[int, ...]) -
 
 
 def _quarter_of(tests: Sequence[int], quarter: int = QUARTERS - 1) -> str:
-    share = f"the {('first', 'second', 'third', 'last')[quarter]} {100 / QUARTERS:.0f} %"
+    percent = 100.0 / QUARTERS
+    which = (marked("first"), marked("second"), marked("third"), marked("last"))[quarter]
     if len(tests) == 1:
-        return f"{share} of test {tests[0]}"
-    return f"{share} each of tests {', '.join(map(str, tests[:-1]))} and {tests[-1]}"
+        return Message(
+            "split.part_of_test",
+            "the {which} {percent:.0f} % of test {number}",
+            which=which,
+            percent=percent,
+            number=tests[0],
+        )
+    return Message(
+        "split.part_of_tests",
+        "the {which} {percent:.0f} % of each of the tests {numbers}",
+        which=which,
+        percent=percent,
+        numbers=Listing(tuple(map(str, tests)), marked(" and ")),
+    )
+
+
+def _test(number: int) -> Message:
+    return Message("split.test", "test {number}", number=number)

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QAbstractButton, QScrollArea, QStackedWidget, QTabWidget, QWidget
 
-from tissueid.app.layout import MEASURE
-from tissueid.app.panels import HELP_KEY, LOG_KEY
+from tissueid.app.layout import Layout
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.pages import Pages
+from tissueid.app.panels import HELP_KEY, LOG_KEY, Panels
 from tissueid.language import _
-
-if TYPE_CHECKING:
-    from tissueid.app.main_window import MainWindow
 
 PALETTE_KEY = "Ctrl+K"
 
@@ -37,49 +35,46 @@ class Action:
     energises: bool = False
 
 
-def declare(window: MainWindow) -> tuple[Action, ...]:
+def declare(ui: Layout, panels: Panels, pages: Pages, window: QWidget) -> tuple[Action, ...]:
     """Return the actions of the window as it is now, with those of the pages that have been made."""
-    ui = window.ui
-    own = [Action(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, window))]
+    own = [Action(ui.stop.accessibleName(), ui.stop.click, why_not=partial(_nothing_to_stop, ui))]
     own += [
         Action(button.accessibleName(), button.click, ui.rail.keys[name]) for name, button in ui.rail.buttons.items()
     ]
     own += [
-        Action(_("Help for this page"), window.panels.help_button.click, HELP_KEY),
-        Action(_("What happened so far"), window.panels.log_button.click, LOG_KEY),
+        Action(_("Help for this page"), panels.help_button.click, HELP_KEY),
+        Action(_("What happened so far"), panels.log_button.click, LOG_KEY),
         Action(_("Close TissueID"), window.close, "Ctrl+Q"),
     ]
-    coil = ui.start, ui.gate.run_again, ui.gate.repeats.repeat, *ui.calibration.begin.values()
-    free = ui.gate.repeats.accept, ui.guidance.lamp.watch, ui.form.instrument.refresh, ui.form.map, ui.result.pdf
-    own += [_by_button(window, MEASURE, button, energises=True) for button in coil]
-    own += [_by_button(window, MEASURE, button) for button in free]
-    own += [_by_button(window, "", button) for button in (ui.open, ui.report)]
-    for view in window.pages.views:
-        own += [_by_button(window, view.name, button) for button in view.buttons()]
+    own += [_by_button(pages, MEASURE, button, energises=True) for button in ui.energising]
+    own += [_by_button(pages, MEASURE, button) for button in ui.harmless]
+    own += [_by_button(pages, "", button) for button in (ui.open, ui.report)]
+    for view in pages.views:
+        own += [_by_button(pages, view.name, button) for button in view.buttons()]
     return tuple(own)
 
 
-def install_shortcuts(window: MainWindow) -> None:
+def install_shortcuts(actions: Iterable[Action], window: QWidget) -> None:
     """Make the shortcuts of the actions that have one."""
-    for action in declare(window):
+    for action in actions:
         if action.keys:
             shortcut = QShortcut(QKeySequence(action.keys), window)
             shortcut.setContext(Qt.ShortcutContext.ApplicationShortcut)
             shortcut.activated.connect(action.run)
 
 
-def _nothing_to_stop(window: MainWindow) -> str:
-    return "" if window.testing else _("No test is running.")
+def _nothing_to_stop(ui: Layout) -> str:
+    return "" if ui.testing else _("No test is running.")
 
 
-def _by_button(window: MainWindow, page: str, button: QAbstractButton, *, energises: bool = False) -> Action:
+def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: bool = False) -> Action:
     """Return the action that presses a button of a page, or that leads to it where it energises a coil."""
     name = button.accessibleName() or button.text().replace("&", "")
-    title = f"{window.ui.rail.buttons[page].text()}: {name}" if page else name
+    title = f"{pages.title(page)}: {name}" if page else name
 
     def run() -> None:
         if page:
-            window.pages.show(page)
+            pages.show(page)
         _reveal(button)
         if energises:
             button.setFocus()

@@ -33,7 +33,7 @@ class QuickAxis(pg.AxisItem):  # type: ignore[misc]
         super().__init__(side)
         self._ground = QColor("white")
         self.setCacheMode(QGraphicsItem.CacheMode.DeviceCoordinateCache)  # as long as neither range nor size changes
-        self.enableAutoSIPrefix(False)  # or pyqtgraph sets a label anew, in HTML, whenever the range changes
+        self.enableAutoSIPrefix(False)  # or pyqtgraph sets the label again, in HTML, whenever the range changes
         self.setStyle(maxTickLevel=_FINEST)
 
     def wheelEvent(self, event: QGraphicsSceneWheelEvent) -> None:  # noqa: N802

@@ -1,17 +1,19 @@
-"""Figures of a calibration in the units of the window; their names and words are the calibration's own."""
+"""Figures of a calibration in the active units of the window."""
 
 from __future__ import annotations
 
 from tissueid.app.units import shown
 from tissueid.calibration.file import Quantity
-from tissueid.calibration.words import readable
+from tissueid.calibration.labels import readable
+from tissueid.formatting import plus_minus
+from tissueid.messages import translated
 from tissueid.records import Estimate
-from tissueid.wording import plus_minus
 
 
 def figure_of(name: str, found: Quantity) -> tuple[str, str, str]:
-    """Label, value with its deviation, and unit."""
+    """Return label, value with its deviation, and unit."""
     label, value, unit = readable(name, found)
+    label = translated(label)
     said, factor = shown(unit)
     if factor == 1.0:
         return label, value, said

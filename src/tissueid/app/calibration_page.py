@@ -1,4 +1,4 @@
-"""The technician's page: what each calibration needs, its progress, its verdict and figures."""
+"""The page of calibrations: requirements, progress, verdict and figures."""
 
 from __future__ import annotations
 
@@ -21,23 +21,24 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_figures import figure_of
-from tissueid.app.conversation import CalibrationOutcome, Kind, Talk
-from tissueid.app.live import Array
+from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
+from tissueid.app.operator_prompts import CalibrationOutcome, Kind, PromptState
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
 from tissueid.app.words import sentence
 from tissueid.calibration.file import Quantity
-from tissueid.calibration.words import verdict_of
+from tissueid.calibration.labels import headline_of, problems_of
 from tissueid.language import _, marked
+from tissueid.messages import translated
 
 _KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (
         marked("Static calibration"),
         marked(
             "Coil, force, position, range of motion, thermometer, accelerometer and supplies. Needs the "
-            "calibration spring; where there is no motorised stage, you are told what to put under the probe."
+            "calibration spring; without a motorised stage, instructions say what to put under the probe."
         ),
         marked("Begin static calibration"),
     ),
@@ -58,13 +59,14 @@ _MM = 1e3
 _STEPS = 1000
 _ROW = 22
 _LEAST_CURVE = 140
+_LEAST_TABLE = 120
 _NO_POINTS: Array = np.zeros(0)
 _TWO_COLUMNS = 650
 _OPTIONS_IN_A_ROW = 380
 
 
 class CalibrationPage(QWidget):
-    """``begun`` carries the kind of calibration that is wanted; ``answered`` says that a person did what was asked."""
+    """``begun`` carries the kind of calibration to start; ``answered`` confirms that an instruction was carried out."""
 
     begun = Signal(str)
     answered = Signal()
@@ -75,12 +77,16 @@ class CalibrationPage(QWidget):
         self.begin: dict[Kind, QPushButton] = {}
         self.step = QLabel()
         self.step.setProperty("role", "muted")
+        self.step.setWordWrap(True)
+        self.step.setMinimumWidth(1)
         self.bar = QProgressBar()
         self.bar.setRange(0, _STEPS)
         self.bar.setTextVisible(False)
         self.bar.setAccessibleName(_("Progress of the calibration"))
         self.done = BigButton(_("Done, go on"))
         self.done.setProperty("role", "start")
+        # Its height is its minimum: a layout without room for more would take the rest from wrapped labels.
+        self.done.setSizePolicy(QSizePolicy.Policy.Minimum, QSizePolicy.Policy.Fixed)
         self.done.setToolTip(_("Return does the same; Space and Escape stop"))
         self.done.clicked.connect(self.answered)
         self.done.hide()
@@ -104,6 +110,9 @@ class CalibrationPage(QWidget):
         self.figures.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
         self.figures.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.figures.setShowGrid(False)
+        # No preferred height above the minimum: a layout without room for that takes the rest from wrapped labels.
+        self.figures.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+        self.figures.setMinimumHeight(_LEAST_TABLE)
         header = self.figures.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setStretchLastSection(True)
@@ -131,36 +140,40 @@ class CalibrationPage(QWidget):
         layout = QVBoxLayout(content)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(8)
-        choices = FoldingBox(_TWO_COLUMNS)
+        self._choices = QWidget()
+        choices = FoldingBox(_TWO_COLUMNS, self._choices)
+        choices.setContentsMargins(0, 0, 0, 0)
         choices.setSpacing(8)
         for kind in _KINDS:
             choices.addWidget(self._make_choice(kind), 1)
-        layout.addLayout(choices)
+        layout.addWidget(self._result, 1)
+        layout.addWidget(self._choices)
         layout.addWidget(self._make_progress())
         layout.addWidget(self.curve, 1)
-        layout.addWidget(self._result, 1)
         self._layout = layout
         layout.addStretch()
         whole = QVBoxLayout(self)
         whole.setContentsMargins(0, 0, 0, 0)
-        whole.addWidget(PageScroll(content))
-        self.rest()
+        self._scroll = PageScroll(content)
+        whole.addWidget(self._scroll)
+        self.clear()
         self._show_result(False)
 
     @property
     def fields(self) -> list[QWidget]:
-        """What the tab key visits, in order."""
+        """Controls in the order of the tab key."""
         first = [self.fixed, self.room_known, self.room, self.begin["static"]]
         return [*first, self.begin["sweep"], self.done, self.report]
 
     @property
     def ambient_c(self) -> float | None:
-        """The room's temperature, where it is known."""
+        """Temperature of the room, °C; None if it is not known."""
         return self.room.settled if self.room_known.isChecked() else None
 
     def expect(self, kind: Kind) -> None:
-        """A calibration begins."""
+        """Show progress and curve of a starting calibration in place of the choices."""
         self._show_result(False)
+        self._choices.hide()
         self.step.setText(_("{kind}: connecting to the instrument.").format(kind=_(_KINDS[kind][0])))
         self.bar.setValue(0)
         title, below, unit = _CURVES[kind]
@@ -171,22 +184,23 @@ class CalibrationPage(QWidget):
         self.curve.show()
 
     def show_curve(self, x: Array, y: Array) -> None:
-        """Draw what is known of the curve so far, SI, shape (n,) each."""
+        """Draw the curve so far: ``x`` and ``y`` in SI units, shape (n,)."""
         if x.size != self._shown:
             self._shown = x.size
             self._points.setData(x * (1.0 if self._kind == "static" else _MM), y * _MM)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.curve.paint_with(theme)
+        self.curve.apply_theme(theme)
 
-    def rest(self) -> None:
-        """Nothing goes on."""
+    def clear(self) -> None:
+        """Show that no calibration is running."""
+        self._choices.show()
         self.bar.setValue(0)
         self.step.setText(_("No calibration is running."))
         self.done.hide()
 
-    def settle(self, *, busy: bool) -> None:
+    def update_enabled(self, *, busy: bool) -> None:
         """Enable what makes sense."""
         for button in self.begin.values():
             button.setEnabled(not busy)
@@ -195,12 +209,12 @@ class CalibrationPage(QWidget):
         self.room.setEnabled(not busy and self.room_known.isChecked())
         self.report.setEnabled(not busy and self._has_report)
 
-    def show_talk(self, talk: Talk) -> None:
-        """Where a running calibration stands, and whether it waits for a person."""
-        if talk.step:
-            self.step.setText(sentence(talk.step))
-        self.bar.setValue(round(_STEPS * talk.fraction))
-        asked = talk.answer
+    def show_prompts(self, state: PromptState) -> None:
+        """Show the state of a running calibration, and a button where the person has to confirm."""
+        if state.step:
+            self.step.setText(sentence(translated(state.step)))
+        self.bar.setValue(round(_STEPS * state.fraction))
+        asked = state.answer
         if asked and self.done.isHidden():
             self.done.show()
             self.done.setFocus()
@@ -208,24 +222,25 @@ class CalibrationPage(QWidget):
             self.done.hide()
 
     def show_outcome(self, outcome: CalibrationOutcome) -> None:
-        """Verdict, figures, and what else is worth saying."""
-        self.rest()
+        """Show verdict, figures and remarks."""
+        self.clear()
         calibration = outcome.calibration
-        self.headline.setText(sentence(f"{_(_KINDS[calibration.kind][0])} {verdict_of(calibration)}"))
+        self.headline.setText(sentence(translated(headline_of(calibration))))
         level = "good" if calibration.verdict == "passed" else "poor"
         for widget in (self._result, self.headline):
             widget.setProperty("level", level)
             widget.style().unpolish(widget)
             widget.style().polish(widget)
-        lines = [sentence(line) for line in (*calibration.problems, *outcome.remarks)]
+        lines = [sentence(translated(line)) for line in (*problems_of(calibration), *outcome.remarks)]
         self.said.setText("\n".join([*lines, _("Saved in {path}.").format(path=outcome.path)]))
         self._has_report = outcome.report is not None
         self._figures = calibration.quantities
         self.take_units()
         self._show_result(True)
+        self._scroll.verticalScrollBar().setValue(0)
 
     def take_units(self) -> None:
-        """Show the figures in the units in force."""
+        """Show the figures in the active units."""
         self.figures.setRowCount(len(self._figures))
         for row, (name, quantity) in enumerate(self._figures.items()):
             for column, text in enumerate(figure_of(name, quantity)):
@@ -235,7 +250,7 @@ class CalibrationPage(QWidget):
                 self.figures.setItem(row, column, item)
 
     def _show_result(self, there: bool) -> None:
-        """With a result it takes all the room that there is, without one that stays empty."""
+        """Show or hide the result, which takes all available height."""
         self._result.setVisible(there)
         self.curve.setVisible(False)
         self._layout.setStretch(self._layout.count() - 1, 0 if there else 1)
@@ -282,7 +297,7 @@ class CalibrationPage(QWidget):
         words = QVBoxLayout()
         words.addWidget(self.step)
         words.addWidget(self.bar)
-        layout = QHBoxLayout(card)
+        layout = FoldingBox(_OPTIONS_IN_A_ROW, card)
         layout.setContentsMargins(12, 8, 12, 10)
         layout.addLayout(words, 1)
         layout.addWidget(self.done)

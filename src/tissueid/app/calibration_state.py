@@ -1,4 +1,4 @@
-"""What is known of an instrument's calibration, in one line for the person who is about to use it."""
+"""State of an instrument's calibration in one line."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from tissueid.app.words import sentence
-from tissueid.calibration.in_force import in_words, warnings_of
-from tissueid.core_words import for_window
+from tissueid.calibration.active import in_words, warnings_of
 from tissueid.device import DeviceDescription
 from tissueid.language import marked
+from tissueid.messages import translated
 
 UNKNOWN = marked("Calibration: not known yet")
 
 
 @dataclass(frozen=True)
 class CalibrationState:
-    """``level`` is that of a colour: good, check, or none for what is not known. ``warnings`` may be many."""
+    """State in one line, ``level`` of its colour ("good", "check", or "" if not known), and ``warnings``."""
 
     words: str = UNKNOWN
     level: str = ""
@@ -24,9 +24,9 @@ class CalibrationState:
 
 
 def calibration_state(device: DeviceDescription, now: datetime | None = None) -> CalibrationState:
-    """The state of the calibration that a device goes by; ``now`` has a zone."""
+    """Return the state of a device's calibration; ``now`` is timezone-aware."""
     good = device.calibration.get("state") == "valid"
-    warnings = tuple(sentence(for_window(line)) for line in warnings_of(device))
-    # One line of the form holds it so.
-    words = sentence(for_window(in_words(device, now))).removesuffix(".").replace("linear from", "linear")
+    warnings = tuple(sentence(translated(line)) for line in warnings_of(device))
+    # Without "from" the line fits into the form.
+    words = sentence(translated(in_words(device, now))).removesuffix(".").replace("linear from", "linear")
     return CalibrationState(words, "good" if good else "check", warnings)

@@ -1,4 +1,4 @@
-"""Choosing an instrument: a list that can be typed into, and what is known of the one that is chosen."""
+"""Chooser of an instrument: an editable list of addresses, and the state of the chosen one."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.plan import DEFAULT_URL
-from tissueid.instrument import Found
+from tissueid.formatting import clean
+from tissueid.instrument import FoundInstrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.instrument.twin_list import is_twin_url
 from tissueid.language import _, marked
-from tissueid.wording import clean
+from tissueid.messages import translated
 
 _SHOWN = Qt.ItemDataRole.UserRole
 """What the open list shows of an instrument: its name and address. The line that is typed into has the address."""
@@ -31,9 +32,9 @@ _WIDEST, _MARGIN = 640, 40
 _TWIN = marked("twin of a diagnosis, in this program")
 
 
-def _name(item: Found) -> str:
-    """Return what to call an instrument where people choose."""
-    return _(item.name or item.what)
+def _name(item: FoundInstrument) -> str:
+    """Return the name of an instrument in the list."""
+    return translated(item.name or item.what)
 
 
 class _Names(QStyledItemDelegate):
@@ -53,7 +54,7 @@ class InstrumentChooser(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._found: dict[str, Found] = {}
+        self._found: dict[str, FoundInstrument] = {}
         self._doubted: set[str] = set()
         self._calibrations: dict[str, CalibrationState] = {}
         self.choice = QComboBox()
@@ -95,18 +96,18 @@ class InstrumentChooser(QWidget):
 
     @property
     def url(self) -> str:
-        """What is chosen or typed."""
+        """The chosen or typed address."""
         return self.choice.currentText().strip()
 
     def choose(self, url: str) -> None:
-        """Take an address as chosen."""
+        """Choose an address."""
         if self.choice.findText(url) >= 0:
             self.choice.setCurrentText(url)
         else:
             self.choice.setEditText(url)
 
-    def offer(self, found: Sequence[Found]) -> None:
-        """Fill the list anew; what was chosen or typed stays."""
+    def offer(self, found: Sequence[FoundInstrument]) -> None:
+        """Replace the list; the chosen or typed address stays."""
         kept = self.url or DEFAULT_URL
         self._found = {item.url: item for item in found}
         self._doubted &= {item.url for item in found if item.answers is None}
@@ -129,23 +130,23 @@ class InstrumentChooser(QWidget):
     def offer_twins(self, models: Mapping[str, str]) -> None:
         """List the twins of a folder, their models by address, in place of those listed before."""
         own = [item for url, item in self._found.items() if not is_twin_url(url)]
-        twins = [Found(url, _TWIN, True, model, model) for url, model in models.items()]
+        twins = [FoundInstrument(url, _TWIN, True, model, model) for url, model in models.items()]
         if list(self._found.values()) != [*own, *twins]:
             self.offer([*own, *twins])
 
     def tell_calibration(self, url: str, state: CalibrationState) -> None:
-        """It is known now how the instrument at an address is calibrated."""
+        """Store and show the state of calibration of the instrument at ``url``."""
         if self._calibrations.get(url) != state:
             self._calibrations[url] = state
             self._describe_calibration()
 
     def forget_calibrations(self) -> None:
-        """Something was calibrated: what was known of calibrations is out of date."""
+        """Forget all states of calibration, after a new calibration."""
         self._calibrations.clear()
         self._describe_calibration()
 
     def doubt(self, url: str) -> None:
-        """An instrument failed: that it once answered no longer says that it is ready."""
+        """Mark an instrument that failed as not known to be ready."""
         item = self._found.get(url)
         if item is not None and not url.startswith(IN_PROCESS):
             self._found[url] = replace(item, answers=None)
@@ -154,11 +155,11 @@ class InstrumentChooser(QWidget):
 
     @property
     def known(self) -> dict[str, tuple[str, CalibrationState]]:
-        """Every instrument of the list by its address: its health in words, and its calibration."""
+        """State and calibration of each listed instrument, by address."""
         return {url: (self._health(url), self.calibration_of(url)) for url in self._found}
 
     def calibration_of(self, url: str) -> CalibrationState:
-        """What is known of the calibration of the instrument at an address."""
+        """Return the state of calibration of the instrument at ``url``."""
         return self._calibrations.get(url, CalibrationState())
 
     def _health(self, url: str) -> str:
@@ -166,12 +167,12 @@ class InstrumentChooser(QWidget):
         if item is None:
             return _("Typed address: tried when the test starts.") if url else ""
         if item.answers:
-            return f"{_('Ready')}: {_(item.detail or item.what)}."
+            return f"{_('Ready')}: {translated(item.detail or item.what)}."
         if url in self._doubted:
-            return _("{what}: it failed the last time; “Find” asks it anew.").format(what=_name(item))
+            return _("{what}: it failed the last time; “Find” asks it again.").format(what=_name(item))
         if item.answers is None:
             return _("{what}: not asked yet; “Find” asks whether it is ready.").format(what=_name(item))
-        return f"{_('Does not answer')}: {_(item.detail or item.what)}."
+        return f"{_('Does not answer')}: {translated(item.detail or item.what)}."
 
     def _describe(self) -> None:
         self.about.setText(self._health(self.url))

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from PySide6.QtCore import QEvent, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFrame, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from tissueid.app.actions import PALETTE_KEY, Action, declare
+from tissueid.app.actions import PALETTE_KEY, Action
 from tissueid.language import _
-
-if TYPE_CHECKING:
-    from tissueid.app.main_window import MainWindow
 
 _WIDTH, _HEIGHT = 600, 380
 _TOP = 76
@@ -58,9 +55,9 @@ class CommandPalette(QFrame):
     What cannot be done now is listed with the reason, and does nothing. What starts a coil leads to its button.
     """
 
-    def __init__(self, window: MainWindow) -> None:
+    def __init__(self, declare: Callable[[], tuple[Action, ...]], window: QWidget) -> None:
         super().__init__(window)
-        self._window = window
+        self._declare, self._window = declare, window
         self._before: QWidget | None = None
         self._actions: tuple[Action, ...] = ()
         self.setProperty("role", "card")
@@ -85,6 +82,7 @@ class CommandPalette(QFrame):
         shortcut = QShortcut(QKeySequence(PALETTE_KEY), window)
         shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
         shortcut.activated.connect(self.toggle)
+        window.installEventFilter(self)
         self.hide()
 
     def toggle(self) -> None:
@@ -92,16 +90,25 @@ class CommandPalette(QFrame):
         if self.isVisible():
             self._close()
             return
-        window = self._window
         self._before = QApplication.focusWidget()
-        self._actions = declare(window)
-        width, height = min(_WIDTH, window.width() - 40), min(_HEIGHT, window.height() // 2)
-        self.setGeometry((window.width() - width) // 2, _TOP, width, height)
+        self._actions = self._declare()
+        self._place()
         self.words.clear()
         self._fill("")
         self.show()
         self.raise_()
         self.words.setFocus()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Stay in the middle of the window when its size changes."""
+        if watched is self._window and event.type() == QEvent.Type.Resize and self.isVisible():
+            self._place()
+        return super().eventFilter(watched, event)
+
+    def _place(self) -> None:
+        window = self._window
+        width, height = min(_WIDTH, window.width() - 40), min(_HEIGHT, window.height() // 2)
+        self.setGeometry((window.width() - width) // 2, _TOP, width, height)
 
     @property
     def chosen(self) -> Action | None:

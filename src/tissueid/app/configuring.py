@@ -7,6 +7,7 @@ from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QWidget
 from tissueid.app.number_field import NumberField
 from tissueid.configuration import CONFIGURATIONS, PROBES, STIFFEST_SPRING_N_PER_M
 from tissueid.language import _, marked
+from tissueid.messages import translated
 
 _USUAL_SPRING_N_PER_M = 200.0
 CONFIGURATION_NAMES = {
@@ -85,4 +86,4 @@ class ConfigurationChooser(QWidget):
 
     def _describe(self) -> None:
         if (probe := PROBES.get(str(self.probe.currentData()))) is not None:
-            self.probe.setToolTip(probe.words)
+            self.probe.setToolTip(translated(probe.words))

@@ -1,4 +1,4 @@
-"""The emergency stop: by a person, by the program, or because the window does not answer. Nothing here knows Qt."""
+"""The emergency stop: by a person, by the program, or because the window does not answer. Independent of Qt."""
 
 from __future__ import annotations
 
@@ -7,29 +7,30 @@ import time
 from collections.abc import Callable
 
 from tissueid.errors import CancelledError
+from tissueid.messages import Message
 
 PATIENCE_S = 1.0
-"""How long the window may stand still while the coil can be energised."""
+"""Longest time between two heartbeats of the window while the coil can be energised, s."""
 
-BY_BUTTON = "stopped in the window"
-BY_KEY = "stopped by key"
-BY_CLOSING = "the window was closed"
-BY_DEFECT = "a defect in the window"
-NO_ANSWER = "the window did not answer; the coil was released"
+BY_BUTTON = Message("stop.button", "stopped in the window")
+BY_KEY = Message("stop.key", "stopped by key")
+BY_CLOSING = Message("stop.window_closed", "the window was closed")
+BY_DEFECT = Message("stop.defect", "a defect in the window")
+NO_ANSWER = Message("stop.no_answer", "the window did not answer; the coil was released")
 
 
 def seconds_since_boot() -> float:
-    """Seconds that never go back, those included that the computer slept, where the system counts them."""
+    """Return a monotonic time in seconds, including sleep of the computer where the system counts it."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)  # Linux; on Windows the monotonic clock counts them by itself
     return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 class EmergencyStop:
-    """Ends one test or calibration, once and for all: the first reason stays.
+    """Stops one test or calibration and cannot be reset. The first reason is kept.
 
-    Any thread may :meth:`press` it; the one that measures calls :meth:`check` after every poll. It is a dead man's
-    switch too: from the first :meth:`beat` on, which is the window saying that it lives, more than ``patience_s``
-    seconds without one are a reason of their own. ``clock`` gives seconds that never go back.
+    Any thread may :meth:`press` it; the measuring thread calls :meth:`check` after every poll. It is also a watchdog of
+    the window: after the first :meth:`beat`, more than ``patience_s`` seconds without a beat trigger the stop.
+    ``clock`` returns a monotonic time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = seconds_since_boot, patience_s: float = PATIENCE_S) -> None:
@@ -42,37 +43,39 @@ class EmergencyStop:
 
     @property
     def reason(self) -> str:
-        """Why it was stopped; empty while it was not."""
+        """Why it was stopped; empty if it was not."""
         return self._reason
 
     def press(self, reason: str) -> None:
-        """Stop, for this reason."""
+        """Stop for this reason."""
         with self._lock:
             self._reason = self._reason or reason
             self._pressed.set()
 
     def beat(self) -> None:
-        """The window lives. One that comes too late is no beat any more: what happened in between was not watched."""
+        """Record a heartbeat of the window. A late heartbeat does not clear a timeout."""
         self._miss()
         self._last_beat_s = self._clock()
 
     def is_set(self) -> bool:
-        """Whether to stop, for whatever reason."""
+        """Return whether to stop."""
         self._miss()
         return self._pressed.is_set()
 
     def check(self) -> bool:
-        """False; for whoever asks whether the test is cancelled.
+        """Return False, or raise if the stop was triggered.
 
         Raises:
-            CancelledError: it is; the line says why.
+            CancelledError: the stop was triggered; the message says why.
         """
         if self.is_set():
-            raise CancelledError(self._reason if self._reason == NO_ANSWER else f"{self._reason}; the coil is released")
+            if self._reason == NO_ANSWER:
+                raise CancelledError(self._reason)
+            raise CancelledError(Message("stop.released", "{cause}; the coil is released", cause=self._reason))
         return False
 
     def wait(self, seconds: float) -> None:
-        """Wait, but not when there is a reason to stop."""
+        """Wait, or return at once when the stop is triggered."""
         self._pressed.wait(seconds)
 
     def _miss(self) -> None:

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject
 from PySide6.QtGui import QDropEvent
-from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
+from PySide6.QtWidgets import QWidget
 
-from tissueid.app.place_to_save import free_place
+from tissueid.app.context import AppContext
+from tissueid.app.pages import Pages
+from tissueid.app.save_path import unused_path
 from tissueid.app.words import sentence
-from tissueid.audit import Trail
-from tissueid.core_words import for_window
+from tissueid.atomic_write import private_folder
+from tissueid.formatting import clean
 from tissueid.language import _, plural
-from tissueid.whole_file import private_folder
-from tissueid.wording import clean
+from tissueid.messages import translated
 
 if TYPE_CHECKING:  # imports are seldom: the window starts without their readers
     from tissueid.app.import_dialog import ImportDialog, ImportPlan, Preview
-    from tissueid.app.main_window import MainWindow
     from tissueid.sessions.imports import ImportedSession
 
 RECORDS = "*.csv *.txt *.tsv *.mat *.lvm"
@@ -31,29 +32,22 @@ def dropped_paths(event: QDropEvent) -> list[Path]:
     return [Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()]
 
 
-def pass_drops_on(page: QWidget) -> None:
-    """Have the text fields of a page leave dropped files to the window: they would take them as text."""
-    for kind in (QLineEdit, QPlainTextEdit, QTextEdit):
-        for field in page.findChildren(kind):
-            field.setAcceptDrops(False)
-
-
 class FileDrops(QObject):
     """Opens what a person drops or chooses: each kind of file where it belongs."""
 
-    def __init__(self, window: MainWindow) -> None:
+    def __init__(self, context: AppContext, pages: Pages, folder: Callable[[], Path], window: QWidget) -> None:
         super().__init__(window)
-        self._window = window
+        self._context, self._pages, self._folder, self._window = context, pages, folder, window
         self.dialog: ImportDialog | None = None
         self._out = Path()
 
     def can_take(self, paths: list[Path]) -> bool:
         """Return whether these may be opened now: not while a coil may be energised or work goes on."""
-        return bool(paths) and not self._window.busy
+        return bool(paths) and not self._context.busy
 
     def take(self, paths: list[Path]) -> None:
         """Open what was dropped on the page that is shown, which may have a use of its own for it."""
-        if self.can_take(paths) and not self._window.pages.offer_files(paths):
+        if self.can_take(paths) and not self._pages.offer_files(paths):
             self.open(paths)
 
     def open(self, paths: list[Path]) -> None:
@@ -65,25 +59,22 @@ class FileDrops(QObject):
         if records:
             self.import_records(records)
         elif len(others) == 1 and not others[0].is_dir():
-            self._window.open_session(others[0])
+            self._context.open_session(others[0])
         else:
-            self._window.pages.list_sessions(others)
+            self._pages.list_sessions(others)
 
     def import_records(self, paths: list[Path]) -> None:
         """Look into records, then ask what their columns are."""
         from tissueid.app.import_dialog import preview_of
 
-        window = self._window
-        work = functools.partial(preview_of, paths)
-        window.jobs.do(work, self._ask, window.say_failed, why=_("A record is being read: wait a few seconds."))
+        work, context = functools.partial(preview_of, paths), self._context
+        context.jobs.do(work, self._ask, context.say_failed, why=_("A record is being read: wait a few seconds."))
 
     def _ask(self, preview: Preview) -> None:
         from tissueid.app.import_dialog import ImportDialog
 
-        window = self._window
-        folder = window.ui.form.folder
-        out = free_place(folder / f"{preview.paths[0].stem}.h5")
-        self.dialog = dialog = ImportDialog(preview, out, window)
+        out = unused_path(self._folder() / f"{preview.paths[0].stem}.h5")
+        self.dialog = dialog = ImportDialog(preview, out, self._window)
         dialog.wanted.connect(self._import)
         dialog.finished.connect(self._closed)
         dialog.open()
@@ -94,10 +85,8 @@ class FileDrops(QObject):
     def _import(self, plan: ImportPlan) -> None:
         from tissueid.sessions.imports import import_session
 
-        window = self._window
-        self._out = plan.out
-        trail = Trail(window.around.audit, window.ui.role.role)
-        if plan.out.parent == window.around.folder:
+        self._out, trail = plan.out, self._context.trail
+        if plan.out.parent == self._context.services.folder:
             private_folder(plan.out.parent)
 
         def work() -> ImportedSession:
@@ -114,22 +103,23 @@ class FileDrops(QObject):
             trail.note("session.imported", subject=made.session.session_id, new=new)
             return made
 
-        window.jobs.do(work, self._imported, self._not_imported, why=_("Records are being imported: wait a moment."))
+        why = _("Records are being imported: wait a moment.")
+        self._context.jobs.do(work, self._imported, self._not_imported, why=why)
 
     def _imported(self, made: ImportedSession) -> None:
         if self.dialog is not None:
             self.dialog.accept()
-        window = self._window
         count = len(made.session.tests)
         said = plural("Imported {count} test into {path}.", "Imported {count} tests into {path}.", count)
         doubts = [*(notice for test in made.tests for notice in test.notices), *made.notices]
-        words = [said.format(count=count, path=clean(str(self._out))), *(sentence(for_window(one)) for one in doubts)]
-        window.pages.heard_of(self._out)
-        window.open_session(self._out)
-        window.ui.notice.say(" ".join(words))
+        words = [said.format(count=count, path=clean(str(self._out))), *(sentence(translated(one)) for one in doubts)]
+        self._pages.on_session_saved(self._out)
+        if not self._pages.show_new(self._out):
+            self._context.open_session(self._out)
+        self._context.say(" ".join(words))
 
     def _not_imported(self, words: str) -> None:
         if self.dialog is not None:
             self.dialog.say(words)
         else:
-            self._window.ui.notice.say(words, problem=True)
+            self._context.say(words, problem=True)

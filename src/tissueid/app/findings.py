@@ -1,4 +1,4 @@
-"""What a saved test says: verdict, numbers and curves, ready to be shown."""
+"""The analysis of a saved test in the form in which the window shows it: verdict, numbers and curves."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.records import Estimate
-from tissueid.sessions import Session, Test, read_session
+from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality
-from tissueid.wording import clean
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
     from tissueid.reports.verdict import Verdict
-    from tissueid.sessions.accepted import AcceptedResult
+    from tissueid.sessions.accepted_result import AcceptedResult
 
 Array = NDArray[np.float64]
 LONGEST = 80
-"""Letters of a site or of a pseudonym that are shown."""
+"""Maximum number of shown characters of a site or pseudonym."""
 
 
 @dataclass(frozen=True)
 class Curves:
-    """One plot, in the units that are shown: what was measured, a model's line through it, an uncertainty band.
+    """One plot in display units: measured points, the line of a model, and an uncertainty band.
 
     Measured ``x`` and ``y`` have shape (n,), ``low`` and ``high`` too where there is a band; ``model_x`` and
     ``model_y`` (m,). Where there is nothing to draw, ``missing`` says why.
@@ -44,9 +44,9 @@ class Curves:
 
 @dataclass(frozen=True)
 class Number:
-    """One number as people read it, its deviation and unit after it; ``note`` says of what it is.
+    """One number as text, with its deviation and unit; ``note`` says what it refers to.
 
-    ``found`` is the same in SI, of ``si_unit``, where it has a unit that can be chosen.
+    ``found`` is the same in SI, of ``si_unit``, where it has a unit that can be chosen. ``quantity`` names a parameter.
     """
 
     label: str
@@ -55,14 +55,15 @@ class Number:
     note: str
     found: Estimate | None = None
     si_unit: str = ""
+    quantity: str = ""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """One test of a session, analysed. ``cautions`` is what engines refused or warned of.
+    """The analysis of one test of a session. ``cautions`` are refusals and warnings of engines.
 
-    ``quality`` is what the gate said when the test ended, None for a test that it never judged. ``accepted`` is the
-    accepted result of its sitting, as the file next to the session has it.
+    ``quality`` is the judgement of the quality gate, None for a test that was not judged. ``accepted`` is the accepted
+    result of its sitting, from the file next to the session.
     """
 
     path: Path
@@ -84,20 +85,7 @@ class Findings:
 
 
 def whose(findings: Findings) -> str:
-    """Site and pseudonym of what was measured, which may be another's than the form's."""
+    """Return site and pseudonym of the test, which may differ from the form."""
     site = clean(findings.test.site)[:LONGEST] or _("Site not recorded")
     pseudonym = clean(findings.session.subject.pseudonym)[:LONGEST] or _("Subject not recorded")
     return f"{site}  ·  {pseudonym}"
-
-
-def find(path: Path, session: Session | None = None, number: int | None = None) -> Findings:
-    """Analyse one test of a session, the first stochastic one unless ``number`` names another.
-
-    An engine that cannot use the record costs only its own part of the answer.
-
-    Raises:
-        UnusableInputError: the file is not a session, or holds no such test.
-    """
-    from tissueid.app.identifying import identify  # engines and figures take longer to import than the window to open
-
-    return identify(path, session or read_session(path), number)

@@ -57,7 +57,7 @@ _MOST_SEED = 2**31 - 1
 
 
 class PlanForm(QWidget):
-    """Fields from which :meth:`plan` makes the plan of a test. Return in one of them sends ``filled``.
+    """The fields of a test plan; :meth:`plan` returns it. Return in one of them sends ``filled``.
 
     ``changed`` is sent whenever one of them has another value.
     """
@@ -91,15 +91,15 @@ class PlanForm(QWidget):
         self.site.addItems(list(SITES))
         self.site.setCurrentIndex(-1)
         if (line := self.site.lineEdit()) is not None:
-            line.setPlaceholderText(_("where on the body, or which material"))
+            line.setPlaceholderText(_("such as left calf"))
         self.map = QPushButton(_("Body map…"))
         self.map.setToolTip(_("Choose the site on a drawn body"))
         where = QWidget()
-        beside = QHBoxLayout(where)
-        beside.setContentsMargins(0, 0, 0, 0)
-        beside.setSpacing(6)
-        beside.addWidget(self.site, 1)
-        beside.addWidget(self.map)
+        row = QHBoxLayout(where)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(6)
+        row.addWidget(self.site, 1)
+        row.addWidget(self.map)
         self.set_up = ConfigurationChooser()
         self.limits = QComboBox()
         for name in sorted(PROFILES):
@@ -116,11 +116,11 @@ class PlanForm(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(10)
-        self.apart = QLabel(_("For the next test, not of the result that is shown"))
-        self.apart.setProperty("role", "muted")
-        self.apart.setWordWrap(True)
-        self.apart.hide()
-        layout.addWidget(self.apart)
+        self.other_test = QLabel(_("For the next test, not of the result that is shown"))
+        self.other_test.setProperty("role", "muted")
+        self.other_test.setWordWrap(True)
+        self.other_test.hide()
+        layout.addWidget(self.other_test)
         _add(layout, _("&Instrument"), self.instrument, focus=self.instrument.choice)
         _add(layout, _("Si&te"), where, focus=self.site)
         _add(layout, _("Su&bject (a pseudonym, never a name)"), self.subject)
@@ -157,7 +157,7 @@ class PlanForm(QWidget):
         self.renew_path()
 
     def plan(self) -> Plan:
-        """The test that the fields describe; a dated file gets the time of now."""
+        """Return the plan of the fields. A dated file name gets the current time."""
         if not self._own_path:
             self.renew_path()
         return Plan(
@@ -180,17 +180,17 @@ class PlanForm(QWidget):
         )
 
     def tell_force(self, url: str, greatest_n: float) -> None:
-        """It is known now how much force the instrument at an address gives at most, N."""
+        """Apply the maximum force of the instrument at ``url``, N."""
         if self._forces_n.get(url) != greatest_n:
             self._forces_n[url] = greatest_n
             self._apply_limits()
 
-    def tell_apart(self, apart: bool) -> None:
-        """Say whether the result that is shown is of another test than the form's."""
-        self.apart.setVisible(apart)
+    def show_other_test(self, other: bool) -> None:
+        """Show whether the displayed result belongs to another test than the form."""
+        self.other_test.setVisible(other)
 
     def renew_path(self) -> None:
-        """Go on to a file that is not there yet, beside the last one."""
+        """Change to an unused file name in the same folder."""
         if self._own_path:
             self.folder = Path(self.path.text().strip()).parent
         self._own_path = False
@@ -199,7 +199,7 @@ class PlanForm(QWidget):
         self.path.setCursorPosition(len(self.path.text()))
 
     def fill(self, values: Mapping[str, Any]) -> None:
-        """Put values into the fields, by the names that ``Plan`` has for them; what is not named stays.
+        """Fill fields by their names in ``Plan``; the others stay.
 
         Raises:
             KeyError: the form has no such field.
@@ -221,7 +221,7 @@ class PlanForm(QWidget):
             fields[name](value)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Take the Return that a field has no use for: it must not by itself energise a coil."""
+        """Accept Return where a field does not use it, so that it does not start a test."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             self.filled.emit()
             return
@@ -243,6 +243,7 @@ class PlanForm(QWidget):
         self.distribution = QComboBox()
         for name in DISTRIBUTIONS:
             self.distribution.addItem(_(_CALLED.get(name, name.capitalize())), name)
+        self.distribution.setCurrentIndex(self.distribution.findData(Noise.model_fields["distribution"].default))
         self.min_force = _number(" N", 0.0, 14.5, 0.5, 0.5)
         self.max_force = _number(" N", 0.5, 15.0, 0.5, 10.5)
         self.seconds = _number(" s", _SHORTEST_S, 29.5, 1.0, 4.0)
@@ -305,7 +306,7 @@ class PlanForm(QWidget):
             self.stimulus.offer_all()
 
     def _apply_limits(self) -> None:
-        """Keep force and length within what the profile allows and the instrument gives."""
+        """Limit force and length to the profile of limits and the maximum force of the instrument."""
         name = self.limits.currentData()
         most = min(PROFILES[name].max_force_n, self._forces_n.get(self.instrument.url, math.inf))
         self._applying = True
@@ -317,7 +318,7 @@ class PlanForm(QWidget):
         self.seconds.setMaximum(longest_stimulus_s(name))
 
     def _show_options(self) -> None:
-        """Show the fields that the chosen kind of stimulus has a use for."""
+        """Show the fields of the chosen kind of stimulus."""
         has = self.stimulus.has
         wanted = {
             self.distribution: self.stimulus.chosen == Noise.name,
@@ -357,7 +358,7 @@ class PlanForm(QWidget):
         )
 
     def _look_at_subject(self, text: str) -> None:
-        """Warn of what reads like a name; it is kept all the same, since a pseudonym may look like one."""
+        """Warn of a pseudonym that looks like a real name; it is accepted, since a pseudonym may look like one."""
         doubtful = reads_like_name(text)
         self.like_name.setVisible(doubtful)
         self.subject.setAccessibleDescription(_(_LIKE_NAME) if doubtful else "")

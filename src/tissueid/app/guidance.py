@@ -7,9 +7,9 @@ import math
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from tissueid.acquisition.placing import PLACE_S
-from tissueid.acquisition.playing import Phase
-from tissueid.app.live import Glance
+from tissueid.acquisition.playback import Phase
+from tissueid.acquisition.surface_detection import PLACE_S
+from tissueid.app.live_signals import Snapshot
 from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.contact_lamp import ContactLamp
 from tissueid.language import _, marked
@@ -69,9 +69,9 @@ class Guidance(QFrame):
         self.lamp = ContactLamp()
         layout.addWidget(self.lamp)
         layout.addWidget(self.bar)
-        self.rest()
+        self.show_idle()
 
-    def rest(self, shown: str = "") -> None:
+    def show_idle(self, shown: str = "") -> None:
         """Show that nothing runs: what ``shown`` says of the test that is shown, or how to begin."""
         self._mark(None)
         self.bar.setValue(0)
@@ -85,7 +85,7 @@ class Guidance(QFrame):
         for part in (self._phases, self.lamp, self.bar):
             part.setVisible(not calibrating)
         if self._resting:
-            self.rest(self._idle)
+            self.show_idle(self._idle)
 
     def say(self, text: str) -> None:
         """Change the instruction."""
@@ -94,15 +94,15 @@ class Guidance(QFrame):
             self.instruction.setText(text)
             self.instruction.setAccessibleName(text)
 
-    def follow(self, glance: Glance, plan: Plan) -> None:
+    def follow(self, snapshot: Snapshot, plan: Plan) -> None:
         """Show where a running test stands."""
-        phase = glance.phase
+        phase = snapshot.phase
         if phase is None:
             return
         self._mark(phase)
-        total_s = plan.total_s if glance.total_s is None else glance.total_s
-        run_s = glance.fraction * total_s
-        done_s = glance.fraction * PLACE_S if phase is Phase.PLACE else PLACE_S + run_s
+        total_s = plan.total_s if snapshot.total_s is None else snapshot.total_s
+        run_s = snapshot.fraction * total_s
+        done_s = snapshot.fraction * PLACE_S if phase is Phase.PLACE else PLACE_S + run_s
         self.bar.setValue(round(_STEPS * done_s / (PLACE_S + total_s)))
         if phase is Phase.STIMULUS:
             self.say(_("Measuring. Hold still for {left} s.").format(left=max(1, math.ceil(total_s - run_s))))

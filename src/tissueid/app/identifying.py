@@ -1,4 +1,4 @@
-"""Identifies a saved test: models, verdict, numbers and curves, worked out in a thread."""
+"""Analyse a saved test in a thread: models, verdict, numbers and curves."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.analysis import REPORT_ENGINES, Analysis, analyse_all
+from tissueid.analysis import Analysis, analyse_all
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.words import in_words, sentence
-from tissueid.core_words import for_window
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import display_unit, estimate, fixed, label_and_unit
+from tissueid.identification import engine_label, report_engines
 from tissueid.identification.base import Mask
-from tissueid.identification.engines.lms import LmsModel
+from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
-from tissueid.identification.engines.wiener import WienerModel
+from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 from tissueid.reports.configured import surface_of
-from tissueid.reports.verdict import judge, visited
+from tissueid.reports.verdict import judge, linear_engine, visited
 from tissueid.sessions import Session, Test
-from tissueid.sessions.accepted import AcceptedResult, result_of
+from tissueid.sessions.accepted_result import AcceptedResult, result_of
 from tissueid.sessions.quality import quality_of
-from tissueid.wording import engine_label, estimate, fixed, named_unit, people_unit
 
 MM = 1e3
 MS = 1e3
@@ -33,15 +34,15 @@ _OF_WHAT = {
 }
 _CONFIDENCE = 1.96
 _EXCITED = 0.03
-"""Share of the input's greatest power density below which a frequency counts as not excited."""
+"""Smallest power density of an excited frequency, as a share of the input's maximum."""
 _FINE = 300
 _MOST_DOTS = 2000
 _STRETCH_S = 0.4
-"""How much of the unseen motion is shown: enough periods to judge by eye, few enough to tell them apart."""
+"""Length of the held-out motion that is plotted, s: enough periods to judge by eye, few enough to distinguish."""
 
 
 def identify(path: Path, session: Session, number: int | None) -> Findings:
-    """What :func:`tissueid.app.findings.find` answers.
+    """Analyse one test; see :func:`tissueid.app.session_jobs.find`.
 
     Raises:
         UnusableInputError: the session holds no such test.
@@ -49,11 +50,11 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
     test = session.test(number)
     analyses: dict[str, Analysis] = {}
     refusals: dict[str, list[str]] = {}
-    for name in REPORT_ENGINES:
+    for name in report_engines():
         try:
             analyses |= analyse_all(session, (name,), test=test)
         except UnusableInputError as error:
-            refusals.setdefault(str(error), []).append(engine_label(name))
+            refusals.setdefault(error.message, []).append(engine_label(name))
     accepted, unread = _accepted(path, test)
     return Findings(
         path=path,
@@ -64,9 +65,9 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         verdict=judge(test, analyses),
         numbers=tuple(_numbers(analyses)),
         ended=how_it_ended(test),
-        visited=for_window(visited(analyses, surface_of(test))),
+        visited=translated(visited(analyses, surface_of(test))),
         cautions=(
-            *(sentence(f"{', '.join(dict.fromkeys(names))}: {text}") for text, names in refusals.items()),
+            *(sentence(f"{', '.join(dict.fromkeys(names))}: {translated(text)}") for text, names in refusals.items()),
             *unread,
         ),
         impulse=_drawn(_impulse, analyses),
@@ -90,16 +91,16 @@ def _accepted(path: Path, test: Test) -> tuple[AcceptedResult | None, tuple[str,
 
 def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
     """Mass, damping and stiffness of the linear fit; variance accounted for by the linear and the Wiener model."""
-    linear = next((name for name in ("lms", "spectral") if name in analyses), "")
+    linear = linear_engine(analyses) or ""
     parameters = analyses[linear].model.report.reportable_parameters if linear else {}
     for quantity, note in _OF_WHAT.items():
         if quantity in parameters:
-            label, si_unit = named_unit(quantity)
-            unit, scale = people_unit(si_unit)
+            label, si_unit = label_and_unit(quantity)
+            unit, scale = display_unit(si_unit)
             value, deviation, power = estimate(parameters[quantity], scale)
             rest = " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
-            yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit)
-    for engine, label in ((linear, _("Motion explained, linear")), ("wiener", _("Motion explained, nonlinear"))):
+            yield Number(_(label), value, rest, _(note), parameters[quantity], si_unit, quantity)
+    for engine, label in ((linear, _("Motion explained, linear")), (Wiener.name, _("Motion explained, nonlinear"))):
         if engine in analyses:
             report = analyses[engine].model.report
             note = _("of the check part; {vaf} % of the rest").format(vaf=fixed(report.vaf_percent, 1))
@@ -107,7 +108,7 @@ def _numbers(analyses: Mapping[str, Analysis]) -> Iterator[Number]:
 
 
 def how_it_ended(test: Test) -> str:
-    """Status and completeness of a test, as a sentence."""
+    """Return status and completeness of a test as a sentence."""
     seconds = test.samples / test.sample_rate_hz
     lost = int(np.isnan(test.signals["position"]).sum()) if "position" in test.signals else 0
     missing = (
@@ -122,7 +123,7 @@ def how_it_ended(test: Test) -> str:
         return _("Recovered after an interruption: {seconds:.1f} s, {missing}.").format(
             seconds=seconds, missing=missing
         )
-    reason = sentence(for_window(str(test.notes.get("reason", ""))))
+    reason = sentence(translated(test.reason))
     return (
         _("Ended early after {seconds:.1f} s, {missing}. {reason}")
         .format(seconds=seconds, missing=missing, reason=reason)
@@ -135,14 +136,14 @@ def _drawn(draw: Callable[[Mapping[str, Analysis]], Curves], analyses: Mapping[s
         return draw(analyses)
     except UnusableInputError as error:
         nothing = np.zeros(0)
-        return Curves(nothing, nothing, nothing, nothing, missing=sentence(str(error)))
+        return Curves(nothing, nothing, nothing, nothing, missing=sentence(translated(error.message)))
 
 
 def _impulse(analyses: Mapping[str, Analysis]) -> Curves:
     """Lag in ms, response in mm/(N s), with one standard deviation to either side."""
-    model = analyses["lms"].model if "lms" in analyses else None
-    if not isinstance(model, LmsModel):
-        raise UnusableInputError(_("no impulse response could be estimated"))
+    model = next((a.model for a in analyses.values() if isinstance(a.model, LmsModel)), None)
+    if model is None:
+        raise UnusableInputError(Message("result.no_impulse_response", "no impulse response could be estimated"))
     response, std = MM * model.impulse_response, MM * model.impulse_response_std
     fine_s = np.linspace(0.0, float(model.lag_s[-1]), _FINE)
     fitted = MM * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
@@ -150,15 +151,20 @@ def _impulse(analyses: Mapping[str, Analysis]) -> Curves:
 
 
 def _excited(analyses: Mapping[str, Analysis]) -> tuple[SpectralModel, Mask]:
-    """The spectral model, and where its input has power."""
-    model = analyses["spectral"].model if "spectral" in analyses else None
-    if not isinstance(model, SpectralModel):
-        raise UnusableInputError(_("no transfer function could be estimated"))
+    """Return the spectral model, and a mask of the frequencies at which its input has power."""
+    model = next((a.model for a in analyses.values() if isinstance(a.model, SpectralModel)), None)
+    if model is None:
+        raise UnusableInputError(Message("result.no_transfer_function", "no transfer function could be estimated"))
     spectra = model.spectra
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
     shown &= (spectra.magnitude > 0.0) & np.isfinite(spectra.magnitude_std)
     if shown.sum() < 3:
-        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
+        raise UnusableInputError(
+            Message(
+                "result.few_frequencies",
+                "the input has power at fewer than three frequencies: use noise or a multisine",
+            )
+        )
     return model, shown
 
 
@@ -189,15 +195,20 @@ def _bode(analyses: Mapping[str, Analysis]) -> Curves:
 
 
 def _nonlinearity(analyses: Mapping[str, Analysis]) -> Curves:
-    """Output of the linear stage in N against position in mm."""
-    analysis = analyses.get("wiener")
+    """Return the static nonlinearity: position in mm against the output of the linear stage in N."""
+    analysis = analyses.get(Wiener.name)
     if analysis is None or not isinstance(analysis.model, WienerModel):
-        raise UnusableInputError(_("no static nonlinearity could be estimated"))
+        raise UnusableInputError(Message("result.no_nonlinearity", "no static nonlinearity could be estimated"))
     model, record = analysis.model, analysis.record[analysis.fit_part]
     z = model.linear_output(record.input)
     known = np.isfinite(z) & np.isfinite(record.output)
     if known.sum() < 2:
-        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
+        raise UnusableInputError(
+            Message(
+                "result.no_samples",
+                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
+            )
+        )
     z, measured = z[known], record.output[known]
     some = slice(None, None, max(1, -(-z.size // _MOST_DOTS)))
     fine = np.linspace(z.min(), z.max(), _FINE)
@@ -206,9 +217,9 @@ def _nonlinearity(analyses: Mapping[str, Analysis]) -> Curves:
 
 def _prediction(analyses: Mapping[str, Analysis]) -> Curves:
     """Time in s against position in mm: a stretch of unseen motion, and what the Wiener model says of it."""
-    analysis = analyses.get("wiener") or analyses.get("lms")
+    analysis = analyses.get(Wiener.name) or analyses.get(Lms.name)
     if analysis is None:
-        raise UnusableInputError(_("no model could be run on motion that it had not seen"))
+        raise UnusableInputError(Message("result.no_prediction", "no model could be simulated on held-out data"))
     record = analysis.held_out_record
     shown = slice(analysis.held_out.start, analysis.held_out.start + round(_STRETCH_S * record.sample_rate_hz))
     measured, predicted = record.output[shown], analysis.model.simulate(record.input)[shown]

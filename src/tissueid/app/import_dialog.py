@@ -29,7 +29,9 @@ from tissueid.app.configuring import CONFIGURATION_NAMES
 from tissueid.app.words import in_words
 from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.formatting import clean, number
 from tissueid.language import _, marked
+from tissueid.messages import Message
 from tissueid.sessions import KINDS
 from tissueid.sessions.imports import (
     ROLES,
@@ -40,10 +42,9 @@ from tissueid.sessions.imports import (
     open_foreign,
     parse_map,
 )
-from tissueid.sessions.imports.attributes import attributes_beside
-from tissueid.sessions.imports.table import Rows
+from tissueid.sessions.imports.export_attributes import attributes_beside
+from tissueid.sessions.imports.imported_table import Rows
 from tissueid.sessions.model import SIGNAL_UNITS
-from tissueid.wording import clean, number
 
 _SHOWN_ROWS = 4
 _TITLE_BAR = 40
@@ -205,9 +206,9 @@ class ImportDialog(QDialog):
         """Show what is wrong, and let it be put right."""
         self.said.setText(words)
         self.said.show()
-        self.settle(busy=False)
+        self.update_enabled(busy=False)
 
-    def settle(self, *, busy: bool) -> None:
+    def update_enabled(self, *, busy: bool) -> None:
         """Nothing can be changed while the files are read."""
         self.go.setEnabled(not busy)
         self.table.setEnabled(not busy and not self._preview.described)
@@ -219,7 +220,7 @@ class ImportDialog(QDialog):
             self.say(in_words(error))
             return
         self.said.hide()
-        self.settle(busy=True)
+        self.update_enabled(busy=True)
         self.wanted.emit(plan)
 
     def _choose_out(self) -> None:
@@ -329,7 +330,7 @@ def _whole(field: QLineEdit) -> int | None:
     if not text:
         return None
     if not text.removeprefix("-").isdecimal() or len(text) > 12:
-        raise UnusableInputError(_("a row is a whole number, not {text}").format(text=clean(text)[:20]))
+        raise UnusableInputError(Message("import.row", "a row is a whole number, not {text}", text=clean(text)[:20]))
     return int(text)
 
 
@@ -342,5 +343,7 @@ def _rate(field: QLineEdit) -> float | None:
     except ValueError:
         rate_hz = 0.0
     if not 1e-6 <= rate_hz <= 1e9:
-        raise UnusableInputError(_("the sample rate is a number above 0, not {text}").format(text=clean(text)[:20]))
+        raise UnusableInputError(
+            Message("import.rate", "the sample rate is a number above 0, not {text}", text=clean(text)[:20])
+        )
     return rate_hz

@@ -1,4 +1,4 @@
-"""Finding instruments for the form, and telling how each is calibrated."""
+"""Search for instruments and read how each is calibrated."""
 
 from __future__ import annotations
 
@@ -7,44 +7,45 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tissueid.app.calibration_state import CalibrationState, calibration_state
-from tissueid.instrument import RESEARCH, Found, Instrument
+from tissueid.formatting import clean
+from tissueid.instrument import RESEARCH, FoundInstrument, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, plural
-from tissueid.wording import clean
+from tissueid.messages import translated
 
 _MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found, and of what answered, by address: the calibration, and the greatest force in N."""
+    """Found instruments, and calibration and maximum force, N, of those that answered, by address."""
 
-    found: Sequence[Found]
+    found: Sequence[FoundInstrument]
     calibrations: dict[str, CalibrationState] = field(default_factory=dict)
     forces_n: dict[str, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
-        """How many instruments answer, and which."""
+        """Number and names of the instruments that answer."""
         answering = [item for item in self.found if item.answers is True and not item.url.startswith(IN_PROCESS)]
-        names = "; ".join(clean(item.name or item.what) for item in answering[:_MOST_NAMED])
+        names = "; ".join(clean(translated(item.name or item.what)) for item in answering[:_MOST_NAMED])
         some = plural("One instrument answers ({names})", "{count} instruments answer ({names})", len(answering))
         what = some.format(count=len(answering), names=names) if answering else _("No instrument answers")
         return _("{what}; simulations in this program can always be chosen.").format(what=what)
 
 
 def greatest_force_n(instrument: Instrument) -> float:
-    """What an instrument gives at most, N in whole tenths, by its amplifier and by its own limits."""
+    """Return the maximum force of an instrument, N in whole tenths, by its amplifier and its own limits."""
     own = math.floor(10.0 * instrument.narrowed(RESEARCH).max_force_n) / 10.0
     return min(instrument.device.greatest_force_n, own)
 
 
 def survey(
-    finder: Callable[..., list[Found]],
+    finder: Callable[..., list[FoundInstrument]],
     opener: Callable[[str], Instrument],
     calibrate: Callable[[Instrument], object],
 ) -> Survey:
-    """Ask every port; whatever answers is asked, while it is open, how it is calibrated.
+    """Ask every port, and read the calibration of each instrument that answers.
 
     Raises:
         TissueIDError, OSError: the ports cannot be listed.

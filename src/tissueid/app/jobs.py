@@ -1,20 +1,22 @@
-"""Work off the window's thread."""
+"""Jobs: work in threads outside the GUI thread."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
 from PySide6.QtCore import QObject, QThread, Signal
 
 from tissueid.app.words import in_words
+from tissueid.errors import CancelledError
 from tissueid.language import _
 
 
 class Job(QThread):
-    """One piece of work in a thread of its own. It ends with one of the two signals, in the window's thread.
+    """A job in its own thread. It ends with one of two signals, which are delivered in the GUI thread.
 
-    Connect them to methods of QObjects only: those are called in the object's own thread.
+    Connect the signals to methods of QObjects only: these are called in the thread of the object.
     """
 
     succeeded = Signal(object)
@@ -25,7 +27,7 @@ class Job(QThread):
         self._work = work
 
     def run(self) -> None:
-        """Work; Qt calls this in the new thread."""
+        """Run the work; called by Qt in the new thread."""
         try:
             result = self._work()
         except Exception as error:  # noqa: BLE001 - the last stop before the window, which says it in words
@@ -35,11 +37,13 @@ class Job(QThread):
 
 
 class Jobs(QObject):
-    """The jobs that go on. ``changed`` is sent when one begins and when it has ended; it is true while one goes on."""
+    """The running jobs; true while there is one. ``changed`` is sent when a job starts and when it has ended."""
 
     changed = Signal()
     failed = Signal(str)
-    """Why a job failed, in words, once whoever began it was told."""
+    """Carries the error message of a failed job, after its own callback was called."""
+    ready = Signal()
+    """Sent when a job has succeeded, before its result is shown."""
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
@@ -50,7 +54,7 @@ class Jobs(QObject):
 
     @property
     def why(self) -> str:
-        """What goes on and where it can be ended, in words, for whoever waits for it; empty where nothing goes on."""
+        """Return why no job can start: the running job and how to end it; empty if no job runs."""
         said = [why for why in self._running.values() if why]
         return said[0] if said else _("Something is being finished: wait a moment.") if self._running else ""
 
@@ -62,11 +66,12 @@ class Jobs(QObject):
         *,
         why: str = "",
     ) -> None:
-        """Begin a piece of work; one of the two methods is called at its end.
+        """Start a job; one of the two callbacks is called at its end.
 
-        ``why`` says to others what they wait for meanwhile, and where it can be ended; work of moments needs none.
+        ``why`` describes the job and how to end it, for controls that are disabled meanwhile; short jobs need none.
         """
         job = Job(work, self)
+        job.succeeded.connect(self._say_ready)
         job.succeeded.connect(succeeded)
         job.failed.connect(failed)
         job.failed.connect(self.failed)
@@ -75,6 +80,9 @@ class Jobs(QObject):
         self.changed.emit()
         job.start()
 
+    def _say_ready(self, _result: object) -> None:
+        self.ready.emit()
+
     def _finished(self) -> None:
         job = self.sender()
         if isinstance(job, Job):
@@ -82,3 +90,86 @@ class Jobs(QObject):
             self._running.pop(job, None)
             job.deleteLater()
         self.changed.emit()
+
+
+class _Cancelled:
+    """Result of a cancelled job."""
+
+
+class PageJob(QObject):
+    """One cancellable job of a page at a time. It does not start while another job of the window runs.
+
+    ``changed`` is sent when the job starts and when it has ended.
+    """
+
+    changed = Signal()
+
+    def __init__(self, jobs: Jobs, parent: QObject) -> None:
+        super().__init__(parent)
+        self._jobs = jobs
+        self._stop = threading.Event()
+        self._done: Callable[[Any], None] | None = None
+        self._failed: Callable[[str], None] | None = None
+        self.words = ""
+
+    @property
+    def running(self) -> bool:
+        """Whether the page has a running job."""
+        return bool(self.words)
+
+    def start(
+        self,
+        words: str,
+        work: Callable[[Callable[[], None]], Any],
+        done: Callable[[Any], None],
+        failed: Callable[[str], None],
+    ) -> bool:
+        """Start ``work`` in a thread; return False where another job runs.
+
+        ``work`` gets a function that it must call from time to time: it raises CancelledError after :meth:`cancel`.
+        ``failed`` gets the error message, which is empty for a cancelled job. ``words`` says what the job does.
+        """
+        if self._jobs or self.running:
+            return False
+        self._stop = stop = threading.Event()
+        self._done, self._failed, self.words = done, failed, words
+
+        def check() -> None:
+            if stop.is_set():
+                raise CancelledError("it was cancelled")
+
+        def run() -> Any:
+            try:
+                return work(check)
+            except CancelledError:
+                return _Cancelled()
+
+        why = _("Work goes on on the page Instrument: cancel it there, or wait.")
+        self._jobs.do(run, self._succeeded, self._broke, why=why)
+        self.changed.emit()
+        return True
+
+    def cancel(self) -> None:
+        """Cancel the job; it ends at the next call of its check."""
+        self._stop.set()
+
+    def _succeeded(self, result: Any) -> None:
+        done, failed = self._over()
+        if isinstance(result, _Cancelled) or self._stop.is_set():
+            # A job that finished before it noticed the cancellation counts as cancelled.
+            failed("")
+        else:
+            done(result)
+        self.changed.emit()
+
+    def _broke(self, words: str) -> None:
+        self._over()[1](words)
+        self.changed.emit()
+
+    def _over(self) -> tuple[Callable[[Any], None], Callable[[str], None]]:
+        done, failed = self._done, self._failed
+        assert done is not None
+        assert failed is not None
+        self._done = self._failed = None
+        self.words = ""
+        return done, failed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QLibraryInfo, QLocale, QSettings, QTranslator
 
-from tissueid.language import ENGLISH, LANGUAGES, spoken
+from tissueid.language import ENGLISH, current_language, languages
 
 SETTING = "language"
 """Under which the choice is kept."""
@@ -15,14 +15,14 @@ def chosen(wanted: str, settings: QSettings) -> str:
     kept = settings.value(SETTING, "")
     for code in (wanted, kept if isinstance(kept, str) else ""):
         if code:
-            return code if code in LANGUAGES else ENGLISH
+            return code if code in languages() else ENGLISH
     code = QLocale.system().name().partition("_")[0]
-    return code if code in LANGUAGES else ENGLISH
+    return code if code in languages() else ENGLISH
 
 
 def qt_texts() -> QTranslator:
     """What Qt itself says in dialogs and menus, in the language of the window; empty where it has none."""
     translator = QTranslator()
-    if spoken() != ENGLISH:
-        translator.load(f"qtbase_{spoken()}", QLibraryInfo.path(QLibraryInfo.LibraryPath.TranslationsPath))
+    if current_language() != ENGLISH:
+        translator.load(f"qtbase_{current_language()}", QLibraryInfo.path(QLibraryInfo.LibraryPath.TranslationsPath))
     return translator

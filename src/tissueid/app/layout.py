@@ -1,4 +1,4 @@
-"""Where everything stands in the main window, and in which order the tab key visits it."""
+"""Layout of the main window and its tab order."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
+    QAbstractButton,
     QComboBox,
     QFrame,
     QHBoxLayout,
@@ -17,6 +18,7 @@ from PySide6.QtWidgets import (
     QMainWindow,
     QPushButton,
     QScrollArea,
+    QSplitter,
     QStackedWidget,
     QTabWidget,
     QVBoxLayout,
@@ -26,19 +28,21 @@ from PySide6.QtWidgets import (
 from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_page import CalibrationPage
 from tissueid.app.form import PlanForm
-from tissueid.app.gate import QualityGate
 from tissueid.app.guidance import Guidance
+from tissueid.app.help_panel import HelpPanel
 from tissueid.app.live_analysis import LiveAnalysis
+from tissueid.app.navigation_bar import MEASURE, NavigationBar
 from tissueid.app.notice import Notice, NoticeLine
-from tissueid.app.rail import Rail
+from tissueid.app.quality_gate import QualityGate
 from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.result import ResultPage
 from tissueid.app.roles import RoleChooser
 from tissueid.app.signals import SignalPlots
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
+from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
-from tissueid.language import _, marked
+from tissueid.language import _
 
 SMALLEST = 800, 400
 """Least size of the window: a screen of 1280x720 at 150 % (853x480), less its task bar and a title bar, pixels."""
@@ -46,14 +50,16 @@ SIDE_WIDTH = 330
 _NARROW_SIDE_WIDTH = 284
 _NARROW = 1000
 """Width of the window below which the side is narrow."""
+_HELP_WIDTH = 320
+_ROOM_FOR_HELP = 1100
+"""Width of the window below which the help takes the place of the page: the widest page needs 700, pixels."""
+_ANY_WIDTH = 16_777_215
+"""Qt's bound of a width."""
 _TITLE_BAR = 40
 _LEAST_ROOM = 480, 256
 _LEAST_TABS = 200
 _LEAST_FORM = 20
 _TWO_COLUMNS = 560
-MEASURE = "measure"
-"""The page of the guided test."""
-RESEARCH_USE = marked("Research use only. Not a medical device.")
 
 
 class _Room(QWidget):
@@ -71,7 +77,9 @@ class Layout:
     """The parts of the window."""
 
     def __init__(self, window: QMainWindow, folder: Path, now: Callable[[], datetime], role: Role) -> None:
-        self._testing = False
+        self.testing = False
+        """Whether a coil can be energised, as the controls show it."""
+        self._help: HelpPanel | None = None
         self.form = PlanForm(folder, now)
         self._side_frame = QFrame()
         self.role = RoleChooser(role)
@@ -108,7 +116,7 @@ class Layout:
         self.pages.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.pages.tabBar().setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.pages.tabBar().setAccessibleName(_("Signals and result"))
-        self.rail = Rail()
+        self.rail = NavigationBar()
         self.halt = QPushButton(_("STOP"))
         self.halt.setProperty("role", "halt")
         self.halt.setAccessibleName(_("STOP, release the coil, from any page"))
@@ -119,19 +127,20 @@ class Layout:
         self._holders: dict[str, QWidget] = {}
         self.show_role(role)
         window.setMenuWidget(self._header())  # over the whole width, whatever is docked below it
-        window.setCentralWidget(self._arrange())
+        self._central = self._arrange()
+        window.setCentralWidget(self._central)
         window.setMinimumSize(*SMALLEST)
         room = window.screen().availableSize() - QSize(0, _TITLE_BAR)
         window.resize(QSize(1280, 720).boundedTo(room))
 
     def _turn_tab(self, index: int) -> None:
-        """A calibration has its own guidance, and no verdict on a test above it."""
+        """Show the guidance of a calibration, or of a test with its verdict."""
         calibrating = self.pages.widget(index) is self.calibration
         self.guidance.turn_to_calibration(calibrating)
         self._verdict.setVisible(not calibrating)
 
     def show_role(self, role: Role) -> None:
-        """Show what a role has to do with."""
+        """Show the parts of a role."""
         self.pages.setTabVisible(2, role == "technician")
 
     def order_tabs(self) -> None:
@@ -172,17 +181,47 @@ class Layout:
         self.form.site.setFocus()
 
     def add_page(self, name: str, page: QWidget) -> None:
-        """The page that a button of the rail shows; it may come later than its button."""
+        """Add the page of a button of the navigation bar; the button may exist before it."""
         self.views[name] = page
         self._holders[name] = page if name == MEASURE else PageScroll(page)
         self.stack.addWidget(self._holders[name])
 
     def show_page(self, name: str) -> None:
-        """Show a page; wherever somebody looks, STOP is there while a coil may be energised."""
+        """Show a page. STOP stays visible while a coil can be energised."""
         self.stack.setCurrentWidget(self._holders[name])
+        self._make_room()
         self.notice.turn_to(name)
         self.rail.show_chosen(name)
         self._show_halt()
+
+    def add_help(self, panel: HelpPanel) -> None:
+        """Put the help, closed, to the right of the page, or in its place where the window is narrow."""
+        panel.hide()
+        self._help = panel
+        self._beside.addWidget(panel)
+        self._beside.setStretchFactor(0, 1)
+        self._beside.setStretchFactor(1, 0)
+        self._beside.setSizes([_ANY_WIDTH, _HELP_WIDTH])
+        panel.turned.connect(self._make_room)
+
+    @property
+    def help_replaces(self) -> bool:
+        """Whether the help is shown in place of the page."""
+        return self._help is not None and not self._help.isHidden() and self._central.width() < _ROOM_FOR_HELP
+
+    def make_way(self) -> None:
+        """Close the help where it covers the page."""
+        if self._help is not None and self.help_replaces:
+            self._help.hide()
+
+    def _make_room(self) -> None:
+        """Hide what has no room next to the help; form, Start and STOP stay."""
+        if self._help is None or not self._holders:
+            return
+        replaced, measuring = self.help_replaces, self.page == MEASURE
+        self._main.setVisible(not replaced)
+        self.stack.setMaximumWidth(self._side_frame.width() if replaced and measuring else _ANY_WIDTH)
+        self.stack.setVisible(measuring or not replaced)
 
     @property
     def page(self) -> str:
@@ -190,15 +229,15 @@ class Layout:
         return next(name for name, page in self._holders.items() if page is self.stack.currentWidget())
 
     def _show_halt(self) -> None:
-        self.halt.setVisible(self._testing and self.page != MEASURE)
+        self.halt.setVisible(self.testing and self.page != MEASURE)
 
-    def settle(self, *, busy: bool, testing: bool, has_result: bool) -> None:
+    def update_enabled(self, *, busy: bool, testing: bool, has_result: bool) -> None:
         """Enable what makes sense: while a test runs that is STOP alone."""
-        self._testing = testing
+        self.testing = testing
         self._show_halt()
         self.form.setEnabled(not testing)
         self.role.setEnabled(not busy)
-        self.calibration.settle(busy=busy)
+        self.calibration.update_enabled(busy=busy)
         self.gate.run_again.setEnabled(not busy)
         self.gate.judge_now.setEnabled(not busy)
         self.form.instrument.refresh.setEnabled(not busy)
@@ -217,17 +256,28 @@ class Layout:
         of_sitting = self.gate.repeats.repeat, self.gate.repeats.accept, self.gate.repeats.undo, self.gate.judge_now
         return *of_test, *of_result, *of_sitting, *self.calibration.begin.values()
 
-    def paint_with(self, theme: Theme) -> None:
+    @property
+    def energising(self) -> tuple[QAbstractButton, ...]:
+        """The buttons of the page Measure that start something that energises a coil."""
+        return self.start, self.gate.run_again, self.gate.repeats.repeat, *self.calibration.begin.values()
+
+    @property
+    def harmless(self) -> tuple[QAbstractButton, ...]:
+        """The other buttons of that page that the command palette offers."""
+        of_form = self.form.instrument.refresh, self.form.map
+        return self.gate.repeats.accept, self.guidance.lamp.watch, *of_form, self.result.pdf
+
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.signals.paint_with(theme)
-        self.analysis.paint_with(theme)
-        self.result.paint_with(theme)
-        self.calibration.paint_with(theme)
+        self.signals.apply_theme(theme)
+        self.analysis.apply_theme(theme)
+        self.result.apply_theme(theme)
+        self.calibration.apply_theme(theme)
 
     def _arrange(self) -> QWidget:
         page = _Room()
         page.resized.connect(self._fold)
-        page.setMinimumSize(*_LEAST_ROOM)  # beside the docks
+        page.setMinimumSize(*_LEAST_ROOM)  # next to the docks
         rows = QVBoxLayout(page)
         rows.setContentsMargins(0, 0, 0, 0)
         rows.setSpacing(0)
@@ -238,14 +288,17 @@ class Layout:
         right.setSpacing(0)
         line = NoticeLine(self.notice)
         right.addWidget(line)
-        right.addWidget(self.stack, 1)
+        self._beside = QSplitter(Qt.Orientation.Horizontal)
+        self._beside.setChildrenCollapsible(False)
+        self._beside.addWidget(self.stack)
+        right.addWidget(self._beside, 1)
         columns.addLayout(right, 1)
         rows.addLayout(columns, 1)
         self.notice.setParent(page)
         return page
 
     def test_page(self) -> QWidget:
-        """The guided test: the form at the side, signals and result beside it."""
+        """Create the page of the guided test: the form at the side, signals and result next to it."""
         page = QWidget()
         columns = QHBoxLayout(page)
         columns.setContentsMargins(0, 0, 0, 0)
@@ -284,6 +337,7 @@ class Layout:
         narrow = width < _NARROW
         self._research.setWordWrap(narrow)
         self._side_frame.setFixedWidth(_NARROW_SIDE_WIDTH if narrow else SIDE_WIDTH)
+        self._make_room()
 
     def _header(self) -> QWidget:
         header = QFrame()

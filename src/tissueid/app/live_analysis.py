@@ -1,4 +1,4 @@
-"""What a running test says of the tissue so far, beside its signals: the response, its curve, the parameters."""
+"""Live identification next to the signals of a running test: response, curve and parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from tissueid.app.live import Array
+from tissueid.app.live_signals import Array
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
@@ -17,14 +17,15 @@ from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.words import sentence
 from tissueid.device import SIMULATED_LINE
+from tissueid.formatting import label_and_unit
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
-from tissueid.wording import MISSING, named_unit
+from tissueid.messages import MISSING, translated
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
-    from tissueid.identification.online.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
-    from tissueid.identification.online.precision import Parameter
+    from tissueid.identification.live.live_view import LiveBode, LiveCourse, LiveCurve, LiveView
+    from tissueid.identification.live.precision import Parameter
 
 MM = 1e3
 MS = 1e3
@@ -52,12 +53,109 @@ _WIDEST_PERCENT = 30.0
 
 
 class LiveAnalysis(QWidget):
-    """Numbers and five plots, drawn anew when there is a new view and not otherwise."""
+    """Numbers and six plots, redrawn only for a new result. The plots are built for the first test."""
+
+    cards: tuple[PlotCard, ...] = ()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._shown: LiveView | None = None
         self._planned_s = 4.0
+        self._theme: Theme | None = None
+        self.numbers = {name: _Figure(_(label_and_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
+        self.vaf = _Figure(_("Explained, linear"))
+        self.vaf.setToolTip(
+            _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
+        )
+        self.simulated = QLabel(_(SIMULATED_LINE))
+        self.simulated.setProperty("role", "heading")
+        self.simulated.setWordWrap(True)
+        self.simulated.setMinimumWidth(1)
+        self.said = QLabel()
+        self.said.setProperty("role", "muted")
+        self.said.setWordWrap(True)
+        self.said.setMinimumWidth(1)
+        self._arrange()
+        self.hide()
+
+    def expect(self, plan: Plan) -> None:
+        """Make room for a test that is about to begin."""
+        self._build_plots()
+        self._shown = None
+        self._planned_s = plan.seconds
+        self.simulated.setVisible(plan.url.startswith(IN_PROCESS))
+        for figure in (*self.numbers.values(), self.vaf):
+            figure.fill(MISSING, "")
+        for card in self.cards:
+            card.say_missing(_(_WAITING))
+        self._say("")
+        self.show()
+
+    def show_live(self, identification: LiveIdentification) -> None:
+        """Draw the newest view, if there is one that is not drawn yet, and say what went wrong."""
+        view = identification.latest()
+        if view is not None and view is not self._shown:
+            self._shown = view
+            self.show_view(view)
+        if identification.problem:
+            self._say(
+                _("{problem} The test goes on without it.").format(problem=sentence(translated(identification.problem)))
+            )
+
+    def clear(self) -> None:
+        """The test is over: nothing waits for its stimulus any more."""
+        if self._shown is None:
+            self.hide()
+            return
+        missing = sentence(translated(self._shown.missing)) or _(_ENDED)
+        self._show_curve(self._shown.curve, missing)
+        self._show_course(self._shown.course, missing)
+
+    def show_view(self, view: LiveView) -> None:
+        """Draw one view."""
+        self._build_plots()
+        self._shown = view
+        self._show_numbers(view)
+        self.vaf.fill(MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}", "%")
+        missing = sentence(translated(view.missing))
+        self._show_response(view, missing)
+        self._show_bode(view, view.bode, missing)
+        self._show_curve(view.curve, missing)
+        self._show_course(view.course, missing)
+
+    def take_units(self) -> None:
+        """Show the numbers in the units in force; the plots do it themselves."""
+        if self._shown is not None:
+            self._show_numbers(self._shown)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._theme = theme
+        for card in self.cards:
+            card.apply_theme(theme)
+        for figure in self.numbers.values():
+            figure.apply_theme(theme)
+
+    # -- building -----------------------------------------------------------------------------------------
+
+    def _arrange(self) -> None:
+        numbers = QFrame()
+        numbers.setProperty("role", "card")
+        row = QHBoxLayout(numbers)
+        row.setContentsMargins(10, 5, 10, 5)
+        row.setSpacing(8)
+        for figure in (*self.numbers.values(), self.vaf):
+            row.addWidget(figure, 1)
+        self._layout = layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(8)
+        layout.addWidget(numbers)
+        layout.addWidget(self.simulated)
+        layout.addWidget(self.said)
+
+    def _build_plots(self) -> None:
+        if self.cards:
+            return
         self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)")
         self.bode = PlotCard(_("Bode magnitude"), "", "mm/N", log_axes=("bottom", "left"))
         self.phase = PlotCard(_("Bode phase"), "", "°", log_axes=("bottom",))
@@ -91,99 +189,15 @@ class LiveAnalysis(QWidget):
         self._fitted = self.curve.line("model", width=2)
         self._course_bands = {name: self.course.band(_ROLES[name]) for name in _QUANTITIES}
         self._courses = {name: self.course.line(_ROLES[name], width=2) for name in _QUANTITIES}
-        self.numbers = {name: _Figure(_(named_unit(_QUANTITIES[name])[0]), _ROLES[name]) for name in _QUANTITIES}
-        self.vaf = _Figure(_("Explained, linear"))
-        self.vaf.setToolTip(
-            _("Variance accounted for (VAF): how much of the motion so far the impulse response explains")
-        )
-        self.simulated = QLabel(_(SIMULATED_LINE))
-        self.simulated.setProperty("role", "heading")
-        self.simulated.setWordWrap(True)
-        self.simulated.setMinimumWidth(1)
-        self.said = QLabel()
-        self.said.setProperty("role", "muted")
-        self.said.setWordWrap(True)
-        self.said.setMinimumWidth(1)
-        self._arrange()
-        self.hide()
-
-    def expect(self, plan: Plan) -> None:
-        """Make room for a test that is about to begin."""
-        self._shown = None
-        self._planned_s = plan.seconds
-        self.simulated.setVisible(plan.url.startswith(IN_PROCESS))
-        for figure in (*self.numbers.values(), self.vaf):
-            figure.fill(MISSING, "")
-        for card in self.cards:
-            card.say_missing(_(_WAITING))
-        self._say("")
-        self.show()
-
-    def show_live(self, identification: LiveIdentification) -> None:
-        """Draw the newest view, if there is one that is not drawn yet, and say what went wrong."""
-        view = identification.latest()
-        if view is not None and view is not self._shown:
-            self._shown = view
-            self.show_view(view)
-        if identification.problem:
-            self._say(_("{problem} The test goes on without it.").format(problem=sentence(identification.problem)))
-
-    def rest(self) -> None:
-        """The test is over: nothing waits for its stimulus any more."""
-        if self._shown is None:
-            self.hide()
-            return
-        missing = sentence(self._shown.missing) or _(_ENDED)
-        self._show_curve(self._shown.curve, missing)
-        self._show_course(self._shown.course, missing)
-
-    def show_view(self, view: LiveView) -> None:
-        """Draw one view."""
-        self._shown = view
-        self._show_numbers(view)
-        self.vaf.fill(MISSING if view.vaf_percent is None else f"{view.vaf_percent:.1f}", "%")
-        missing = sentence(view.missing)
-        self._show_response(view, missing)
-        self._show_bode(view, view.bode, missing)
-        self._show_curve(view.curve, missing)
-        self._show_course(view.course, missing)
-
-    def take_units(self) -> None:
-        """Show the numbers in the units in force; the plots do it themselves."""
-        if self._shown is not None:
-            self._show_numbers(self._shown)
-
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        for card in self.cards:
-            card.paint_with(theme)
-        for figure in self.numbers.values():
-            figure.paint_with(theme)
-
-    # -- building -----------------------------------------------------------------------------------------
-
-    def _arrange(self) -> None:
-        numbers = QFrame()
-        numbers.setProperty("role", "card")
-        row = QHBoxLayout(numbers)
-        row.setContentsMargins(10, 5, 10, 5)
-        row.setSpacing(8)
-        for figure in (*self.numbers.values(), self.vaf):
-            row.addWidget(figure, 1)
-        for card in self.cards:
-            card.setMinimumWidth(_CARD_WIDTH)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
-        layout.addWidget(numbers)
-        layout.addWidget(self.simulated)
-        layout.addWidget(self.said)
         for pair in zip(self.cards[::2], self.cards[1::2], strict=True):
             plots = FoldingBox(2 * _CARD_WIDTH + _SPACING)
             plots.setSpacing(_SPACING)
             for card in pair:
+                card.setMinimumWidth(_CARD_WIDTH)
                 plots.addWidget(card, 1)
-            layout.addLayout(plots, 1)
+                if self._theme is not None:
+                    card.apply_theme(self._theme)
+            self._layout.addLayout(plots, 1)
 
     def _say(self, text: str) -> None:
         self.said.setText(text)
@@ -194,7 +208,7 @@ class LiveAnalysis(QWidget):
     def _show_numbers(self, view: LiveView) -> None:
         for name, figure in self.numbers.items():
             found = view.parameters.get(name)
-            figure.fill(*((MISSING, "") if found is None else said(found, named_unit(_QUANTITIES[name])[1])))
+            figure.fill(*((MISSING, "") if found is None else said(found, label_and_unit(_QUANTITIES[name])[1])))
 
     def _show_response(self, view: LiveView, missing: str) -> None:
         response, std = MM * view.impulse_response, view.impulse_response_std
@@ -283,7 +297,7 @@ class _Figure(QWidget):
         self._rest.setText(rest)
         self.setAccessibleName(f"{self._label}: {value} {rest}".strip())
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._text.setText(f'{self._label} <span style="color:{getattr(theme, self._role)}">■</span>')
 

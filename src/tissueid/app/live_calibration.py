@@ -7,8 +7,8 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.playing import Phase, Progress
-from tissueid.app.live import Array, Glance, LiveSignals
+from tissueid.acquisition.playback import Phase, Progress
+from tissueid.app.live_signals import Array, LiveSignals, Snapshot
 from tissueid.app.safety import SafetyWatch
 from tissueid.instrument import CLINICAL, Instrument
 from tissueid.wire import Flag
@@ -61,9 +61,9 @@ class LiveCalibration:
         elif sum(part.size for part in self._played) >= _CHUNK_S * rate:
             self._end_chunk()
 
-    def glance(self) -> Glance:
+    def snapshot(self) -> Snapshot:
         """Return the newest signals and how safety stands."""
-        return self._signals.look()
+        return self._signals.snapshot()
 
     def curve(self) -> tuple[Array, Array]:
         """Return the points so far, shape (n,) each: where, and what was found there."""

@@ -22,9 +22,9 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.words import in_words
+from tissueid.atomic_write import write_private
+from tissueid.formatting import clean
 from tissueid.language import _
-from tissueid.whole_file import write_private
-from tissueid.wording import clean
 
 MOST_LINES = 2_000
 MOST_DETAILS = 100_000

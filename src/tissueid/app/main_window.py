@@ -11,56 +11,58 @@ from PySide6.QtCore import QCoreApplication, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeySequence, QShortcut
 from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QWidget
 
-from tissueid.acquisition.playing import Phase
-from tissueid.app import ending
-from tissueid.app.actions import install_shortcuts
+from tissueid.acquisition.playback import Phase
+from tissueid.app.actions import Action, declare, install_shortcuts
+from tissueid.app.calibration_controller import CalibrationController
 from tissueid.app.calibration_state import calibration_state
-from tissueid.app.calibrator import Calibrator
+from tissueid.app.clinician import Clinician
 from tissueid.app.command_palette import CommandPalette
+from tissueid.app.context import AppContext
+from tissueid.app.device_search import DeviceSearch
+from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.emergency import BY_BUTTON, BY_CLOSING, BY_DEFECT, BY_KEY, EmergencyStop
-from tissueid.app.errands import judge_and_find
 from tissueid.app.file_drops import RECORDS, FileDrops, dropped_paths
-from tissueid.app.findings import Findings, find, whose
+from tissueid.app.findings import Findings, whose
 from tissueid.app.jobs import Jobs
 from tissueid.app.language_choice import chosen
-from tissueid.app.layout import MEASURE, Layout
-from tissueid.app.live import LiveSignals
+from tissueid.app.layout import Layout
+from tissueid.app.live_signals import LiveSignals
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.outcome import outcome_text
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
-from tissueid.app.place_to_save import check_place
 from tissueid.app.plan import Plan
-from tissueid.app.remembered import remember_role, remembered_role
-from tissueid.app.reporting import Reports
-from tissueid.app.searching import Searching
+from tissueid.app.report_opener import Reports
+from tissueid.app.save_path import check_save_path
+from tissueid.app.services import AppServices
+from tissueid.app.session_jobs import find, judge_and_analyse
 from tissueid.app.stop_keys import StopKeys
-from tissueid.app.surroundings import Surroundings
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
 from tissueid.app.unit_choice import take_kept
-from tissueid.app.views.clinician.clinician import Clinician
-from tissueid.app.waiting import tell_why
+from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
 from tissueid.app.words import in_words
-from tissueid.audit import Role, Trail
+from tissueid.atomic_write import private_folder
+from tissueid.audit import Role
 from tissueid.errors import TissueIDError
-from tissueid.language import _, speak
+from tissueid.language import _, set_language
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
-from tissueid.whole_file import private_folder
 
 if TYPE_CHECKING:
-    from tissueid.app.measuring import Outcome
+    from tissueid.app.measurement_job import Outcome
     from tissueid.reports.verdict import Verdict
 
 FRAME_MS = 33
 
 
 class MainWindow(QMainWindow):
-    """Everything that a person does goes through here; everything slow goes through a :class:`Job`."""
+    """The main window. Slow work runs in a :class:`Job`."""
 
-    def __init__(self, surroundings: Surroundings | None = None) -> None:
+    def __init__(self, services: AppServices | None = None) -> None:
         super().__init__()
-        self.around = surroundings or Surroundings()
+        self.services = services or AppServices()
         self.jobs = Jobs(self)
-        self._stop = self.around.stop()
+        self._stop = self.services.stop()
         self._keys = StopKeys(self)
         self._live = LiveSignals()
         self._plan: Plan | None = None
@@ -71,37 +73,77 @@ class MainWindow(QMainWindow):
         self._palette_watch = PaletteWatch()
         self.testing = False
         self.setWindowTitle("TissueID")
-        self.settings = self.around.settings()
-        speak(chosen(self.around.language, self.settings))
+        self.settings = self.services.settings()
+        set_language(chosen(self.services.language, self.settings))
         take_kept(self.settings)
-        role = self.around.role or remembered_role(self.settings)
-        self.ui = Layout(self, self.around.folder, self.around.now, role)
+        role = self.services.role or saved_role(self.settings)
+        self.ui = Layout(self, self.services.folder, self.services.now, role)
         self._frames = QTimer(self)
         self._frames.setInterval(FRAME_MS)
         self._frames.timeout.connect(self._frame)
-        self._calibrator = Calibrator(self)
-        self.reports = Reports(self)
-        self.clinician = Clinician(self)
-        self.panels = Panels(self)
-        self.searching = Searching(self)
-        self.pages = Pages(self)
-        self.files = FileDrops(self)
+        ui = self.ui
+        self.context = self._make_context()
+        self._calibrator = CalibrationController(
+            self.context,
+            self.begin_energised,
+            self.end_energised,
+            page=ui.calibration,
+            instruments=ui.form.instrument,
+            notice=ui.notice,
+            guidance=ui.guidance,
+            safety=ui.safety,
+            signals=ui.signals,
+            analysis=ui.analysis,
+            parent=self,
+        )
+        self.reports = Reports(self.context, ui.notice, ui.guidance, self)
+        self.clinician = Clinician(self.context, ui, self)
+        self.panels = Panels(self.context, self, ui.rail, ui.notice)
+        ui.add_help(self.panels.help)
+        self.device_search = DeviceSearch(self.context, ui.form, ui.notice, self)
+        self.pages = Pages(self.context, ui, self)
+        self.files = FileDrops(self.context, self.pages, lambda: ui.form.folder, self)
         self.setAcceptDrops(True)
-        install_shortcuts(self)
-        self.commands = CommandPalette(self)
+        install_shortcuts(self._actions(), self)
+        self.commands = CommandPalette(self._actions, self)
         self._connect()
         self._take_palette()
-        self.searching.list_instruments()
+        self.device_search.list_instruments()
+        restore_window_state(self, ui.form, self.panels.help, self.settings)
         self.pages.restore()
         if self.ui.page != self.pages.start.name:  # which says so itself
-            self.searching.offer_recovery()
+            self.device_search.offer_recovery()
         self._settle()
+
+    def _make_context(self) -> AppContext:
+        """Return what pages and the objects next to the window can use of it, looked up when it is used."""
+        ui = self.ui
+        return AppContext(
+            self.services,
+            self.jobs,
+            self.settings,
+            ui.notice.say,
+            role=lambda: ui.role.role,
+            go=lambda name: self.pages.show(name),
+            open_session=self.open_session,
+            prepare_test=lambda values, words: self.pages.prepare_test(values, words),
+            show_file=lambda path: self.reports.show(path),
+            instrument=lambda: ui.form.instrument.url,
+            calibrate=lambda words: self.pages.go_calibrate(words),
+            note=lambda words: self.panels.log.note(words),
+            show_idle=self.show_idle,
+            testing=lambda: self.testing,
+            closing=lambda: self._closing,
+        )
+
+    def _actions(self) -> tuple[Action, ...]:
+        return declare(self.ui, self.panels, self.pages, self)
 
     # -- a test -------------------------------------------------------------------------------------------
 
     def start_test(self) -> None:
-        """Begin the test that the form describes."""
-        from tissueid.app.measuring import measure
+        """Start the test of the form."""
+        from tissueid.app.measurement_job import measure
 
         if self.clinician.watcher.start_after() or self.busy:
             return
@@ -110,10 +152,10 @@ class MainWindow(QMainWindow):
         try:
             plan = form.plan()
             plan.check()
-            if plan.path.parent == self.around.folder:
+            if plan.path.parent == self.services.folder:
                 private_folder(plan.path.parent)
             wrong = form.path
-            check_place(plan.path)
+            check_save_path(plan.path)
         except (TissueIDError, OSError) as error:
             self.ui.notice.say(in_words(error), problem=True, about_form=True)
             if wrong is form.path or not form.site.currentText().strip():
@@ -121,11 +163,12 @@ class MainWindow(QMainWindow):
             return
         self._plan, self._live = plan, LiveSignals()
         plan = self.clinician.planned(plan)
-        stop = self.energise(self._show_frame)
+        stop = self.begin_energised(self._show_frame)
         self.findings = None
+        self.reports.show_findings(None)
         self.ui.pages.setTabVisible(1, False)
         self.ui.gate.hide()
-        self.ui.guidance.rest()
+        self.ui.guidance.show_idle()
         self.ui.guidance.say(_("Connecting to the instrument."))
         self.panels.log.note(
             _("A test begins: {site}, with {url}, to {path}.").format(site=plan.site, url=plan.url, path=plan.path)
@@ -138,41 +181,42 @@ class MainWindow(QMainWindow):
             plan,
             self._live,
             stop,
-            opener=self.around.opener,
-            wait=self.around.wait,
-            apart=self.around.apart,
-            trail=Trail(self.around.audit, self.ui.role.role),
-            calibrate=self.around.calibrate,
+            opener=self.services.opener,
+            wait=self.services.wait,
+            separate_process=self.services.separate_process,
+            trail=self.context.trail,
+            calibrate=self.services.calibrate,
             earlier=self.clinician.earlier,
         )
         why = _("A test is running on Measure: stop it there, or wait.")
         self.jobs.do(work, self._test_ended, self._test_failed, why=why)
-        self.ui.stop.setFocus()
 
-    def energise(self, draw: Callable[[], None]) -> EmergencyStop:
-        """From now on a coil may be energised: STOP, its keys and the dead man's switch are about what begins here.
+    def begin_energised(self, draw: Callable[[], None]) -> EmergencyStop:
+        """Arm the STOP button, the stop keys and the watchdog for an operation that can energise the coil.
 
-        ``draw`` shows where it stands, 30 times a second, until :meth:`free`.
+        ``draw`` shows its state 30 times a second until :meth:`end_energised`. Return the stop of the operation.
         """
-        self._draw, self._stop = draw, self.around.stop()
+        self._draw, self._stop = draw, self.services.stop()
         self._stop.beat()
         self._keys.listen(True)
         self.testing = True
+        self.ui.make_way()
         self.ui.notice.retract()
         self.ui.safety.expect()
         self._frames.start()
+        self.ui.stop.setFocus()
         return self._stop
 
-    def free(self) -> None:
-        """What was begun is over, and the coil is free."""
+    def end_energised(self) -> None:
+        """Disarm the stop keys and the watchdog: the operation has ended and the coil is released."""
         self._keys.listen(False)
         self._frames.stop()
         self.testing = False
         self.clinician.freed()
-        self.ui.safety.rest()
+        self.ui.safety.clear()
 
     def stop_test(self, reason: str) -> None:
-        """Release the coil and end the running test; what was recorded is kept."""
+        """Release the coil and end the running test; the recorded part is saved."""
         if self.testing:
             self._stop.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
@@ -185,55 +229,55 @@ class MainWindow(QMainWindow):
     def _stop_by_key(self) -> None:
         self.stop_test(BY_KEY)
 
-    def meet_defect(self, error: BaseException) -> None:
-        """Something in the window went wrong where nobody expected it: release the coil first, then say so."""
+    def on_defect(self, error: BaseException) -> None:
+        """Handle an unexpected exception of the window: release the coil first, then show it."""
         self._stop.press(BY_DEFECT)
         self.ui.notice.say_everywhere(in_words(error))
 
     def _frame(self) -> None:
-        """Only a frame that was drawn is a beat of the window's heart."""
+        """Draw a frame, then record a heartbeat: a window that cannot draw is stopped."""
         self._draw()
-        self.ui.safety.tell_keys(reach=QApplication.activeWindow() is not None)
+        self.ui.safety.show_key_reach(reach=QApplication.activeWindow() is not None)
         self._stop.beat()
 
     def _show_frame(self) -> None:
-        glance = self._live.look()
-        self.ui.signals.show_live(glance)
-        self.ui.safety.show_safety(glance.safety, free=glance.phase is Phase.RELEASE)
+        snapshot = self._live.snapshot()
+        self.ui.signals.show_live(snapshot)
+        self.ui.safety.show_safety(snapshot.safety, free=snapshot.phase is Phase.RELEASE)
         if self._live.device is not None and self._plan is not None:
             self.ui.form.instrument.tell_calibration(self._plan.url, calibration_state(self._live.device))
             if self._live.greatest_force_n is not None:
                 self.ui.form.tell_force(self._plan.url, self._live.greatest_force_n)
-        self.clinician.follow(glance, self._live.device)
+        self.clinician.follow(snapshot, self._live.device)
         if self._live.identification is not None:
             self.ui.analysis.show_live(self._live.identification)
         if self._plan is not None and not self._stop.is_set():
-            self.ui.guidance.follow(glance, self._plan)
+            self.ui.guidance.follow(snapshot, self._plan)
 
     def _test_ended(self, outcome: Outcome) -> None:
         self._end_frames()
         self.ui.form.renew_path()
         session = outcome.session
-        said, failed = ending.in_words(outcome)
+        said, failed = outcome_text(outcome)
         if said:
             self.ui.notice.say(said, problem=failed, page=MEASURE)
         if outcome.instrument_failed:
             self._doubt_instrument()
         if outcome.link_lost is not None:
-            self.ui.safety.tell_lost(outcome.link_lost.watchdog_s)
+            self.ui.safety.show_link_lost(outcome.link_lost.watchdog_s)
         if session is not None:
-            self.pages.heard_of(outcome.path)
+            self.pages.on_session_saved(outcome.path)
         if session is not None and session.tests and not self._closing:
             self._show_gate(session.test())
             self._identify(outcome.path, session, None)
         else:
-            self.ui.guidance.rest()
+            self.ui.guidance.show_idle()
 
     def _test_failed(self, words: str) -> None:
         self._end_frames()
         self.ui.signals.clear()
         self.ui.analysis.hide()
-        self.ui.guidance.rest()
+        self.ui.guidance.show_idle()
         self.ui.notice.say(words, problem=True, page=MEASURE)
         if self._live.device is None:  # else it had answered, and something else kept the test from beginning
             self._doubt_instrument()
@@ -243,10 +287,10 @@ class MainWindow(QMainWindow):
             self.ui.form.instrument.doubt(self._plan.url)
 
     def _end_frames(self) -> None:
-        self.free()
+        self.end_energised()
         self._show_frame()
-        self.ui.safety.rest()
-        self.ui.analysis.rest()
+        self.ui.safety.clear()
+        self.ui.analysis.clear()
         self.clinician.freed()  # the last frame tells of a probe that is followed no more
 
     # -- sessions and results ------------------------------------------------------------------------------
@@ -258,19 +302,20 @@ class MainWindow(QMainWindow):
         self.identify(path)
 
     def identify(self, path: Path, session: Session | None = None) -> None:
-        """Show the page of results, and there what a session says."""
+        """Analyse a session and show the page of results."""
         self.pages.show(MEASURE)
         self._identify(path, session, None)
 
     def _identify(self, path: Path, session: Session | None, number: int | None) -> None:
         self.ui.guidance.say(_("Identifying the tissue."))
         why = _("A test is being analysed on Measure: wait a few seconds.")
-        self.jobs.do(functools.partial(find, path, session, number), self.show_findings, self.say_failed, why=why)
+        work = functools.partial(find, path, session, number)
+        self.jobs.do(work, self.show_findings, self.context.say_failed, why=why)
 
     def show_findings(self, findings: Findings) -> None:
-        """Show the page of an analysed test."""
+        """Show the result of the analysis of a test."""
         self.findings = findings
-        self.reports.forget()
+        self.reports.show_findings(findings)
         self.panels.log.note(
             _("{path}, test {number}: {headline}.").format(
                 path=findings.path, number=findings.test.number, headline=_(findings.verdict.headline)
@@ -279,33 +324,28 @@ class MainWindow(QMainWindow):
         self.ui.signals.show_test(findings.test, findings.session.instrument)
         self._show_gate(findings.test, findings.verdict)
         self.ui.result.show_findings(findings)
-        self.ui.form.tell_apart(self._plan is None or self._plan.path != findings.path)
+        self.ui.form.show_other_test(self._plan is None or self._plan.path != findings.path)
         self.clinician.found(findings, self._plan)
         self.ui.show_part(self.ui.result)
         self.ui.pages.tabBar().setFocus()
-        self.rest()
+        self.show_idle()
 
     def _judge(self) -> None:
-        """Let the quality gate judge the tests of the shown session that it never saw; the file stays as it is."""
+        """Judge the tests of the shown session that the quality gate has not judged; the file is not changed."""
         if self.findings is None or self.busy:
             return
         self.ui.guidance.say(_("Judging the test."))
-        self.jobs.do(functools.partial(judge_and_find, self.findings), self.show_findings, self.say_failed)
+        self.jobs.do(functools.partial(judge_and_analyse, self.findings), self.show_findings, self.context.say_failed)
 
     def _show_gate(self, test: Test, verdict: Verdict | None = None) -> None:
-        """Show what the quality gate said as soon as it is known, and the verdict on the test once it is analysed."""
+        """Show the findings of the quality gate, and the verdict once the test is analysed."""
         can_repeat = self._plan is not None and not self._closing
         self.ui.gate.show_quality(quality_of(test), can_repeat=can_repeat, verdict=verdict)
 
-    def rest(self) -> None:
-        """Nothing goes on: name what is shown, or say how to begin."""
+    def show_idle(self) -> None:
+        """Show the name of the displayed test, or how to start one."""
         found = self.findings
-        self.ui.guidance.rest("" if found is None else f"{whose(found)}  ·  {found.path.name}")
-
-    def say_failed(self, words: str) -> None:
-        """Some work ended badly: say so, and show again what was shown."""
-        self.rest()
-        self.ui.notice.say(words, problem=True)
+        self.ui.guidance.show_idle("" if found is None else f"{whose(found)}  ·  {found.path.name}")
 
     def _choose_session(self) -> None:
         kinds = _("Sessions and records (*.h5 {records});;All files (*)").format(records=RECORDS)
@@ -333,19 +373,32 @@ class MainWindow(QMainWindow):
             self.ui.analysis.hide()
             self._identify(self.findings.path, self.findings.session, number)
 
+    def _show_recovered(self, sessions: list[tuple[Path, Session]]) -> None:
+        for path, _session in sessions:
+            self.pages.on_session_saved(path)
+        self.identify(*sessions[-1])
+
+    def _page_changed(self) -> None:
+        if self.ui.page != MEASURE:
+            self.clinician.watcher.cancel()
+
+    def _page_shown(self, name: str) -> None:
+        if name == MEASURE:
+            self.device_search.list_twins()
+        self.panels.help.show_page(name)
+
     # -- roles and jobs -----------------------------------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:
-        """Whether something goes on that nothing else may begin beside."""
-        return bool(self.jobs) or self._closing
+        """Whether a job runs or the window closes: no other job may start."""
+        return self.context.busy
 
     def _change_role(self, before: str, now: Role) -> None:
         self.ui.show_role(now)
-        self.pages.take_role(now)
-        remember_role(self.settings, now)
-        trail = Trail(self.around.audit, now)
-        work = functools.partial(trail.record, "role.changed", old=before, new=now)
+        self.pages.set_role(now)
+        save_role(self.settings, now)
+        work = functools.partial(self.context.trail.record, "role.changed", old=before, new=now)
         self.jobs.do(work, self._logged, self.ui.notice.say_everywhere)
 
     def _logged(self, _: object) -> None:
@@ -353,10 +406,10 @@ class MainWindow(QMainWindow):
 
     def _settle(self) -> None:
         """Let every control do what now makes sense, and nothing else."""
-        self.ui.settle(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
-        self.clinician.settle(busy=self.busy, testing=self.testing)
-        self.pages.settle(busy=self.busy, testing=self.testing)
-        tell_why(self.ui.waiting, self.jobs.why)
+        self.ui.update_enabled(busy=self.busy, testing=self.testing, has_result=self.findings is not None)
+        self.clinician.update_enabled(busy=self.busy, testing=self.testing)
+        self.pages.update_enabled(busy=self.busy, testing=self.testing)
+        show_disabled_reason(self.ui.waiting, self.jobs.why)
         if self._closing and not self.jobs:
             self.close()
 
@@ -375,20 +428,22 @@ class MainWindow(QMainWindow):
             event.ignore()
             return
         self._frames.stop()
+        ui = self.ui
+        save_window_state(self, ui.form, self.panels.help, ui.page, ui.role.role, self.settings)
         self.pages.save()
         super().closeEvent(event)
 
     def _take_palette(self) -> None:
-        """Take colours that go with the system's palette; called anew whenever that changes."""
+        """Apply the theme of the system's palette; called whenever it changes."""
         theme = theme_of(self._palette_watch.palette())
         if theme is not self._theme:
             self._theme = theme
             self.setPalette(palette_of(theme))
             self.setStyleSheet(style_sheet(theme))
-            self.ui.paint_with(theme)
-            self.clinician.paint_with(theme)
-            self.panels.paint_with(theme)
-            self.pages.paint_with(theme)
+            self.ui.apply_theme(theme)
+            self.clinician.apply_theme(theme)
+            self.panels.apply_theme(theme)
+            self.pages.apply_theme(theme)
 
     def _connect(self) -> None:
         ui = self.ui
@@ -403,7 +458,16 @@ class MainWindow(QMainWindow):
         ui.halt.clicked.connect(self._stop_by_button)
         self._keys.pressed.connect(self._stop_by_key)
         ui.open.clicked.connect(self._choose_session)
+        ui.report.clicked.connect(self.reports.open)
         ui.result.test_chosen.connect(self._analyse_other)
+        ui.stack.currentChanged.connect(self._page_changed)
+        self.clinician.test_wanted.connect(self.start_test)
+        self.clinician.watcher.start_wanted.connect(self.start_test)
+        self.clinician.findings_wanted.connect(self.show_findings)
+        self.device_search.recovered.connect(self._show_recovered)
+        self.pages.shown.connect(self._page_shown)
+        self.pages.start.find_asked.connect(self.device_search.find_instruments)
+        self.pages.start.recovery_asked.connect(self.device_search.recover)
         # Queued: the new palette must first have reached every widget, or the rest would be overwritten by it.
         self._palette_watch.changed.connect(self._take_palette, Qt.ConnectionType.QueuedConnection)
         stop = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)

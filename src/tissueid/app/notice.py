@@ -1,4 +1,4 @@
-"""A strip that says in words what happened, and offers what can be done about it."""
+"""A line of notices: what happened, and a button that offers what can be done."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from PySide6.QtCore import QPoint, QRect, QSize, Qt, Signal
 from PySide6.QtGui import QAccessible, QAccessibleEvent, QMoveEvent, QResizeEvent
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
+from PySide6.QtWidgets import QAbstractButton, QFrame, QHBoxLayout, QLabel, QPushButton, QWidget
 
 from tissueid.language import _
 
@@ -51,7 +51,7 @@ class Notice(QFrame):
     """Hidden until there is something to say. ``accepted`` is sent by the offered button.
 
     What is said belongs to the page on which it is said: news are gone once that is left, a problem and an offer are
-    there again when somebody comes back to it.
+    shown again when the user comes back to it.
     """
 
     accepted = Signal()
@@ -64,7 +64,7 @@ class Notice(QFrame):
         super().__init__(parent)
         self._page = ""
         self._pages: frozenset[str] | None = frozenset()
-        self._lasts = self._about_form = False
+        self._lasts = self._about_form = self._passed = False
         self._act: Callable[[], object] | None = None
         self.setProperty("role", "notice")
         self.text = QLabel()
@@ -90,7 +90,7 @@ class Notice(QFrame):
         return self._row.totalMinimumHeightForWidth(width)
 
     def turn_to(self, page: str) -> None:
-        """Another page is shown: what was said stays with its own."""
+        """Switch to the notices of another page."""
         if page == self._page:
             return
         self._page = page
@@ -102,9 +102,28 @@ class Notice(QFrame):
             self.retract()
 
     def retract(self) -> None:
-        """It was read, or is no longer so."""
+        """Remove the notice: it was read, or is no longer true."""
         self._pages, self._lasts, self._about_form = frozenset(), False, False
         self.hide()
+
+    def watch(self, page: QWidget) -> None:
+        """Let a notice go when another action begins by a button of a page: news at once, problems when it succeeds."""
+        for button in page.findChildren(QAbstractButton):
+            if not button.isCheckable() and not self.isAncestorOf(button):
+                button.pressed.connect(self._action_begins)
+
+    def _action_begins(self) -> None:
+        if self.isHidden():
+            return
+        if self._lasts:
+            self._passed = True
+        else:
+            self.retract()
+
+    def action_succeeded(self) -> None:
+        """Retract a problem that was there before the action; an offer and a defect stay until they are answered."""
+        if self._passed and self._pages is not None and self.offer.isHidden():
+            self.retract()
 
     def _accept(self) -> None:
         if self._act is None:
@@ -137,7 +156,7 @@ class Notice(QFrame):
         The button calls ``act``, or sends ``accepted`` without one. What only it offers does not outlast the news.
         ``page`` is where it belongs besides the page that is shown. What is ``about_form`` goes when that is changed.
         """
-        self._pages = frozenset({self._page, page or self._page})
+        self._pages, self._passed = frozenset({self._page, page or self._page}), False
         self._lasts, self._about_form, self._act = problem or (bool(offer) and act is None), about_form, act
         self.setProperty("level", "problem" if problem else "news")
         self.style().unpolish(self)

@@ -1,7 +1,6 @@
-"""The pages of the window: made, shown, told what happens, remembered from one start to the next.
+"""The pages of the window: create and show them, pass events on, save and restore their state.
 
-All but the first are made when they are first shown, and only then are their modules imported: the window is there
-sooner, and who never leaves the guided test pays for nothing else.
+All pages except the first are created, and their modules imported, when they are first shown. This shortens the start.
 """
 
 from __future__ import annotations
@@ -10,137 +9,130 @@ import dataclasses
 import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from PySide6.QtCore import QObject
+from PySide6.QtCore import QObject, Signal
+from PySide6.QtWidgets import QLineEdit, QPlainTextEdit, QTextEdit, QWidget
 
-from tissueid.app.file_drops import pass_drops_on
-from tissueid.app.layout import MEASURE
-from tissueid.app.remembered import put_back, remember, remembered_page
+from tissueid.app.context import AppContext
+from tissueid.app.disabled_reason import show_disabled_reason
+from tissueid.app.layout import Layout
+from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.theme import Theme, palette_of
 from tissueid.app.views.start.view import StartView
-from tissueid.app.views.view import Desk, View
-from tissueid.app.waiting import tell_why
+from tissueid.app.views.view import View
+from tissueid.app.window_state import saved_page
 from tissueid.audit import Role
+from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.wording import clean
-
-if TYPE_CHECKING:
-    from tissueid.app.main_window import MainWindow
 
 
-def _research(desk: Desk) -> View:
+def _research(context: AppContext) -> View:
     from tissueid.app.views.researcher.view import ResearchView
 
-    return ResearchView(desk)
+    return ResearchView(context)
 
 
-def _gap(desk: Desk) -> View:
+def _gap(context: AppContext) -> View:
     from tissueid.app.views.gap.view import GapView
 
-    return GapView(desk)
+    return GapView(context)
 
 
-def _instrument(desk: Desk) -> View:
+def _instrument(context: AppContext) -> View:
     from tissueid.app.views.technician.view import InstrumentView
 
-    return InstrumentView(desk)
+    return InstrumentView(context)
 
 
-LATER: dict[str, tuple[str, Callable[[Desk], View]]] = {
+LATER: dict[str, tuple[str, Callable[[AppContext], View]]] = {
     "research": (marked("Research"), _research),
     "gap": (marked("Gap"), _gap),
     "instrument": (marked("Instrument"), _instrument),
 }
-"""What the rail calls the pages that are made when they are first shown, and what makes them."""
+"""Title and factory of each page that is created when it is first shown."""
 ROLE_PAGES: dict[Role, str] = {"clinician": MEASURE, "researcher": "research", "technician": "instrument"}
-"""Where each role works."""
+"""Page that opens for each role."""
 
 
 class Pages(QObject):
-    """Stands between the window and its pages; the guided test is one of them, the window's own."""
+    """Creates, shows and notifies the pages. The page of the guided test belongs to the window itself."""
 
-    def __init__(self, window: MainWindow) -> None:
+    shown = Signal(str)
+    """A page is shown; carries its name."""
+
+    def __init__(self, context: AppContext, ui: Layout, window: QWidget) -> None:
         super().__init__(window)
-        self._window = window
-        self._settings = window.settings
+        self._context, self._ui = context, ui
         self._theme: Theme | None = None
-        self._desk = Desk(
-            window.around,
-            window.jobs,
-            self._settings,
-            window.ui.notice.say,
-            lambda: window.ui.role.role,
-            self.show,
-            self._open_session,
-            self._prepare_test,
-            window.reports.show,
-            lambda: window.ui.form.instrument.url,
-            self._go_calibrate,
-        )
-        self.start = StartView(self._desk_of(StartView.name))
+        self.start = StartView(self._context_of(StartView.name))
         self.views: list[View] = [self.start]
-        window.ui.rail.add(self.start.name, _("Start"))
-        window.ui.add_page(self.start.name, self.start)
-        window.ui.rail.add(MEASURE, _("Measure"))
-        window.ui.add_page(MEASURE, window.ui.test_page())
+        ui.rail.add(self.start.name, _("Start"))
+        ui.add_page(self.start.name, self.start)
+        ui.rail.add(MEASURE, _("Measure"))
+        ui.add_page(MEASURE, ui.test_page())
         for name, (title, _make) in LATER.items():
-            window.ui.rail.add(name, _(title))
-        window.ui.order_tabs()
-        pass_drops_on(window)
-        window.ui.rail.chosen.connect(self.show)
+            ui.rail.add(name, _(title))
+        ui.order_tabs()
+        _pass_drops_on(window)
+        ui.notice.watch(window)
+        context.jobs.ready.connect(ui.notice.action_succeeded)
+        ui.rail.chosen.connect(self.show)
         self.start.role_chosen.connect(self._work_as)
         self.start.instrument_chosen.connect(self._use_instrument)
-        self.start.find_asked.connect(window.searching.find_instruments)
-        self.start.recovery_asked.connect(window.searching.recover)
-        window.ui.form.instrument.described.connect(self._show_instruments)
+        ui.form.instrument.described.connect(self._show_instruments)
 
     def restore(self) -> None:
-        """Put the window where it was last time."""
-        put_back(self._window, self._settings)
-        wanted = self._window.around.first_page or remembered_page(self._settings)
-        self.show(wanted if wanted in self._window.ui.rail.buttons else self.start.name)
-        if self._window.ui.page == self.start.name:
+        """Show the page of the last start."""
+        wanted = self._context.services.first_page or saved_page(self._context.settings)
+        self.show(wanted if wanted in self._ui.rail.buttons else self.start.name)
+        if self._ui.page == self.start.name:
             self.start.focus_first()
 
     def save(self) -> None:
-        """Write what is to be found again."""
-        remember(self._window, self._settings)
+        """Save the state of the pages."""
         for view in self.views:
             view.save_state()
-        self._settings.sync()
+        self._context.settings.sync()
 
     def show(self, name: str) -> None:
         """Show a page by its name."""
-        if name in LATER and name not in self._window.ui.views:
+        if name in LATER and name not in self._ui.views:
             self._make(name)
         for view in self.views:
             if view.name == name:
                 view.enter()
-        if name == MEASURE:
-            self._window.searching.list_twins()
-        self._window.ui.show_page(name)
-        self._window.panels.help.show_page(name)
+        self._ui.make_way()
+        self._ui.show_page(name)
+        self.shown.emit(name)
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Let every page do what now makes sense."""
-        for view in self.views:
-            view.settle(busy=busy, testing=testing)
-            tell_why(view.waiting(), self._window.jobs.why)
+    def title(self, name: str) -> str:
+        """Return the title of a page."""
+        return self._ui.rail.buttons[name].text()
 
-    def take_role(self, role: Role) -> None:
-        """Somebody else sits there."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls of every page."""
         for view in self.views:
-            view.take_role(role)
+            view.update_enabled(busy=busy, testing=testing)
+            show_disabled_reason(view.waiting(), self._context.jobs.why)
 
-    def heard_of(self, path: Path) -> None:
-        """A session was recorded or recovered."""
+    def set_role(self, role: Role) -> None:
+        """Apply a new user role to all pages."""
         for view in self.views:
-            view.heard_of(path)
+            view.set_role(role)
+
+    def on_session_saved(self, path: Path) -> None:
+        """Notify all pages of a session that was recorded or recovered."""
+        for view in self.views:
+            view.on_session_saved(path)
 
     def offer_files(self, paths: list[Path]) -> bool:
         """Return whether the page that is shown takes these files."""
-        return any(view.offer_files(paths) for view in self.views if view.name == self._window.ui.page)
+        return any(view.offer_files(paths) for view in self.views if view.name == self._ui.page)
+
+    def show_new(self, path: Path) -> bool:
+        """Return whether the page that is shown shows a session that was imported there."""
+        return any(view.show_new(path) for view in self.views if view.name == self._ui.page)
 
     def list_sessions(self, paths: list[Path]) -> None:
         """Show folders and sessions in the list of the page Research."""
@@ -152,62 +144,69 @@ class Pages(QObject):
                 view.list_sessions(paths)
 
     def cancel(self) -> None:
-        """The window closes: whatever goes on ends soon."""
+        """Cancel the jobs of all pages: the window closes."""
         for view in self.views:
             view.cancel()
 
-    def paint_with(self, theme: Theme) -> None:
-        """Colours for every page, and for those that come later."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply a theme to all pages, also to those created later."""
         self._theme = theme
         for view in self.views:
             _paint(view, theme)
 
     def _make(self, name: str) -> None:
-        """Make a page as it would stand if it had been there from the beginning."""
-        view = LATER[name][1](self._desk_of(name))
+        """Create a page and bring it to the current state: role, enabled controls, theme."""
+        view = LATER[name][1](self._context_of(name))
         self.views.append(view)
-        self._window.ui.add_page(name, view)
-        pass_drops_on(view)
-        view.take_role(self._window.ui.role.role)
-        view.settle(busy=self._window.busy, testing=self._window.testing)
-        tell_why(view.waiting(), self._window.jobs.why)
+        self._ui.add_page(name, view)
+        _pass_drops_on(view)
+        self._ui.notice.watch(view)
+        view.set_role(self._ui.role.role)
+        view.update_enabled(busy=self._context.busy, testing=self._context.testing())
+        show_disabled_reason(view.waiting(), self._context.jobs.why)
         if self._theme is not None:
             _paint(view, self._theme)
 
-    def _desk_of(self, name: str) -> Desk:
-        """What a page says stays with it, wherever somebody is when it is said."""
-        return dataclasses.replace(self._desk, say=functools.partial(self._window.ui.notice.say, page=name))
-
-    def _open_session(self, path: Path) -> None:
-        self._window.open_session(path)
+    def _context_of(self, name: str) -> AppContext:
+        """Return the context of a page, whose notices are shown with that page."""
+        return dataclasses.replace(self._context, say=functools.partial(self._ui.notice.say, page=name))
 
     def _work_as(self, role: Role) -> None:
-        choice = self._window.ui.role.choice
+        choice = self._ui.role.choice
         choice.setCurrentIndex(choice.findData(role))
         self.show(ROLE_PAGES[role])
 
     def _use_instrument(self, url: str) -> None:
-        self._window.ui.form.instrument.choose(url)
-        self._window.ui.notice.say(_("The next test is with {url}.").format(url=clean(url)))
+        self._ui.form.instrument.choose(url)
+        self._ui.notice.say(_("The next test is with {url}.").format(url=clean(url)))
 
     def _show_instruments(self) -> None:
-        chooser = self._window.ui.form.instrument
+        chooser = self._ui.form.instrument
         self.start.show_instruments(chooser.known, chooser.url)
 
-    def _go_calibrate(self, words: str) -> None:
+    def go_calibrate(self, words: str) -> None:
+        """Show the page of calibrations with a notice; nothing starts."""
         self.show(MEASURE)
-        ui = self._window.ui
+        ui = self._ui
         ui.pages.setCurrentWidget(ui.calibration)
         ui.notice.say(words)
         ui.calibration.begin["static"].setFocus()
 
-    def _prepare_test(self, values: Mapping[str, Any], words: str) -> None:
+    def prepare_test(self, values: Mapping[str, Any], words: str) -> None:
+        """Fill the form of a test and show it with a notice; nothing starts."""
         self.show(MEASURE)
-        self._window.ui.form.fill(values)
-        self._window.ui.notice.say(words)
+        self._ui.form.fill(values)
+        self._ui.notice.say(words)
 
 
 def _paint(view: View, theme: Theme) -> None:
-    """Colours for a page; one that is made late does not get the window's palette by itself."""
+    """Apply palette and theme to a page. A page that is created late does not inherit the window's palette."""
     view.setPalette(palette_of(theme))
-    view.paint_with(theme)
+    view.apply_theme(theme)
+
+
+def _pass_drops_on(page: QWidget) -> None:
+    """Make the text fields of a page pass dropped files to the window; otherwise they insert them as text."""
+    for kind in (QLineEdit, QPlainTextEdit, QTextEdit):
+        for field in page.findChildren(kind):
+            field.setAcceptDrops(False)

@@ -1,4 +1,4 @@
-"""What one test is to be: the choices of the form, and the file that it goes to."""
+"""The plan of one test: the values of the form and the file of the session."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from platformdirs import user_documents_path
 
-from tissueid.acquisition.choice import PRELOAD_S, NoiseChoice, playable, playable_file
+from tissueid.acquisition.stimulus_choice import PRELOAD_S, NoiseChoice, playable, playable_file
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import PROFILES, Limits
-from tissueid.language import _
+from tissueid.messages import Message
 from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind, get_stimulus
+from tissueid.stimuli.depth_uniform import DepthDesign
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.redesign import DepthDesign
 
 if TYPE_CHECKING:  # each takes long to import, and the window starts without them
     from tissueid.acquisition.multistep import MultistepTest
-    from tissueid.identification.online.stopping import StopRule
+    from tissueid.identification.live.stopping import StopRule
 
 DEFAULT_URL = "simulated://forearm"
 ANONYMOUS = "anonymous"
 FROM_FILE = "file"
 MULTISTEP = "multistep"
+NO_INSTRUMENT = Message("plan.no_instrument", "choose an instrument, or type its address")
 _ANY_RATE_HZ = 2000.0
-"""Options are checked at this rate before it is known which instrument answers."""
+"""Sample rate at which options are checked before an instrument is open, Hz."""
 SITES = (
     "left forearm, posterior",
     "left forearm, anterior",
@@ -42,25 +43,26 @@ SITES = (
     "abdomen",
     "material sample",
 )
-"""Suggestions; any text will do."""
+"""Suggested sites; any text is allowed."""
 DISTRIBUTIONS: tuple[str, ...] = tuple(
     name for name in get_args(Noise.model_fields["distribution"].annotation) if name not in ("binary", "quantiles")
 )
-"""A binary signal is all edges, which hurt (thesis 3.1.1), and quantiles need a table."""
+"""Distributions offered: without "binary", whose edges hurt (thesis 3.1.1), and "quantiles", which needs a table."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(NoiseChoice):
-    """One test as the form describes it. ``limits`` names a profile, ``configuration`` and ``probe`` what they are of.
+    """One test as entered in the form.
 
-    Without a ``probe`` it is the first one that is made for the configuration. ``lower_force`` takes the highest force
-    down to what the instrument gives where that is less, which is refused otherwise. ``sitting`` is what the tests of
-    one sitting have in common, each in a file of its own, and ``repeat`` counts them from 1.
+    ``limits`` is the name of a profile of limits, ``configuration`` and ``probe`` those of the session format. Without
+    ``probe`` the first probe of the configuration is used. ``lower_force`` reduces the highest force to that of the
+    instrument where it is less; without it such a plan is refused. ``sitting`` is the key shared by the tests of one
+    sitting, each in its own file, and ``repeat`` is their number, from 1.
 
-    ``stimulus_kind`` is a kind of stimulus, ``FROM_FILE`` for the one saved in ``stimulus_file``, or ``MULTISTEP``: as
-    many tests as the option ``steps`` says, each designed by those before to spread evenly over the depths.
-    ``options`` are those of the kind that have no field here, by name. ``stop_when`` are targets as ``StopRule`` reads
-    them. ``under_probe`` is one of ``FIXTURES``, or empty for tissue or a sample.
+    ``stimulus_kind`` is a kind of stimulus, ``FROM_FILE`` for the one in ``stimulus_file``, or ``MULTISTEP``: a series
+    of ``steps`` tests, each designed from the previous ones to cover all depths evenly. ``options`` are the options of
+    the kind without a field here, by name. ``stop_when`` are targets in the notation of ``StopRule``. ``under_probe``
+    is one of ``FIXTURES``, or empty for tissue or a sample.
     """
 
     url: str
@@ -81,19 +83,22 @@ class Plan(NoiseChoice):
     repeat: int = 0
 
     def check(self) -> None:
-        """Refuse what can be seen to be wrong before an instrument is touched.
+        """Raise an error for a plan that is wrong before an instrument is opened.
 
         Raises:
-            UnusableInputError: says what to fill in.
+            UnusableInputError: a value is missing or does not fit the others.
         """
         if not self.url:
-            raise UnusableInputError(_("choose an instrument, or type its address"))
+            raise UnusableInputError(NO_INSTRUMENT)
         if not self.site:
-            raise UnusableInputError(_("fill in the site: where on the body, or which material"))
+            raise UnusableInputError(Message("plan.no_site", "fill in the site: where on the body, or which material"))
         if self.min_force_n >= self.max_force_n:
             raise UnusableInputError(
-                _("the lowest force ({low:g} N) must be below the highest ({high:g} N)").format(
-                    low=self.min_force_n, high=self.max_force_n
+                Message(
+                    "plan.force_range",
+                    "the lowest force ({low:g} N) must be below the highest ({high:g} N)",
+                    low=self.min_force_n,
+                    high=self.max_force_n,
                 )
             )
         self.set_up()
@@ -101,14 +106,16 @@ class Plan(NoiseChoice):
         if self.stimulus_kind == MULTISTEP:
             self._depth_design(_ANY_RATE_HZ)
             if self.stop_when:
-                raise UnusableInputError(_("a test in steps designs its stimuli itself: it takes no stop rule"))
+                raise UnusableInputError(
+                    Message("plan.no_stop_rule", "a test in steps designs its stimuli itself: it takes no stop rule")
+                )
         elif self.stimulus_kind != FROM_FILE:
             self._specification(_ANY_RATE_HZ)
         elif self.stimulus_file is None:
-            raise UnusableInputError(_("choose the file of the saved stimulus"))
+            raise UnusableInputError(Message("plan.no_stimulus_file", "choose the file of the saved stimulus"))
 
     def prepared(self, sample_rate_hz: float) -> Stimulus | FeedbackKind:
-        """Return what the test plays, with its preload, or what generates it.
+        """Return the stimulus of the test with its preload, or its generator.
 
         Raises:
             UnusableInputError: the options do not make a stimulus, or the file cannot be used.
@@ -138,14 +145,14 @@ class Plan(NoiseChoice):
         )
 
     def stop_rule(self) -> StopRule | None:
-        """Return the rule that ends the test early; None where none is asked for.
+        """Return the rule that ends the test early; None for a plan without one.
 
         Raises:
             UnusableInputError: a target does not read as one.
         """
         if not self.stop_when:
             return None
-        from tissueid.identification.online.stopping import StopRule
+        from tissueid.identification.live.stopping import StopRule
 
         return StopRule.from_words(self.stop_when)
 
@@ -162,18 +169,18 @@ class Plan(NoiseChoice):
         return DepthDesign.from_options({name: chosen[name] for name in DepthDesign.model_fields if name in chosen})
 
     def within(self, greatest_n: float) -> Plan:
-        """This plan on an instrument that gives so much force at most, N."""
+        """Return this plan for an instrument with a maximum force of ``greatest_n``, N."""
         if not self.lower_force or self.max_force_n <= greatest_n:
             return self
         return replace(self, max_force_n=greatest_n)
 
     @property
     def notes(self) -> dict[str, str | float]:
-        """What a session keeps of the sitting with the test."""
+        """Notes on the sitting that the session stores with the test."""
         return {"sitting": self.sitting, "repeat": float(self.repeat)} if self.sitting else {}
 
     def set_up(self) -> Configuration:
-        """How the instrument meets the tissue.
+        """Return the configuration: direction, probe and external spring.
 
         Raises:
             UnusableInputError: configuration, probe and spring do not go together.
@@ -182,23 +189,23 @@ class Plan(NoiseChoice):
 
     @property
     def total_s(self) -> float:
-        """Seconds that the stimulus and its preload last, as far as the plan tells; a saved one has its own length."""
+        """Duration of the stimulus and its preload, s. A saved stimulus has its own duration."""
         each = PRELOAD_S + self.seconds
         return each * int(dict(self.options)["steps"]) if self.stimulus_kind == MULTISTEP else each
 
 
 def longest_stimulus_s(limits: str) -> float:
-    """What a profile leaves for the stimulus once the preload is played."""
+    """Return the longest stimulus that a profile of limits allows after the preload, s."""
     return PROFILES[limits].max_seconds - PRELOAD_S
 
 
 def default_folder() -> Path:
-    """Where sessions go unless somebody says otherwise."""
+    """Return the default folder of sessions."""
     return user_documents_path() / "TissueID"
 
 
 def dated_path(folder: Path, moment: datetime) -> Path:
-    """A session file named by date and time that is not there yet, nor left unfinished."""
+    """Return an unused path of a session, named by date and time, that has no journal either."""
     name = f"{moment:%Y-%m-%d_%H-%M-%S}"
     number = 1
     while True:

@@ -15,7 +15,7 @@ from PySide6.QtGui import QFont
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from tissueid.app.axis import QuickAxis
-from tissueid.app.elided import ElidedLabel
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_label
 from tissueid.language import _
@@ -143,19 +143,20 @@ class PlotCard(QFrame):
         return item
 
     def retitle(self, title: str, unit: str) -> None:
-        """Another heading: what is plotted goes by the test."""
+        """Change the heading."""
         if (title, unit) != (self._title, self._unit):
             self._title, self._unit = title, unit
             self._head()
 
     def relabel(self, x_label: str) -> None:
-        """Another label below."""
+        """Change the label of the bottom axis."""
         if x_label != self._x_label:
             self._x_label = x_label
+            self.plot.getAxis("bottom").setStyle(showValues=bool(x_label))
             self.take_units()
 
     def take_units(self) -> None:
-        """Say everything in the units in force; what is drawn stays where it is."""
+        """Show labels and ticks in the active units; the curves stay."""
         self._head()
         if self._unit_of != "bottom":
             self.plot.getAxis("bottom").setScale(shown_label(self._x_label)[1])
@@ -185,20 +186,20 @@ class PlotCard(QFrame):
         return small
 
     def remark(self, text: str, role: str = "muted") -> None:
-        """Words beside the key, in the colour of a role; none of them takes them away."""
+        """Show a text next to the key in the colour of a role; empty removes it."""
         remark = (text, role) if text else None
         if remark != self._remark:
             self._remark = remark
             self._show_key()
 
     def say_missing(self, text: str) -> None:
-        """Show words in place of the plot, or with no words the plot."""
+        """Show a text in place of the plot; empty shows the plot."""
         self._missing.setText(text)
         self._missing.setVisible(bool(text))
         self.plot.setVisible(not text)
         self._legend.setVisible(not text)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.plot.setBackground(theme.panel)
         small = self._small()

@@ -1,4 +1,4 @@
-"""Small read-outs beside STOP: force, coil temperature, contact, and whether the keys reach this window."""
+"""Readouts next to STOP: force, coil temperature, contact, and whether this window gets the stop keys."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
 from tissueid.app.safety import Safety
+from tissueid.formatting import fixed
 from tissueid.language import _, marked
-from tissueid.wording import MISSING, fixed
+from tissueid.messages import MISSING
 
 _EVERY = 8
 """Frames between two changes of a number: four a second can be read."""
@@ -18,7 +19,7 @@ KEYS_LOST = marked("Keys do not reach this window: click it")
 
 
 class SafetyReadouts(QFrame):
-    """Quiet while all is well: the colour changes where something comes near its limit, and nothing blinks."""
+    """Readouts of a running test. A value near its limit changes its colour; nothing blinks."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,43 +43,43 @@ class SafetyReadouts(QFrame):
             value.setProperty("role", "readout")
             value.setTextFormat(Qt.TextFormat.PlainText)
             value.setMinimumWidth(1)
-        self.rest()
+        self.clear()
 
-    def rest(self) -> None:
-        """No test runs: nothing is known."""
+    def clear(self) -> None:
+        """Show that no test is running."""
         self._frame, self._free = 0, True
         for label in (self.force, self.coil, self.contact):
             _say(label, MISSING)
         _say(self.keys, _("No test is running"))
 
-    def tell_lost(self, watchdog_s: float | None) -> None:
-        """The line to the instrument was lost: its own watchdog releases the coil, within so many seconds if known."""
+    def show_link_lost(self, watchdog_s: float | None) -> None:
+        """Show that the link was lost and that the instrument's watchdog releases the coil (within ``watchdog_s``)."""
         text = _("Line lost: the instrument's own watchdog releases the coil")
         if watchdog_s is not None:
             text = _("Line lost: the instrument's own watchdog releases the coil within {seconds:g} s")
         _say(self.keys, text.format(seconds=watchdog_s), "check")
 
     def show_watched(self, words: str, level: str) -> None:
-        """Contact is watched before a test, with the coil free: show how the probe stands."""
+        """Show the contact of the probe before a test, with the coil released."""
         _say(self.contact, words, "check" if level == "check" else "")
         _say(self.keys, _("Contact is watched; the coil is not driven"))
 
     def expect(self, *, calibrating: bool = False) -> None:
-        """A test begins, or a calibration: that has no skin to find, and shows where the probe stands."""
-        self.rest()
+        """Show that a test starts, or a calibration, which shows the position of the probe in place of contact."""
+        self.clear()
         self._free, self._calibrating = False, calibrating
         _say(self.keys, _(KEYS_REACH))
 
-    def tell_keys(self, *, reach: bool) -> None:
-        """Whether the keys that stop come to this window; of no account once the coil is free."""
+    def show_key_reach(self, *, reach: bool) -> None:
+        """Show whether the stop keys reach this window, unless the coil is already released."""
         if self._free:
             return
         _say(self.keys, _(KEYS_REACH) if reach else _(KEYS_LOST), "" if reach else "check")
 
     def show_safety(self, safety: Safety | None, *, free: bool = False) -> None:
-        """Show how things stand; called with every frame. Of a coil that is ``free`` again nothing is to be told."""
+        """Show the values; called with every frame. With ``free`` the coil is released: show nothing."""
         if free:
-            self.rest()
+            self.clear()
         if safety is None or self._free:
             return
         if not self._calibrating:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QResizeEvent
@@ -17,19 +20,22 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.elided import ElidedLabel
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.findings import Curves, Findings, Number, whose
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
+from tissueid.app.views.clinician.sitting import Standing
 from tissueid.app.views.clinician.summary import SittingSummary
-from tissueid.core_words import for_window
 from tissueid.device import SIMULATED_LINE
+from tissueid.formatting import local_time, zone_offset
 from tissueid.language import _, marked
+from tissueid.messages import translated
+from tissueid.records import Estimate
 from tissueid.sessions import Test
-from tissueid.wording import local_time, zone_offset
+from tissueid.sessions.model import DATE_NOTE
 
 _TILES = 5
 _ROOM_FOR_TILES = 720
@@ -46,9 +52,11 @@ _NOTHING = np.zeros(0)
 
 
 class ResultPage(QScrollArea):
-    """Shows findings. ``test_chosen`` carries the number of another test of the same session."""
+    """The page of results. ``test_chosen`` carries the number of another test of the same session."""
 
     test_chosen = Signal(int)
+    cards: tuple[PlotCard, ...] = ()
+    """The plots, built for the first result."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -73,28 +81,28 @@ class ResultPage(QScrollArea):
         layout.addLayout(self._tile_grid)
         self.comparison = ComparisonCard()
         layout.addWidget(self.comparison)
-        self._make_plots()
+        self._theme: Theme | None = None
         self._plot_grid = QGridLayout()
         self._plot_grid.setSpacing(8)
         layout.addLayout(self._plot_grid, 1)
         self._columns: tuple[int, int] | None = None
+        self._numbers: tuple[Number, ...] = ()
         self._arrange(self.width())
 
     def show_findings(self, findings: Findings) -> None:
         """Fill the page."""
+        self._build_plots()
         self.whose.setText(whose(findings))
         self.whose.setToolTip(self.whose.text())
         # Headline and light stand above, and so does what the quality gate said.
-        told = {finding.words for finding in findings.quality.findings} if findings.quality else set()
-        reasons = [reason for reason in findings.verdict.reasons if reason not in told]
-        self.reasons.setText("\n".join(for_window(line) for line in [*reasons, *findings.cautions]))
+        shown = {finding.words for finding in findings.quality.findings} if findings.quality else set()
+        reasons = [reason for reason in findings.verdict.reasons if reason not in shown]
+        self.reasons.setText("\n".join(translated(line) for line in [*reasons, *findings.cautions]))
         self.reasons.setVisible(bool(self.reasons.text()))
         self.simulated.setVisible(findings.session.instrument.simulated)
         self.facts.setText(" ".join(filter(None, [_recorded(findings), findings.ended, findings.visited])))
-        for place, tile in enumerate(self._tiles):
-            tile.setVisible(place < len(findings.numbers))
-            if place < len(findings.numbers):
-                tile.fill(findings.numbers[place])
+        self._numbers = findings.numbers
+        self._fill_tiles(self._numbers)
         for curves, card, filled in self._filled(findings):
             card.say_missing(curves.missing)
             for item, x, y in filled:
@@ -104,16 +112,31 @@ class ResultPage(QScrollArea):
         self._offer_tests(findings.session.tests, findings.test)
         self.verticalScrollBar().setValue(0)
 
+    def show_standing(self, standing: Standing | None) -> None:
+        """Show the summary of the sitting; an accepted result replaces the numbers of the test."""
+        self.summary.show_standing(standing)
+        if standing is None or not standing.accepted:
+            self._fill_tiles(self._numbers)
+        else:
+            self._fill_tiles([_accepted(number, standing) for number in self._numbers])
+
+    def _fill_tiles(self, numbers: Sequence[Number]) -> None:
+        for place, tile in enumerate(self._tiles):
+            tile.setVisible(place < len(numbers))
+            if place < len(numbers):
+                tile.fill(numbers[place])
+
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Fewer things side by side where there is no room for all of them."""
+        """Rearrange tiles and plots for the new width."""
         super().resizeEvent(event)
         self._arrange(event.size().width())
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
+        self._theme = theme
         for card in self.cards:
-            card.paint_with(theme)
-        self.comparison.paint_with(theme)
+            card.apply_theme(theme)
+        self.comparison.apply_theme(theme)
 
     # -- building -----------------------------------------------------------------------------------------
 
@@ -143,7 +166,7 @@ class ResultPage(QScrollArea):
         named.setSpacing(_APART)
         offered.setSpacing(_APART)
         self.pdf = QPushButton(_("PDF report"))
-        self.pdf.setToolTip(_("One or two pages to print, beside the session"))
+        self.pdf.setToolTip(_("One or two pages to print, saved next to the session"))
         named.addWidget(self.whose, 1)
         offered.addStretch(1)
         offered.addWidget(self.test)
@@ -161,7 +184,9 @@ class ResultPage(QScrollArea):
         layout.addWidget(self.facts)
         return self._verdict
 
-    def _make_plots(self) -> None:
+    def _build_plots(self) -> None:
+        if self.cards:
+            return
         fit = {_("measured"): "measured", _("second order"): "model"}
         self.impulse = PlotCard(_("Impulse response"), _("Lag (ms)"), "mm/(N·s)", key=fit)
         self.bode = PlotCard(_("Bode magnitude"), _("Frequency (Hz)"), "mm/N", key=fit, log_axes=("bottom", "left"))
@@ -193,6 +218,10 @@ class ResultPage(QScrollArea):
         self._models = {card: card.line("model", width=1 if card is self.prediction else 2) for card in self.cards}
         for card in self.cards:
             card.setMinimumHeight(150)
+            if self._theme is not None:
+                card.apply_theme(self._theme)
+        self._columns = None
+        self._arrange(self.width())
 
     def _arrange(self, width: int) -> None:
         """Put tiles and plots into as many columns as a width, pixels, holds."""
@@ -215,7 +244,7 @@ class ResultPage(QScrollArea):
     # -- filling ------------------------------------------------------------------------------------------
 
     def _filled(self, findings: Findings) -> list[tuple[Curves, PlotCard, list[tuple]]]:
-        """Curves, their card, and what goes into each of its items."""
+        """Return the curves, their card, and the data of each of its items."""
         filled = []
         every = findings.nonlinearity, findings.impulse, findings.bode, findings.phase, findings.prediction
         for curves, card in zip(every, self.cards, strict=True):
@@ -239,14 +268,27 @@ class ResultPage(QScrollArea):
         self.test_chosen.emit(self.test.currentData())
 
 
+def _accepted(number: Number, standing: Standing) -> Number:
+    """Return the accepted value of a number, labelled so; a number that was not accepted is that of the shown test."""
+    value = standing.values.get(number.quantity)
+    if value is None:
+        return replace(number, note=_("shown test; {note}").format(note=number.note))
+    note = _("accepted: mean of {count} tests").format(count=value.count) if value.count > 1 else _("accepted")
+    return replace(number, note=note, found=Estimate(value.mean, value.std))
+
+
 def _recorded(findings: Findings) -> str:
-    """When the test was recorded, in local time with its offset from UTC; empty where that is not known."""
+    """Return the time of the recording, local time with its offset from UTC; empty if it is not known."""
     moment = local_time(findings.session.created)
     if moment is None:
         return ""
-    return _("Recorded {date} {time} ({zone}).").format(
-        date=f"{moment:%Y-%m-%d}", time=f"{moment:%H:%M}", zone=zone_offset(moment)
-    )
+    said = {
+        "header": _("Imported; recorded {date} {time} ({zone}) by the header of its file."),
+        "modified": _(
+            "Imported; its file was modified {date} {time} ({zone}), the date of the recording is not known."
+        ),
+    }.get(str(findings.test.notes.get(DATE_NOTE, "")), _("Recorded {date} {time} ({zone})."))
+    return said.format(date=f"{moment:%Y-%m-%d}", time=f"{moment:%H:%M}", zone=zone_offset(moment))
 
 
 class _Tile(QFrame):
@@ -283,7 +325,7 @@ class _Tile(QFrame):
         self.take_units()
 
     def take_units(self) -> None:
-        """Show it in the units in force."""
+        """Show the number in the active units."""
         number = self._number
         if number is None:
             return

@@ -1,11 +1,11 @@
-"""Who sits in front of the window: what is logged says in which role it was done, and some roles see more."""
+"""The role of the user: it is logged with every action, and some roles see more controls."""
 
 from __future__ import annotations
 
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QWidget
 
-from tissueid.app.labelled import in_a_row
+from tissueid.app.labelled_row import labelled_row
 from tissueid.audit import ROLES, Role
 from tissueid.language import _, marked
 
@@ -17,7 +17,7 @@ ROLE_NAMES: dict[Role, str] = {
 
 
 class RoleChooser(QWidget):
-    """A small chooser; ``changed`` carries the role that was left and the one that was taken on."""
+    """A chooser of roles; ``changed`` carries the previous and the new role."""
 
     changed = Signal(str, str)
 
@@ -30,12 +30,12 @@ class RoleChooser(QWidget):
         for name in ROLES:
             self.choice.addItem(_(ROLE_NAMES[name]), name)
         self.choice.setCurrentIndex(self.choice.findData(role))
-        in_a_row(self, _("Role"), self.choice, look="muted", apart=6)
+        labelled_row(self, _("Role"), self.choice, role="muted", spacing=6)
         self.choice.currentIndexChanged.connect(self._change)
 
     @property
     def role(self) -> Role:
-        """The role that is taken on."""
+        """The chosen role."""
         return self._role
 
     def _change(self) -> None:

@@ -1,4 +1,4 @@
-"""What the window tells of safety while a test runs: force, coil temperature, contact, and the coil's linear region."""
+"""Safety values of a running test: force, coil temperature, contact, and the coil's linear region."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.instrument import Limits, force
-from tissueid.instrument.thermal import Winding
+from tissueid.instrument.thermal import WindingTemperature
 
 _RECENT_S = 0.25
-"""What counts as now: long enough to be read, short enough to be believed."""
+"""Duration over which the newest samples are evaluated, s."""
 LIFTED_M = 0.3e-3
-"""Above the surface that was found by so much, the probe has left it: as well as the surface is known."""
+"""Distance above the detected surface at which the probe has left it, m; the accuracy of the detection."""
 _LIFTED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class Region:
-    """The stretch of the stroke where the coil was found to be linear, m."""
+    """Range of position in which the coil is linear, m."""
 
     low_m: float
     high_m: float
 
     def holds(self, position_m: NDArray[np.float64]) -> bool:
-        """Whether all positions that are known, shape (k,), lie inside."""
+        """Return whether all finite positions, shape (k,), are inside."""
         known = position_m[np.isfinite(position_m)]
         return not known.size or (self.low_m <= float(known.min()) and float(known.max()) <= self.high_m)
 
 
 def linear_region(device: DeviceDescription) -> Region | None:
-    """The linear region of the calibration in force; None where there is none."""
+    """Return the linear region of the active calibration; None if there is none."""
     ends = [device.calibration.get(f"linear_region_{end}_m") for end in ("min", "max")]
     low, high = (float(end) if isinstance(end, int | float) else math.nan for end in ends)
     return Region(low, high) if low < high else None
@@ -41,7 +41,7 @@ def linear_region(device: DeviceDescription) -> Region | None:
 
 @dataclass(frozen=True)
 class Safety:
-    """How things stand; None is what is not known (yet).
+    """Safety values at one moment; None means not known (yet).
 
     ``force_n`` is the greatest of the newest quarter of a second. ``model_c`` is the coil's temperature by the thermal
     model, ``temperature_c`` by its sensor. ``left_region`` stays true for the rest of the test.
@@ -58,7 +58,7 @@ class Safety:
 
 
 class SafetyWatch:
-    """Follows the samples of one test. Used under the lock of whoever holds it.
+    """Follows the samples of one test. Not thread-safe: the owner holds a lock.
 
     ``winding`` False leaves the temperature by calculation out: a simulation in this process has no coil.
     """
@@ -68,13 +68,13 @@ class SafetyWatch:
         self.region = linear_region(device)
         self.surface_m: float | None = None
         self._limits = limits
-        self._winding = Winding(device) if winding else None
+        self._winding = WindingTemperature(device) if winding else None
         self._recent = max(1, round(_RECENT_S * device.sample_rate_hz))
         self._force = self._position = self._temperature = np.zeros(0)
         self._left = False
 
     def take(self, samples: NDArray[np.void]) -> None:
-        """Samples as they come, shape (k,) of SAMPLE."""
+        """Add new samples, shape (k,) of SAMPLE."""
         self._force = np.concatenate([self._force, force(samples, self.device)])[-self._recent :]
         self._position = np.concatenate([self._position, samples["position"]])[-self._recent :]
         self._temperature = np.concatenate([self._temperature, samples["temperature"]])[-self._recent :]
@@ -83,8 +83,8 @@ class SafetyWatch:
         if self.region is not None and not self._left:
             self._left = not self.region.holds(samples["position"])
 
-    def look(self) -> Safety:
-        """How things stand."""
+    def snapshot(self) -> Safety:
+        """Return the current values."""
         contact = None
         position = self._position[np.isfinite(self._position)]
         if self.surface_m is not None and position.size:

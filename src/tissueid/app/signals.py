@@ -6,9 +6,9 @@ import numpy as np
 import pyqtgraph as pg
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
-from tissueid.acquisition.choice import PRELOAD_S
-from tissueid.acquisition.placing import PLACE_S
-from tissueid.app.live import Array, Glance, decimated
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
+from tissueid.acquisition.surface_detection import PLACE_S
+from tissueid.app.live_signals import Array, Snapshot, decimated
 from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.safety import Region, linear_region
@@ -63,25 +63,25 @@ class SignalPlots(QWidget):
         self._show_times(-PLACE_S, plan.total_s, (0.0, PRELOAD_S))
         self._grow("force", min(-1.0, plan.min_force_n), plan.max_force_n)
 
-    def show_live(self, glance: Glance) -> None:
+    def show_live(self, snapshot: Snapshot) -> None:
         """Draw what a running test has recorded so far."""
-        safety = glance.safety
-        if glance.total_s is not None and glance.total_s != self._time[1]:
-            self._show_times(-PLACE_S, glance.total_s, (0.0, PRELOAD_S))
+        safety = snapshot.safety
+        if snapshot.total_s is not None and snapshot.total_s != self._time[1]:
+            self._show_times(-PLACE_S, snapshot.total_s, (0.0, PRELOAD_S))
         if safety is not None and safety.region != self._region:
             self.show_region(safety.region)
-        self._draw(glance.time_s, glance.force_n, MM * glance.position_m)
+        self._draw(snapshot.time_s, snapshot.force_n, MM * snapshot.position_m)
         if safety is not None and safety.left_region:
             self.position.remark(_(OUTSIDE), "check")
 
-    def show_rolling(self, glance: Glance) -> None:
+    def show_rolling(self, snapshot: Snapshot) -> None:
         """Draw the newest seconds of something that has no known end."""
-        if not glance.time_s.size:
+        if not snapshot.time_s.size:
             return
-        now = float(glance.time_s[-1])
+        now = float(snapshot.time_s[-1])
         self._show_times(max(0.0, now - _ROLLING_S), max(now, _ROLLING_S), ())
-        recent = glance.time_s >= now - _ROLLING_S
-        self._draw(glance.time_s[recent], glance.force_n[recent], MM * glance.position_m[recent])
+        recent = snapshot.time_s >= now - _ROLLING_S
+        self._draw(snapshot.time_s[recent], snapshot.force_n[recent], MM * snapshot.position_m[recent])
 
     def show_test(self, test: Test, device: DeviceDescription) -> None:
         """Draw a recorded test, and where the coil that recorded it was linear."""
@@ -123,10 +123,10 @@ class SignalPlots(QWidget):
         self._grow("position", 0.0, 30.0)
         self._limits.clear()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         for card in self.cards:
-            card.paint_with(theme)
+            card.apply_theme(theme)
 
     def _title(self, configuration: str) -> None:
         self.position.retitle(_("Position") if has_depth(configuration) else _("Displacement"), "mm")

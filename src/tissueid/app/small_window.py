@@ -71,7 +71,7 @@ class PageScroll(QScrollArea):
 
 
 class FoldingBox(QBoxLayout):
-    """A row that becomes a column where it gets fewer than ``least`` pixels of width.
+    """A row that becomes a column where it gets fewer than ``least`` pixels of width, or less than its items need.
 
     Its minimum width is that of the column, so that what is around it can become narrow enough to fold it.
     """
@@ -82,7 +82,10 @@ class FoldingBox(QBoxLayout):
 
     def setGeometry(self, room: QRect) -> None:  # noqa: N802
         """Arrange the items in the room that is available."""
-        row = room.width() >= self._least
+        items = [item for k in range(self.count()) if (item := self.itemAt(k)) is not None and not item.isEmpty()]
+        needed = sum(item.minimumSize().width() for item in items) + max(0, len(items) - 1) * self.spacing()
+        margins = self.contentsMargins()
+        row = room.width() >= max(self._least, needed + margins.left() + margins.right())
         wanted = QBoxLayout.Direction.LeftToRight if row else QBoxLayout.Direction.TopToBottom
         if wanted != self.direction():
             self.setDirection(wanted)
@@ -105,7 +108,7 @@ class FoldingBox(QBoxLayout):
 
 
 class FoldingSplitter(QSplitter):
-    """A splitter across that becomes one of rows where its parts have no room beside each other.
+    """A horizontal splitter that becomes vertical where its parts do not fit next to each other.
 
     Its minimum width is that of the widest part, so that what is around it can become narrow enough to fold it.
     ``height`` is that of the first part where it is folded, pixels.

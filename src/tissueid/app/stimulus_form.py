@@ -9,25 +9,14 @@ from pydantic import BaseModel, Field
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
+from tissueid.app.option_field import OptionField
 from tissueid.app.plan import FROM_FILE, MULTISTEP
-from tissueid.app.views.researcher.fields import OptionField
 from tissueid.language import _, marked
 from tissueid.stimuli import StimulusKind, get_stimulus, stimulus_names
 from tissueid.stimuli.kinds.noise import Noise
 
-TITLES = {
-    "noise": marked("Noise"),
-    "interchange": marked("Exact amplitudes and spectrum"),
-    "multisine": marked("Multisine"),
-    "designed": marked("Noise about one load"),
-    "rtig": marked("Equal depths, by feedback"),
-    MULTISTEP: marked("Equal depths, in steps"),
-    "quiet": marked("Quiet: no force"),
-    "slow_ramp": marked("Slow ramp"),
-    "step_hold": marked("Steps that are held"),
-    FROM_FILE: marked("Saved stimulus"),
-}
-"""What kinds are called; a kind of another package has its own name."""
+TITLES = {MULTISTEP: marked("Equal depths, in steps"), FROM_FILE: marked("Saved stimulus")}
+"""Titles of the choices that are no kinds of stimulus; a kind has its own title."""
 IN_FORM = ("force_min_n", "force_max_n", "seconds", "seed", "sample_rate")
 """Options that the form has fields for, or that the instrument decides."""
 
@@ -51,16 +40,19 @@ class StimulusForm(QWidget):
         super().__init__(parent)
         self.kind = QComboBox()
         self.kind.setAccessibleName(_("Stimulus"))
-        self.kind.addItem(_(TITLES[Noise.name]), Noise.name)
+        self.kind.addItem(_(Noise.title), Noise.name)
         self.file = QLineEdit()
-        self.file.setPlaceholderText(_("a stimulus saved by 'tissueid stimulus'"))
+        self.file.setPlaceholderText(_("saved file"))
+        self.file.setToolTip(_("a stimulus saved by 'tissueid stimulus'"))
         self.file.setAccessibleName(_("Saved stimulus"))
         self.browse = QPushButton(_("Browse…"))
         self.stop_when = QLineEdit()
-        self.stop_when.setPlaceholderText(_("such as stiffness=0.02; empty: to its end"))
+        self.stop_when.setPlaceholderText("stiffness=0.02")
         self.stop_when.setAccessibleName(_("Stop when known to"))
         self.stop_when.setToolTip(
             _("Standard deviation that is enough, as a share of the value: mass, damping, stiffness")
+            + "\n"
+            + _("such as stiffness=0.02; empty: to its end")
         )
         self._options: dict[str, OptionField] = {}
         self._grid = QGridLayout(self)
@@ -92,7 +84,7 @@ class StimulusForm(QWidget):
             return
         names = [*(name for name in stimulus_names() if name != Noise.name), MULTISTEP, FROM_FILE]
         for name in names:
-            self.kind.addItem(_(TITLES.get(name, name)), name)
+            self.kind.addItem(_(TITLES.get(name) or get_stimulus(name).title or name), name)
 
     @property
     def chosen(self) -> str:

@@ -1,4 +1,4 @@
-"""The keys that stop: Escape and Space, whatever has the focus, with a dialog open too."""
+"""The stop keys, Escape and Space: they work with any focus and while a dialog is open."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from PySide6.QtGui import QKeyEvent
 
 _KEYS = (Qt.Key.Key_Escape, Qt.Key.Key_Space)
 _MEANT = (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress)
-"""A key is offered as a shortcut before it is pressed: taken there already, it reaches no shortcut and no field."""
+"""Events of a key: it is offered as a shortcut first. Accepting both keeps it from shortcuts and fields."""
 
 
 class StopKeys(QObject):
-    """Sees every key of the application before anything else does, while it listens. ``pressed`` is sent at once.
+    """An event filter of the application that sends ``pressed`` for each stop key while it listens.
 
-    It does not use a shortcut: a dialog would hide that, and a field that can be typed into would take the Space.
+    A shortcut would not do: a dialog hides it, and a text field takes the Space.
     """
 
     pressed = Signal()
 
     def listen(self, on: bool) -> None:
-        """Listen, or leave the keys alone."""
+        """Start or stop listening."""
         application = QCoreApplication.instance()
         if application is not None:
             application.removeEventFilter(self)
@@ -27,7 +27,7 @@ class StopKeys(QObject):
                 application.installEventFilter(self)
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:  # noqa: N802
-        """Take the keys that stop, whoever they were meant for."""
+        """Intercept the stop keys of all widgets."""
         if event.type() in _MEANT and isinstance(event, QKeyEvent) and event.key() in _KEYS:
             event.accept()
             self.pressed.emit()

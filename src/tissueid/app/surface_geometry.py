@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Points = NDArray[np.intp]
 
 MOST_POINTS = 64
-"""Along either axis: so many cells are drawn while a mouse is being dragged, and the eye tells no more apart."""
+"""Maximum number of cells along either axis: fast enough to draw while the mouse is dragged."""
 HALF_HEIGHT = 0.55
 """Of the box that holds the surface; its ground reaches from -1 to 1."""
 FLATTEST, STEEPEST = math.radians(5.0), math.radians(90.0)
@@ -32,8 +32,8 @@ class Pose:
 
     def turned(self, azimuth: float, elevation: float) -> Pose:
         """Turned further, rad; never below the ground or past the zenith."""
-        around = math.remainder(self.azimuth + azimuth, 2.0 * math.pi)
-        return replace(self, azimuth=around, elevation=min(max(self.elevation + elevation, FLATTEST), STEEPEST))
+        turned = math.remainder(self.azimuth + azimuth, 2.0 * math.pi)
+        return replace(self, azimuth=turned, elevation=min(max(self.elevation + elevation, FLATTEST), STEEPEST))
 
     def zoomed(self, factor: float) -> Pose:
         """Larger by a factor, within limits."""
@@ -115,7 +115,7 @@ def ticks(low: float, high: float, most: int) -> list[float]:
 
 
 def _thinned(values: Array) -> Array:
-    """Means of so many neighbouring columns that few enough remain; the last may be of fewer."""
+    """Return means of neighbouring columns so that at most the allowed number remains; the last may average fewer."""
     step = -(-values.shape[0] // MOST_POINTS)
     if step <= 1:
         return values

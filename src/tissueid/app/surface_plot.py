@@ -24,9 +24,9 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePol
 from tissueid.app.surface_geometry import HALF_HEIGHT, Array, Mesh, Pose, drawing_order, mesh_of, ticks
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.units import shown, shown_label
-from tissueid.app.views.researcher.drawn import Image
+from tissueid.app.views.researcher.plot_data import Image
+from tissueid.formatting import number
 from tissueid.language import _, marked
-from tissueid.wording import number
 
 _LEVELS, _SHADES = 64, 16
 _DARKEST = 0.62
@@ -73,9 +73,9 @@ class SurfacePlot(QFrame):
         self.canvas.update()
         self._head()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.canvas.paint_with(theme)
+        self.canvas.apply_theme(theme)
 
     def _head(self) -> None:
         image = self.canvas.image
@@ -99,7 +99,7 @@ class SurfaceCanvas(QWidget):
         self.setCursor(Qt.CursorShape.OpenHandCursor)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setToolTip(_(_HOW))
-        self.paint_with(LIGHT)
+        self.apply_theme(LIGHT)
 
     def show_image(self, image: Image) -> None:
         """Another surface; it is looked at from where the last one was."""
@@ -130,7 +130,7 @@ class SurfaceCanvas(QWidget):
             )
         self.setAccessibleDescription(" ".join([*words, _(_HOW)]))
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme: one end below zero, the other above, and a tone of its own between."""
         self._theme = theme
         ends = QColor(theme.measured), QColor(theme.edge), QColor(theme.model)
@@ -324,7 +324,7 @@ class SurfaceCanvas(QWidget):
             at = self._at(*outward, -HALF_HEIGHT) + away * (10.0 + reach)
             width = metrics.horizontalAdvance(label)
             ends_at = at.x() + 0.5 * width * (away.x() + (1.0 if away.x() > 0.0 else -1.0))
-            if not 0.0 < ends_at < self.width() - _BAR:  # no room beside the numbers: below the axis' lower end
+            if not 0.0 < ends_at < self.width() - _BAR:  # no room next to the numbers: below the axis' lower end
                 at = QPointF(at.x(), max(first.y(), last.y()) + 1.4 * metrics.height())
             self._write(painter, label, at, away, theme.text)
 

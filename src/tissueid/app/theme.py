@@ -145,7 +145,7 @@ QTabBar::tab:focus { color: $accent; border: 1px solid $accent; border-bottom: 2
 
 
 class PaletteWatch(QWidget):
-    """A hidden widget without a style sheet: one that has a sheet is not told when the system's palette changes."""
+    """A hidden widget without a style sheet: one with a style sheet gets no event when the system's palette changes."""
 
     changed = Signal()
 
@@ -164,7 +164,7 @@ def theme_of(palette: QPalette) -> Theme:
 
 
 def palette_of(theme: Theme) -> QPalette:
-    """What the standard controls are drawn with."""
+    """Return the palette of the standard controls for ``theme``."""
     role = QPalette.ColorRole
     colours = {
         role.Window: theme.window,
@@ -192,7 +192,7 @@ def palette_of(theme: Theme) -> QPalette:
 
 
 def style_sheet(theme: Theme) -> str:
-    """The style sheet of the whole window."""
+    """Return the style sheet of the window."""
     return _SHEET.substitute(asdict(theme))
 
 

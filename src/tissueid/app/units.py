@@ -1,9 +1,9 @@
-"""In which units the window shows figures: clinical ones, or those of SI without prefixes. Nothing here knows Qt.
+"""The units of the window: clinical units, or SI units without prefixes. Independent of Qt.
 
 Clinical units are those of handheld skin testers: indentation in mm, moving mass in g, force in N, and stiffness in
 N/m, as Dellalana et al., Skin Res. Technol. 25 (2019) 289, give it for skin. Reports and printed pages use the same,
 so a figure on the screen is the figure on paper; N/mm would part them by a factor of a thousand. SI has m and kg, as
-files, JSON and scripts have them. What is small beside the quantity itself (µm, mA, ms) keeps its prefix in both.
+files, JSON and scripts have them. Small quantities (µm, mA, ms) keep their prefix in both systems.
 
 Whatever is computed stays in SI, and most of what is drawn in clinical units: only what is read is converted.
 """
@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, get_args, runtime_checkable
 
+from tissueid.formatting import display_unit, estimate, fixed
 from tissueid.records import Estimate
-from tissueid.wording import estimate, fixed, people_unit
 
 System = Literal["clinical", "si"]
 SYSTEMS: tuple[System, ...] = get_args(System)
@@ -67,7 +67,7 @@ _COHERENT = {
     )
     for name in ("position", "mass")
 }
-"""What a unit is made of, in clinical units: the same in SI, and how many of that one of it is."""
+"""SI unit of each part of a clinical unit, and the factor that converts to it."""
 _PART = re.compile(rf"(?<![A-Za-zµ])({'|'.join(_COHERENT)})(?![A-Za-z])([²³⁴]?)")
 _POWERS = {"": 1, "²": 2, "³": 3, "⁴": 4}
 _BRACKET = re.compile(r"\(((?:[^()]|\([^()]*\))*)\)")
@@ -78,38 +78,38 @@ class FollowsUnits(Protocol):
     """A widget that shows figures."""
 
     def take_units(self) -> None:
-        """Show them anew, in the units in force."""
+        """Show the figures again in the active units."""
 
 
 class _InForce:
-    """The system that is in force."""
+    """The active unit system."""
 
     system: System = "clinical"
 
 
 def in_force() -> System:
-    """The system in force."""
+    """Return the active unit system."""
     return _InForce.system
 
 
 def use(system: object) -> None:
-    """Put a system in force; one that is not known means clinical units."""
+    """Activate a unit system; an unknown name means clinical units."""
     _InForce.system = next((known for known in SYSTEMS if known == system), "clinical")
 
 
 def unit_of(quantity: Quantity) -> Unit:
-    """The unit of a quantity in the system in force."""
+    """Return the unit of a quantity in the active system."""
     return UNITS[_InForce.system][quantity]
 
 
 def figure(quantity: Quantity, value: float | None) -> str:
-    """A value in SI (temperatures in °C) with the decimals of its unit, without that unit."""
+    """Return an SI value (temperatures in °C) as text with the decimals of its active unit, without the unit."""
     unit = unit_of(quantity)
     return fixed(None if value is None else value * unit.factor, unit.decimals)
 
 
 def shown(unit: str) -> tuple[str, float]:
-    """A unit as people read it ("mm/(N·s)") in the system in force, and how many of that one of it is."""
+    """Return the symbol of ``unit`` ("mm/(N·s)") in the active system and the factor that converts to it."""
     if _InForce.system == "clinical":
         return unit, 1.0
     below = min((place for place in (unit.find("/"), unit.find(" per ")) if place >= 0), default=len(unit))
@@ -121,21 +121,21 @@ def shown(unit: str) -> tuple[str, float]:
 
 
 def shown_si(si_unit: str) -> tuple[str, float]:
-    """The unit in which a figure of an SI unit is shown, and how many of it make one SI unit."""
-    unit, scale = people_unit(si_unit)
+    """Return the display unit of an SI unit and the factor that converts to it."""
+    unit, scale = display_unit(si_unit)
     unit, factor = shown(unit)
     return unit, scale * factor
 
 
 def said(found: Estimate, si_unit: str) -> tuple[str, str]:
-    """A figure in SI as it is shown: its value; and its deviation, a power of ten common to both, and its unit."""
+    """Return the value of an SI figure as text, and its deviation, common power of ten and unit as another text."""
     unit, scale = shown_si(si_unit)
     value, deviation, power = estimate(found, scale)
     return value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
 
 
 def shown_label(label: str) -> tuple[str, float]:
-    """A label that has its unit in brackets, "Depth (mm)", in the system in force; and the factor of that unit."""
+    """Return a label with its unit in brackets, "Depth (mm)", in the active system, and the factor of that unit."""
     found = _BRACKET.search(label)
     if found is None:
         return label, 1.0

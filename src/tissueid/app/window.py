@@ -24,7 +24,7 @@ _WANTED_SOON = (
     "scipy.stats",
     "numba",
     "tissueid.instrument.simulated",
-    "tissueid.app.measuring",
+    "tissueid.app.measurement_job",
     "tissueid.analysis",
     "tissueid.reports.verdict",
     "tissueid.app.identifying",
@@ -80,7 +80,7 @@ class WarmUp(QObject):
             try:
                 importlib.import_module(name)
             except ImportError:
-                return  # whoever wants it says so
+                return  # reported where the module is used
 
     def end(self) -> None:
         """Import nothing more; returns when the piece at hand is done."""
@@ -107,7 +107,7 @@ def run() -> int:
 
     def tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.__excepthook__(kind, error, trace)
-        window.meet_defect(error)
+        window.on_defect(error)
 
     previous = {number: signal.signal(number, close) for number in (signal.SIGINT, signal.SIGTERM)}
     sys.excepthook = tell

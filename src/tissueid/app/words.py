@@ -1,4 +1,4 @@
-"""Errors as sentences, and times as people say them."""
+"""Errors and texts as sentences for the window."""
 
 from __future__ import annotations
 
@@ -6,26 +6,16 @@ import traceback
 
 from platformdirs import user_log_path
 
-from tissueid.core_words import for_window
+from tissueid.atomic_write import private_folder, write_private
 from tissueid.errors import TissueIDError
 from tissueid.language import _, marked
-from tissueid.whole_file import private_folder, write_private
+from tissueid.messages import translated
 
-QUANTITIES = (marked("Mass"), marked("Damping"), marked("Stiffness"))
-"""What the core calls the parameters of a tissue."""
-SAID_BY_CORE = (
-    marked("Good test"),
-    marked("Read this before you use the test"),
-    marked("Do the test again"),
-    marked("Do not rely on this measurement"),
-    marked("simulation in this process"),
-    marked("Simulated instrument: not a measurement of a person."),
-)
-"""Verdicts and names that the core says in always the same words; whoever shows them looks them up."""
+RESEARCH_USE = marked("Research use only. Not a medical device.")
 
 
 def sentence(text: str) -> str:
-    """Text with a capital and a full stop."""
+    """Return a text in one line with a capital letter and a full stop."""
     text = " ".join(text.split())
     if not text:
         return ""
@@ -33,9 +23,9 @@ def sentence(text: str) -> str:
 
 
 def in_words(error: BaseException) -> str:
-    """What went wrong, for the person in front of the window; a defect's details go to a file that is named."""
+    """Return an error as a translated sentence. The traceback of a defect goes to a file, and the sentence names it."""
     if isinstance(error, TissueIDError):
-        return sentence(for_window(str(error)))
+        return sentence(translated(error.message))
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return sentence(f"{where}{error.strerror or error}")

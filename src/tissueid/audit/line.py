@@ -1,7 +1,7 @@
-"""One line of the audit log as bytes: JSON that ends with the SHA-256 of all that stands before it.
+"""Lines of the audit log as bytes: JSON that ends with the SHA-256 of all bytes before it.
 
-What stands before it holds the hash of the line before, so that no line can be changed, taken out, put in or moved
-without every later one telling. The bytes themselves are hashed: there is no second way to write a line.
+These bytes contain the hash of the line before, so that no line can be changed, removed, inserted or moved without
+breaking every later line. The bytes themselves are hashed, not their meaning.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 NOTHING_BEFORE = "0" * 64
-"""The hash that the first line continues."""
+"""The previous hash of the first line."""
 MAX_LINE = 65_536
-"""Bytes of a line, its end included."""
+"""Most bytes of a line, with its newline."""
 HEAD_ATTRIBUTE = "audit_head"
-"""Under this name files carry the head that the log had when they were written."""
+"""Attribute of files with the head of the log at the time of writing."""
 STARTED = "audit.started"
 CLOSED_OFF = "audit.closed_off"
 LINES_MISSING = "audit.lines_missing"
-"""Lines that were in the log are not there: ``old`` is the head of the newest of them."""
+"""Lines of the log are missing: ``old`` is the head of the newest of them."""
 CANCEL = b"\x18"
-"""Ends what a dying computer left of a line, once somebody has seen it; no whole line holds this byte."""
+"""Byte that closes off an unfinished line after a crash; complete lines never contain it."""
 _HASH = re.compile(rb',"hash":"([0-9a-f]{64})"}')
-"""How every line ends; no text within one can hold it, for its quotes are escaped."""
+"""End of every line. No text within a line can match, because its quotes are escaped."""
 _HASH_LENGTH = 75
 _MAX_TEXT = 2_000
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line: ``what`` was done (``test.begun``, ...) to which ``subject``, from which ``old`` to which ``new``."""
+    """One line: action ``what``, such as ``test.begun``, on ``subject``, with the value before and after it."""
 
     number: int
     time: str
     """ISO 8601, UTC, by the computer's clock."""
     role: str
     who: str
-    """The account on the operating system."""
+    """User account of the operating system."""
     what: str
     subject: str
     old: Any
@@ -51,12 +51,12 @@ class Line:
 
     @property
     def head(self) -> str:
-        """Number and hash: what a file written now remembers of the log."""
+        """Number and hash, as stored in files."""
         return f"{self.number}:{self.hash}"
 
 
 def make_line(**fields: Any) -> tuple[Line, bytes]:
-    """A line and its bytes, the newline included, from all fields but ``hash``. Values that are too long are told."""
+    """Return a line and its bytes, with newline, from all other fields. The hash of a long value replaces it."""
     fields = {name: plain(value) for name, value in fields.items()}
     body = _body(fields)
     if len(body) + 80 > MAX_LINE:
@@ -73,7 +73,7 @@ def _body(fields: dict[str, Any]) -> bytes:
 
 
 def read_line(raw: bytes) -> Line | None:
-    """The line of these bytes, without a newline; None where they do not have the hash that they say."""
+    """Return the line of these bytes, without newline; None if its hash is wrong."""
     tail = _HASH.fullmatch(raw, max(0, len(raw) - _HASH_LENGTH))
     if tail is None or hashlib.sha256(raw[: tail.start()]).hexdigest().encode() != tail[1]:
         return None
@@ -85,20 +85,20 @@ def read_line(raw: bytes) -> Line | None:
 
 
 def is_torn(raw: bytes, number: int) -> bool:
-    """Whether these bytes can be what is left of line ``number`` when the computer died while it was written."""
+    """Return whether these bytes can be an unfinished line ``number`` after a crash."""
     if not raw.strip(b"\0"):
-        return True  # some file systems make room first and fill it later
+        return True  # some file systems allocate the space first and fill it later
     start = f'{{"number":{number},"time":"'.encode()
     return raw[: len(start)] == start[: len(raw)] and _HASH.search(raw) is None
 
 
 def fields_of(line: Line) -> dict[str, Any]:
-    """The line as JSON has it."""
+    """Return the fields of a line for JSON."""
     return asdict(line)
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON can hold it: numbers that are none become null, what is unknown its text; long texts are cut."""
+    """Return a value for JSON: NaN and infinity become null, other types their text; long texts are cut."""
     if isinstance(value, bool | int) or value is None:
         return value
     if isinstance(value, float):

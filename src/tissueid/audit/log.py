@@ -1,4 +1,4 @@
-"""Adding lines to the audit log: locked between processes, synced, and safe from a computer that dies half-way."""
+"""Writing to the audit log: locked between processes, synced to disk, and robust against crashes."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from typing import Any
 from platformdirs import user_data_path
 
 from tissueid import __version__
+from tissueid.atomic_write import private_folder, private_opener, sync_folder, write_all
 from tissueid.audit.line import (
     CANCEL,
     CLOSED_OFF,
@@ -32,31 +33,35 @@ from tissueid.audit.line import (
     make_line,
     read_line,
 )
-from tissueid.audit.newest import read_newest, write_newest
+from tissueid.audit.newest_head import read_newest, write_newest
 from tissueid.errors import TissueIDError
-from tissueid.whole_file import private_folder, private_opener, sync_folder, write_all
+from tissueid.language import marked
+from tissueid.messages import Action, Message
 
 ENVIRONMENT = "TISSUEID_AUDIT"
 FORMAT = "tissueid-audit"
 FORMAT_VERSION = "1.0"
 LOCK_S = 10.0
-"""A line takes milliseconds to be added; who holds the log for longer than this hangs."""
+"""Longest wait for another program that holds the log, s. Adding a line takes milliseconds."""
 _RETRY_S = 0.01
 _SOFTWARE = f"tissueid {__version__}"
+_VERIFY = Action("audit.verify", "tissueid audit verify", marked("“Verify” in the audit log of the page Instrument"))
+_NOT_ORDINARY = Message("file.not_ordinary", "it is not an ordinary file")
+_HELD = Message("audit.held", "another program holds it and does not release it")
 
 
 class AuditError(TissueIDError):
-    """The audit log cannot be written, or is no audit log. Nothing new is begun; what runs is ended in its own time."""
+    """The audit log cannot be written or is damaged. Nothing new may begin; a running test ends normally."""
 
 
 def default_path() -> Path:
-    """Where the log of this computer lies: what ``TISSUEID_AUDIT`` says, or the user's own folder for data."""
+    """Return the path of the log: ``TISSUEID_AUDIT``, or a file in the user's data folder."""
     named = os.environ.get(ENVIRONMENT)
     return Path(named) if named else user_data_path("tissueid", appauthor=False) / "audit.jsonl"
 
 
 def account() -> str:
-    """The operating system's name for whoever runs this program."""
+    """Return the name of the user account that runs this program."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):  # a container without a list of users
@@ -64,24 +69,24 @@ def account() -> str:
 
 
 def now() -> datetime:
-    """The time, UTC."""
+    """Return the current time, UTC."""
     return datetime.now(UTC)
 
 
 @dataclass(frozen=True)
 class _End:
-    """How a log ends: its newest whole line, and what a dying computer left after it."""
+    """End of a log: its newest complete line, and unfinished bytes after it."""
 
     line: Line | None
     size: int
     leftover: bytes = b""
     closed: bool = True
-    """Whether the newest whole line has its newline."""
+    """Whether the newest complete line ends with a newline."""
 
 
 @dataclass(frozen=True)
 class AuditLog:
-    """A log of which lines are only ever added. ``path`` is made when the first line is."""
+    """An append-only log. The file is created with its first line."""
 
     path: Path
     clock: Callable[[], datetime] = now
@@ -96,18 +101,24 @@ class AuditLog:
         new: Any = None,
         when: datetime | None = None,
     ) -> str:
-        """Add one line and sync it: ``what`` was done (``calibration.made``, ...), to which ``subject``.
+        """Add one line, sync it to disk, and return its head (number and hash).
 
-        ``when`` is for what happened before it could be written. Never a person's name: subjects of tests are
-        pseudonyms. Returns the head, number and hash of the line.
+        Args:
+            role: of the user.
+            what: the action, such as ``calibration.made``.
+            subject: of the action; a pseudonym, never the name of a person.
+            old: value before the action.
+            new: value after the action.
+            when: time of the action, if it was earlier.
 
         Raises:
-            AuditError: it could not be written, or the file is no audit log, or its end is damaged.
+            AuditError: writing failed, or the file is not an audit log, or its end is damaged.
         """
         moment = when or self.clock()
         try:
             if os.environ.get(ENVIRONMENT) == str(self.path) and not self.path.parent.exists():
-                raise FileNotFoundError(errno.ENOENT, f"there is no folder {self.path.parent}")
+                folder = Message("file.no_folder", "there is no folder {folder}", folder=str(self.path.parent))
+                raise FileNotFoundError(errno.ENOENT, folder)
             private_folder(self.path.parent)
             with _held(self.path) as descriptor:
                 end = _end_of(descriptor, self.path)
@@ -119,15 +130,21 @@ class AuditLog:
                     sync_folder(self.path.parent)
         except OSError as error:
             raise AuditError(
-                f"cannot write the audit log {self.path}: {error.strerror or error}. Nothing is begun that cannot be "
-                f"logged: mend that, or name another file with {ENVIRONMENT}"
+                Message(
+                    "audit.unwritable",
+                    "cannot write the audit log {path}: {why}. Nothing begins that cannot be logged: repair that, or "
+                    "name another file with {variable}",
+                    path=str(self.path),
+                    why=error.strerror or str(error),
+                    variable=ENVIRONMENT,
+                )
             ) from error
         return head
 
     def _lines(
         self, end: _End, missing: str, role: str, what: str, moment: datetime, **values: Any
     ) -> tuple[bytes, str]:
-        """What is to be added, before it what the log itself has to say, and the head after it."""
+        """Return the bytes to add, with lines about the log itself before the new one, and the head after them."""
         data, last = b"" if end.closed else b"\n", end.line
 
         def add(what: str, **values: Any) -> None:
@@ -158,7 +175,7 @@ class AuditLog:
 
 
 def _missing_head(end: _End, path: Path) -> str:
-    """The head of the newest line that was ever written, where the log does not have it any more; or nothing."""
+    """Return the head of the newest line ever written if the log no longer contains it; else ""."""
     newest = read_newest(path)
     line = end.line
     if newest is None or (line is not None and (line.number > newest[0] or line.hash == newest[1])):
@@ -167,22 +184,22 @@ def _missing_head(end: _End, path: Path) -> str:
 
 
 def _append(descriptor: int, data: bytes, size: int) -> None:
-    """Add and sync; what could not be synced is taken back, so that no later line continues what may be lost."""
+    """Append and sync. Data that cannot be synced is removed, so that no later line continues data that may be lost."""
     try:
         write_all(descriptor, data)
         os.fsync(descriptor)
     except OSError:
-        with contextlib.suppress(OSError):  # a file that can only be added to: the next line closes it off
+        with contextlib.suppress(OSError):  # an append-only file: the next line closes it off
             os.ftruncate(descriptor, size)
             os.fsync(descriptor)
         raise
 
 
 def _end_of(descriptor: int, path: Path) -> _End:
-    """How the log ends.
+    """Return the end of the log.
 
     Raises:
-        AuditError: it is no audit log, or its end is not as it was written.
+        AuditError: the file is not an audit log, or its end is damaged.
     """
     size = os.lseek(descriptor, 0, os.SEEK_END)
     first = max(0, size - 4 * MAX_LINE)
@@ -201,59 +218,68 @@ def _end_of(descriptor: int, path: Path) -> _End:
         line = read_line(whole[-1]) if whole else None
         if line is None:
             raise AuditError(
-                f"the last line of the audit log {path} is damaged or not of this software; 'tissueid audit verify' "
-                "tells more. Keep it under another name, and a new log is begun"
+                Message(
+                    "audit.last_line_damaged",
+                    "the last line of the audit log {path} is damaged or of other software; details: {verify}. Move "
+                    "the file, and a new log begins",
+                    path=str(path),
+                    verify=_VERIFY,
+                )
             )
     number = 1 if line is None else line.number + 1
     if (complete := read_line(leftover)) is not None and complete.number == number:
         return _End(complete, size, closed=False)
     if not all(is_torn(piece.removesuffix(CANCEL), number) for piece in leftover.split(b"\n")):
         raise AuditError(
-            f"the end of the audit log {path} is damaged, or it is another file; 'tissueid audit verify' tells more. "
-            "Keep it under another name, and a new log is begun"
+            Message(
+                "audit.end_damaged",
+                "the end of the audit log {path} is damaged, or it is another file; details: {verify}. Move the file, "
+                "and a new log begins",
+                path=str(path),
+                verify=_VERIFY,
+            )
         )
     return _End(line, size, leftover)
 
 
 @contextmanager
 def _held(path: Path) -> Iterator[int]:
-    """The file, open to be added to, and held against every other program that would.
+    """Open the file for appending and lock it.
 
     Raises:
-        AuditError: it is held for too long.
-        OSError: it cannot be opened.
+        OSError: the file cannot be opened, or another program holds it for longer than ``LOCK_S``.
     """
     deadline = time.monotonic() + LOCK_S
     while True:
         descriptor = private_opener(str(path), os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0))
         try:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise OSError(errno.EINVAL, "it is not an ordinary file")
+                raise OSError(errno.EINVAL, _NOT_ORDINARY)
             while not _lock(descriptor):
                 if time.monotonic() > deadline:
-                    raise OSError(errno.EAGAIN, "another program holds it and does not let go")
+                    raise OSError(errno.EAGAIN, _HELD)
                 time.sleep(_RETRY_S)
             if _is_at(descriptor, path):
                 yield descriptor
                 return
         finally:
-            os.close(descriptor)  # lets go of the lock, too
+            os.close(descriptor)  # also releases the lock
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
-    """Whether the open file still has its name: somebody may have moved it away before it was locked."""
+    """Return whether ``path`` still names the open file, which may have been moved before it was locked."""
     with contextlib.suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(descriptor), path.stat())
     return False
 
 
 def _lock(descriptor: int) -> bool:
-    """Take the lock if it is free. Readers take none: a line that is being added is one that is not finished."""
+    """Take the lock if it is free. Readers need no lock: they skip an unfinished line."""
     try:
         if sys.platform == "win32":
             import msvcrt
 
-            os.lseek(descriptor, 2**30, os.SEEK_SET)  # a place that nobody reads
+            os.lseek(descriptor, 2**30, os.SEEK_SET)  # beyond the end of the file
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
         else:
             import fcntl

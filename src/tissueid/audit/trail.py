@@ -1,4 +1,4 @@
-"""What one sitting, calibration or command has to say to the audit log, and in which role."""
+"""Audit trail of one sitting, calibration or command: its lines in the audit log, written by a thread."""
 
 from __future__ import annotations
 
@@ -13,34 +13,45 @@ from typing import Any, Literal, get_args
 
 from tissueid.audit.log import AuditError, AuditLog
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim, joined
 
 Role = Literal["clinician", "researcher", "technician"]
 ROLES: tuple[Role, ...] = get_args(Role)
 ROLE_ENVIRONMENT = "TISSUEID_ROLE"
 SETTLE_S = 10.0
+"""Longest wait for lines that are being written, s."""
 
 
-def role_in_force(default: Role) -> Role:
-    """The role that ``TISSUEID_ROLE`` names, or else the default.
+def active_role(default: Role) -> Role:
+    """Return the role in ``TISSUEID_ROLE``, or the default without one.
 
     Raises:
-        UnusableInputError: it names none.
+        UnusableInputError: the variable names no role.
     """
     named = os.environ.get(ROLE_ENVIRONMENT, "").strip().lower()
     for role in ROLES:
         if named == role:
             return role
     if named:
-        raise UnusableInputError(f"{ROLE_ENVIRONMENT} is {' or '.join(ROLES)}, not {named!r}")
+        raise UnusableInputError(
+            Message(
+                "audit.role",
+                "{variable} must be {roles}, not '{value}'",
+                variable=ROLE_ENVIRONMENT,
+                roles=joined(ROLES, last=marked(" or ")),
+                value=Verbatim(named),
+            )
+        )
     return default
 
 
 @dataclass
-class Trail:
-    """Lines of one role. ``record`` is for what is about to begin, ``note`` for what happens while a coil may be on.
+class AuditTrail:
+    """Lines of one role. Use ``record`` before an action, and ``note`` while the coil may be energised.
 
-    ``head`` is that of the newest line written here; ``problem`` is why the first note that was lost could not be
-    written, in one line, or empty.
+    ``head`` is the head of the newest line written here. ``problem`` is the reason why the first lost note could not
+    be written; empty without one.
     """
 
     log: AuditLog
@@ -53,22 +64,22 @@ class Trail:
     _change: threading.Condition = field(default_factory=threading.Condition, repr=False)
 
     def record(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
-        """Add a line now, after those that were noted; waits for the disk.
+        """Add a line after the noted ones, and wait for the disk.
 
         Raises:
-            AuditError: it cannot be written, and what it tells of must not begin.
+            AuditError: writing failed; the action must not begin.
         """
-        self.ask(what, subject=subject, old=old, new=new).result()
-        self._rest()
+        self.submit(what, subject=subject, old=old, new=new).result()
+        self._join_idle()
 
-    def ask(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> Future[str]:
-        """As ``record``, for who may stop waiting: the answer is the head or the error. Lines keep their order."""
+    def submit(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> Future[str]:
+        """Add a line as ``record`` does, without waiting: the future gives its head or the error."""
         answer: Future[str] = Future()
         self._add(what, subject, old, new, answer)
         return answer
 
     def note(self, what: str, *, subject: str = "", old: Any = None, new: Any = None) -> None:
-        """Have a line added by a thread of its own; never waits and never raises. See ``settle``."""
+        """Add a line in the background. Never waits and never raises; see ``settle``."""
         self._add(what, subject, old, new, None)
 
     def _add(self, what: str, subject: str, old: Any, new: Any, answer: Future[str] | None) -> None:
@@ -81,19 +92,23 @@ class Trail:
                 self._thread = threading.Thread(target=self._write_all, name="audit", daemon=True)
                 self._thread.start()
 
-    def _rest(self) -> None:
-        """Leave no thread behind that has nothing more to write."""
+    def _join_idle(self) -> None:
+        """Join a thread that has nothing more to write."""
         with self._change:
             thread = None if self._writing else self._thread
         if thread is not None:
             thread.join()
 
     def settle(self, timeout_s: float = SETTLE_S) -> str:
-        """Wait until what was noted is written, or cannot be; returns ``problem``."""
+        """Wait until all notes are written or have failed; return ``problem``."""
         with self._change:
             if not self._change.wait_for(lambda: not self._writing, timeout_s) and not self.problem:
-                self.problem = f"the audit log {self.log.path} stands still: the disk does not answer"
-        self._rest()
+                self.problem = Message(
+                    "audit.no_answer",
+                    "writing to the audit log {path} takes too long: the disk does not answer",
+                    path=str(self.log.path),
+                )
+        self._join_idle()
         return self.problem
 
     def _write_all(self) -> None:
@@ -107,17 +122,25 @@ class Trail:
             try:
                 before, self.head = self.head, line()
                 if before and _number(self.head) <= _number(before):
-                    self.problem = self.problem or (
-                        f"lines up to {_number(before)}, which were written before: {self.log.path} was emptied, "
-                        "removed or replaced while it was in use"
+                    self.problem = self.problem or Message(
+                        "audit.replaced",
+                        "lines up to {line}, which were written before: {path} was emptied, removed or replaced while "
+                        "it was in use",
+                        line=_number(before),
+                        path=str(self.log.path),
                     )
-            except Exception as error:  # noqa: BLE001 - told to who asked, or where the trail ends; the thread goes on
+            except Exception as error:  # noqa: BLE001 - reported by the future or by settle(); the thread goes on
                 if answer is not None:
                     answer.set_exception(error)
                 elif isinstance(error, AuditError):
-                    self.problem = self.problem or str(error)
+                    self.problem = self.problem or error.message
                 else:
-                    self.problem = self.problem or f"the audit log failed: {type(error).__name__}: {error}"
+                    self.problem = self.problem or Message(
+                        "audit.failed",
+                        "the audit log failed: {kind}: {why}",
+                        kind=type(error).__name__,
+                        why=str(error),
+                    )
             else:
                 if answer is not None:
                     answer.set_result(self.head)

@@ -1,4 +1,4 @@
-"""Reading the audit log with suspicion: whether every line is there as it was written, and if not, what was done."""
+"""Verification of the audit log: whether every line is present and unchanged, and if not, what was done."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
+from tissueid.atomic_write import open_regular
 from tissueid.audit.line import (
     CANCEL,
     CLOSED_OFF,
@@ -22,33 +23,34 @@ from tissueid.audit.line import (
     is_torn,
     read_line,
 )
-from tissueid.audit.newest import newest_path, read_newest
+from tissueid.audit.newest_head import newest_path, read_newest
 from tissueid.errors import UnusableInputError
-from tissueid.whole_file import open_regular
+from tissueid.language import marked
+from tissueid.messages import Action, Message
 
-_LOOK = 1000
-"""Lines between two looks whether it is cancelled."""
+_CANCEL_LINES = 1000
+"""Lines between two checks for cancellation."""
 MAX_BYTES = 1_000_000_000
-"""Bytes of a log: two million lines, some decades of a busy instrument."""
+"""Largest log that is read, bytes: two million lines, decades of daily use."""
 _MOST_TORN = 4 * MAX_LINE
-"""Bytes of lines that a dying computer left unfinished; a program that writes closes them off."""
+"""Most bytes of unfinished lines, which a crash can leave; the next writer closes them off."""
 _HEAD = re.compile(r"(?:(\d{1,12}):)?([0-9a-f]{64})")
 
 
 class Damage(Enum):
-    """What was done to a log."""
+    """Kind of damage of a log."""
 
-    CHANGED = "changed"
-    REMOVED = "removed"
-    INSERTED = "inserted"
-    REORDERED = "reordered"
-    CUT = "cut off"
-    FOREIGN = "foreign"
+    CHANGED = marked("changed")
+    REMOVED = marked("removed")
+    INSERTED = marked("inserted")
+    REORDERED = marked("reordered")
+    CUT = marked("cut off")
+    FOREIGN = marked("foreign")
 
 
 @dataclass(frozen=True)
 class Broken:
-    """The first place, a line of the file counted from 1, where a log is not as it was written, and why."""
+    """The first damage of a log: ``place`` is a line of the file, counted from 1, and ``words`` describe it."""
 
     place: int
     damage: Damage
@@ -57,40 +59,44 @@ class Broken:
 
 @dataclass(frozen=True)
 class Verification:
-    """What a log is: whole where ``broken`` is None. ``remarks`` are no damage, but worth a look."""
+    """Result of a verification: whole if ``broken`` is None. ``remarks`` report what is unusual but not damage."""
 
     lines: int
-    """Whole lines before the first broken one."""
+    """Lines before the first damage."""
     head: str
-    """Number and hash of the newest of them; empty where there is none."""
+    """Number and hash of the newest of these lines; empty without lines."""
     broken: Broken | None = None
     remarks: tuple[str, ...] = ()
 
     @property
     def whole(self) -> bool:
-        """Whether nothing was changed, removed, inserted, reordered or cut off."""
+        """Whether the log has no damage."""
         return self.broken is None
 
 
 def check_head(text: str) -> tuple[int | None, str]:
-    """Number, where it is said, and hash of a head as files carry it.
+    """Return number (None without one) and hash of a head as stored in files.
 
     Raises:
-        UnusableInputError: it is none.
+        UnusableInputError: the text is not a head.
     """
     match = _HEAD.fullmatch(text.strip())
     if match is None:
         raise UnusableInputError(
-            f"a head of the audit log is NUMBER:HASH with 64 hexadecimal digits, not {text[:80]!r}"
+            Message(
+                "audit.head",
+                "a head of the audit log is NUMBER:HASH with 64 hexadecimal digits, not {text}",
+                text=repr(text[:80]),
+            )
         )
     return None if match[1] is None else int(match[1]), match[2]
 
 
 def read_lines(path: Path) -> Iterator[Line]:
-    """The lines of a log that have the hash that they say, in the order of the file; others are passed over.
+    """Yield the lines of a log whose hash is correct, in the order of the file. Other lines are skipped.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the log cannot be read.
     """
     for raw in _raw_lines(path):
         if (line := read_line(raw.removesuffix(b"\n"))) is not None:
@@ -104,19 +110,25 @@ def verify(
     after: Sequence[Path] = (),
     cancelled: Callable[[], None] = lambda: None,
 ) -> Verification:
-    """Go through a log from its first line. ``heads`` are heads that it must hold, and the name of where each stands.
+    """Verify a log from its first line.
 
-    A log that was cut off at its end is whole in itself: only a head from elsewhere tells, such as the newest one that
-    is kept next to the log. ``after`` are earlier logs that hold what this one says is missing. ``cancelled`` is
-    called from time to time, and may raise to end it.
+    A log that was cut off at its end is consistent in itself. Only a head from another file shows the loss, such as
+    the newest head stored next to the log.
+
+    Args:
+        path: of the log.
+        heads: heads that the log must contain, each with the name of its source.
+        after: earlier logs with the lines that this log reports as missing.
+        cancelled: called regularly; may raise to cancel.
 
     Raises:
         OSError: a log cannot be read.
-        UnusableInputError: a head that is none, a log that is too large, or an earlier one that is not whole.
+        UnusableInputError: a head is invalid, a log is too large, or an earlier log is damaged.
     """
     wanted = [(*check_head(head), where) for head, where in (heads or {}).items()]
     if (newest := read_newest(path)) is not None:
-        wanted.insert(0, (*newest, f"the note of the newest line, {newest_path(path)},"))
+        note = Message("audit.newest_note", "the note of the newest line, {path},", path=str(newest_path(path)))
+        wanted.insert(0, (*newest, note))
     walk = _Walk(path, cancelled)
     broken = walk.broken()
     if broken is None:
@@ -133,45 +145,81 @@ def verify(
 
 
 def _hashes_of(logs: Sequence[Path], cancelled: Callable[[], None]) -> set[str]:
-    """The hashes of all lines of logs.
+    """Return the hashes of all lines of some logs.
 
     Raises:
-        UnusableInputError: one is not whole.
+        UnusableInputError: a log is damaged.
     """
     hashes: set[str] = set()
     for path in logs:
         walk = _Walk(path, cancelled)
         if (broken := walk.broken()) is not None:
-            raise UnusableInputError(f"{path}: {broken.words}")
+            raise UnusableInputError(
+                Message("audit.earlier_damaged", "{path}: {why}", path=str(path), why=broken.words)
+            )
         hashes |= walk.hashes
     return hashes
 
 
 def _not_in(walk: _Walk, known: set[str]) -> Broken | None:
-    """The first line that says that others are missing which no earlier log holds either."""
+    """Return the first line that reports missing lines which no earlier log contains."""
     for place, number, own in walk.missing:
         if own not in known:
-            words = (
-                f"line {place} says that lines up to {number} were in the log before and are not there: it was "
-                "emptied, cut off or removed. Where it was moved away, name the file that it is now with --after"
+            name_file = Action(
+                "audit.after", "tissueid audit verify --after FILE", marked("verify in the shell with --after FILE")
             )
+            if number is None:
+                words = Message(
+                    "audit.lines_missing",
+                    "line {place} reports that earlier lines of the log are missing: the log was emptied, cut off or "
+                    "removed. If it was moved, name the file: {action}",
+                    place=place,
+                    action=name_file,
+                )
+            else:
+                words = Message(
+                    "audit.lines_missing",
+                    "line {place} reports that lines up to {number} of the log are missing: the log was emptied, cut "
+                    "off or removed. If it was moved, name the file: {action}",
+                    place=place,
+                    number=number,
+                    action=name_file,
+                )
             return Broken(place, Damage.CUT, words)
     return None
 
 
 def _missing(number: int | None, walk: _Walk, where: str) -> Broken:
-    """A head that the log should hold is not in it."""
+    """Return the damage of a log that does not contain the head from ``where``."""
     lines = 0 if walk.last is None else walk.last.number
-    if number is not None and number <= lines:
-        words = f"{where} was written when line {number} had another hash: this is another log, or one made anew"
+    if number is None:
+        words = Message(
+            "audit.cut_off",
+            "{where} was written with a later line, and the log ends with line {lines}: its end was cut off",
+            where=where,
+            lines=lines,
+        )
+        return Broken(lines + 1, Damage.CUT, words)
+    if number <= lines:
+        words = Message(
+            "audit.other_log",
+            "{where} was written when line {number} had another hash: this is another log, or a new one",
+            where=where,
+            number=number,
+        )
         return Broken(number, Damage.FOREIGN, words)
-    line = "another line" if number is None else f"line {number}"
-    words = f"{where} was written when the log had {line}, and it ends with line {lines}: its end was cut off"
+    words = Message(
+        "audit.cut_off",
+        "{where} was written when the log had line {number}, and it ends with line {lines}: its end was cut off",
+        where=where,
+        number=number,
+        lines=lines,
+    )
     return Broken(lines + 1, Damage.CUT, words)
 
 
 class _Walk:
-    """One way through a log, up to the first place where it is broken."""
+    """One pass through a log, up to the first damage."""
 
     def __init__(self, path: Path, cancelled: Callable[[], None]) -> None:
         self._cancelled = cancelled
@@ -179,24 +227,28 @@ class _Walk:
         self.hashes: set[str] = set()
         self.remarks: list[str] = []
         self.missing: list[tuple[int, int | None, str]] = []
-        """Of each line that says that others are missing: its place, and number and hash of the newest of those."""
+        """Place of each line that reports missing lines, with number and hash of the newest missing line."""
         self._path = path
         self._place = 0
         self._torn = b""
-        """Torn pieces that a line to come must account for."""
+        """Unfinished pieces that a later line must account for."""
 
     def broken(self) -> Broken | None:
-        """The first broken place, or None when there is none."""
+        """Return the first damage; None without any."""
         for raw in _raw_lines(self._path):
-            if self._place % _LOOK == 0:
+            if self._place % _CANCEL_LINES == 0:
                 self._cancelled()
             self._place += 1
             if (problem := self._take(raw)) is not None:
                 return problem
         if self._torn:
             self.remarks.append(
-                f"line {self._place}, the last, was not finished when the computer or the program died; the next one "
-                "that is added will say so"
+                Message(
+                    "audit.last_unfinished",
+                    "line {line}, the last, was not finished when the computer or the program stopped; the next line "
+                    "will record it",
+                    line=self._place,
+                )
             )
         return None
 
@@ -209,89 +261,151 @@ class _Walk:
             if is_torn(piece, number) and (not finished or raw.endswith(CANCEL + b"\n")):
                 self._torn += raw
                 if len(self._torn) > _MOST_TORN:
-                    return self._tell(raw, number, None)
+                    return self._damage(raw, number, None)
                 return None
-            return self._tell(raw, number, None)
+            return self._damage(raw, number, None)
         before = NOTHING_BEFORE if self.last is None else self.last.hash
         if line.number != number or line.previous != before:
-            return self._tell(raw, number, line)
+            return self._damage(raw, number, line)
         if self._torn:
             left = {"bytes": len(self._torn), "sha256": hashlib.sha256(self._torn).hexdigest()}
             if line.what != CLOSED_OFF or line.new != left:
-                words = f"{len(self._torn)} bytes before line {number} are no line, and it does not account for them"
+                words = Message(
+                    "audit.foreign_bytes",
+                    "{count} bytes before line {line} are not a line, and that line does not account for them",
+                    count=len(self._torn),
+                    line=number,
+                )
                 return Broken(self._place - 1, Damage.INSERTED, words)
-            self.remarks.append(f"before line {number} a line was left unfinished, and closed off")
+            self.remarks.append(
+                Message(
+                    "audit.closed_off", "before line {line} a line was left unfinished, and closed off", line=number
+                )
+            )
             self._torn = b""
         if number == 1 and line.what not in (STARTED, CLOSED_OFF):
-            return Broken(1, Damage.FOREIGN, "its first line does not begin an audit log")
+            return Broken(1, Damage.FOREIGN, Message("audit.no_start", "its first line does not begin an audit log"))
         if self.last is not None and line.time < self.last.time:
-            self.remarks.append(f"the clock goes back at line {number}, from {self.last.time} to {line.time}")
+            self.remarks.append(
+                Message(
+                    "audit.clock",
+                    "the clock goes back at line {line}, from {old} to {new}",
+                    line=number,
+                    old=self.last.time,
+                    new=line.time,
+                )
+            )
         if not raw.endswith(b"\n"):
-            self.remarks.append(f"line {number} lacks its end: the computer died while it was written")
+            self.remarks.append(
+                Message(
+                    "audit.no_newline",
+                    "line {line} has no end of line: the computer stopped while it was written",
+                    line=number,
+                )
+            )
         if line.what == LINES_MISSING and isinstance(line.old, str) and (head := _HEAD.fullmatch(line.old)):
             self.missing.append((self._place, int(head[1]) if head[1] else None, head[2]))
         self.last = line
         self.hashes.add(line.hash)
         return None
 
-    def _tell(self, raw: bytes, number: int, line: Line | None) -> Broken:
-        """What was done where line ``number`` should stand and ``raw``, with or without a hash that is right, does."""
+    def _damage(self, raw: bytes, number: int, line: Line | None) -> Broken:
+        """Return the damage where ``raw`` stands in place of line ``number``; ``line`` is None if its hash is wrong."""
         place = self._place
         later = {item.number: item for item in self._after(place)}
         if line is None:
-            following = later.get(number)
-            if following is not None and self._continues(following):
-                return Broken(place, Damage.INSERTED, f"what stands before line {number} is not part of the log")
-            if number == 1 and not later:
-                return Broken(1, Damage.FOREIGN, "it does not begin with a line of an audit log")
-            what = "was cut short" if not raw.endswith(b"\n") and b'"hash"' not in raw else "was changed"
-            return Broken(place, Damage.CHANGED, f"line {number} {what}: it does not have the hash that it says")
+            return self._without_hash(raw, number, later)
         if line.hash in self.hashes:
-            return Broken(place, Damage.INSERTED, f"a copy of line {line.number} stands where line {number} should")
+            words = Message(
+                "audit.copy",
+                "a copy of line {copied} is in the place of line {line}",
+                copied=line.number,
+                line=number,
+            )
+            return Broken(place, Damage.INSERTED, words)
         if line.number > number:
             if number in later:
-                words = f"line {line.number} stands where line {number} should, which comes later"
+                words = Message(
+                    "audit.reordered",
+                    "line {found} is in the place of line {line}, which comes later",
+                    found=line.number,
+                    line=number,
+                )
                 return Broken(place, Damage.REORDERED, words)
-            gone = f"line {number} is" if line.number == number + 1 else f"lines {number} to {line.number - 1} are"
-            return Broken(place, Damage.REMOVED, f"{gone} not there")
+            if line.number == number + 1:
+                words = Message("audit.removed", "line {line} is missing", line=number)
+            else:
+                words = Message(
+                    "audit.removed", "lines {line} to {last} are missing", line=number, last=line.number - 1
+                )
+            return Broken(place, Damage.REMOVED, words)
         if line.number < number:
-            words = f"two lines have number {line.number}: one of them is not part of the log"
+            words = Message(
+                "audit.twice", "two lines have number {line}: one of them is not part of the log", line=line.number
+            )
             return Broken(place - 1, Damage.INSERTED, words)
-        words = f"line {number} continues another line than the one before it: one of the two was exchanged"
+        words = Message(
+            "audit.exchanged",
+            "line {line} does not continue the line before it: one of the two was replaced",
+            line=number,
+        )
         return Broken(max(1, place - 1), Damage.CHANGED, words)
+
+    def _without_hash(self, raw: bytes, number: int, later: dict[int, Line]) -> Broken:
+        """Return the damage where the bytes in place of line ``number`` do not have a correct hash."""
+        place = self._place
+        following = later.get(number)
+        if following is not None and self._continues(following):
+            words = Message("audit.inserted", "the text before line {line} is not part of the log", line=number)
+            return Broken(place, Damage.INSERTED, words)
+        if number == 1 and not later:
+            return Broken(1, Damage.FOREIGN, Message("audit.foreign", "it does not begin with a line of an audit log"))
+        if not raw.endswith(b"\n") and b'"hash"' not in raw:
+            words = Message("audit.cut_short", "line {line} was cut short: its hash is missing", line=number)
+        else:
+            words = Message("audit.changed", "line {line} was changed: its hash is wrong", line=number)
+        return Broken(place, Damage.CHANGED, words)
 
     def _continues(self, line: Line) -> bool:
         return line.previous == (NOTHING_BEFORE if self.last is None else self.last.hash)
 
     def _after(self, place: int) -> Iterator[Line]:
-        """The whole lines after a place."""
+        """Yield the lines with a correct hash after a place."""
         for count, raw in enumerate(_raw_lines(self._path), start=1):
             if count > place and (line := read_line(raw.removesuffix(b"\n"))) is not None:
                 yield line
 
 
 def _raw_lines(path: Path) -> Iterator[bytes]:
-    """Lines with their newlines; what is longer than a line can be comes in pieces.
+    """Yield the lines of the file with their newlines; a line longer than ``MAX_LINE`` comes in pieces.
 
-    What is added while they are read is left for the next time.
+    Lines that are added during reading are not included.
 
     Raises:
-        OSError: it cannot be read, or is no ordinary file.
-        UnusableInputError: it is too large.
+        OSError: the file cannot be read, or is not an ordinary file.
+        UnusableInputError: the file is too large.
     """
     with open_regular(path) as file:
         left = os.fstat(file.fileno()).st_size
         if left > MAX_BYTES:
-            raise UnusableInputError(f"{path} has {left / 1e6:.0f} MB; at most {MAX_BYTES / 1e6:.0f} MB are read")
+            raise UnusableInputError(
+                Message(
+                    "audit.too_large",
+                    "{path} has {size:.0f} MB; at most {most:.0f} MB are read",
+                    path=str(path),
+                    size=left / 1e6,
+                    most=MAX_BYTES / 1e6,
+                )
+            )
         while raw := file.readline(min(MAX_LINE, left)):
             left -= len(raw)
             yield raw
 
 
 def last_lines(path: Path, count: int) -> list[Line]:
-    """The newest lines of a log, oldest first.
+    """Return the newest lines of a log, oldest first.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: the log cannot be read.
     """
     return list(deque(read_lines(path), maxlen=count))

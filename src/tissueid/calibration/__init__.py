@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.lazily import on_first_use
+from tissueid.lazy_import import lazy_attributes
 
 if TYPE_CHECKING:
-    from tissueid.calibration.electrical import ElectricalCheck, check_coil
+    from tissueid.calibration.active import InForce, calibrated, in_words, put_in_force, warnings_of
+    from tissueid.calibration.coil_check import ElectricalCheck, check_coil
     from tissueid.calibration.file import Calibration, Quantity, keep_calibration, read_calibration, write_calibration
-    from tissueid.calibration.in_force import InForce, calibrated, in_words, put_in_force, warnings_of
-    from tissueid.calibration.procedure import StaticPlan
     from tissueid.calibration.static import StaticCalibration, calibrate_static
+    from tissueid.calibration.static_procedure import StaticPlan
     from tissueid.calibration.store import (
         Stored,
         calibration_folder,
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
         stored_calibrations,
     )
 else:
-    __getattr__ = on_first_use(
+    __getattr__ = lazy_attributes(
         __name__,
         {
-            "electrical": ("ElectricalCheck", "check_coil"),
+            "coil_check": ("ElectricalCheck", "check_coil"),
             "file": ("Calibration", "Quantity", "keep_calibration", "read_calibration", "write_calibration"),
-            "in_force": ("InForce", "calibrated", "in_words", "put_in_force", "warnings_of"),
-            "procedure": ("StaticPlan",),
+            "active": ("InForce", "calibrated", "in_words", "put_in_force", "warnings_of"),
+            "static_procedure": ("StaticPlan",),
             "static": ("StaticCalibration", "calibrate_static"),
             "store": ("Stored", "calibration_folder", "free_name", "is_filed", "made_folder", "stored_calibrations"),
         },

@@ -1,4 +1,4 @@
-"""The coil: voltage to current to force, from steady voltages of both signs against a known spring or known weights."""
+"""Static calibration of the coil: voltage to current to force, against a known spring or known weights."""
 
 from __future__ import annotations
 
@@ -9,35 +9,57 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.findings import Findings, column, quantity
-from tissueid.calibration.levels import Levels, mean, noise_of_mean
-from tissueid.calibration.line import Line, straight_line
-from tissueid.calibration.plausible import IMPLAUSIBLE
+from tissueid.calibration.line_fit import Line, straight_line
+from tissueid.calibration.plausibility import IMPLAUSIBLE
+from tissueid.calibration.step_levels import Levels, mean, noise_of_mean
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
 MOST_BENT = 0.01
-"""A line whose points lie further off than this share of what they span is none."""
+"""Largest distance of a point from its line, as a share of the span of the points."""
 MOST_HYSTERESIS = 0.01
+"""Largest hysteresis, as a share of the swing."""
 MOST_OUTLIERS = 0.25
+"""Largest share of outliers of a line."""
 MOST_LEAK_A = 0.01
+"""Largest current at 0 V, A."""
 UNKNOWN_GAIN = 0.01
-"""Relative deviation of the position scale where it was not calibrated."""
+"""Relative standard deviation of the position scale where it was not calibrated."""
+_CURRENT_LINE = marked("current against voltage")
+_GAIN_LINE = marked("voltage against the command")
+_SPRING_LINE = marked("position against current")
+_RESISTANCE = marked("the coil resistance")
+_VOLTAGE = marked("the voltage per volt of command")
+_FORCE = marked("the force constant")
 
 
 @dataclass(frozen=True)
 class Spring:
-    """What the force is held against: its stiffness, N/m, and how well that is known (relative standard deviation)."""
+    """Calibration spring: stiffness, N/m, and its relative standard deviation."""
 
     stiffness_n_per_m: float = 1000.0
     relative_std: float = 0.02
 
+    def check(self) -> None:
+        """Raise for a spring that no calibration can use.
+
+        Raises:
+            UnusableInputError: the stiffness or its uncertainty is out of range.
+        """
+        if not (10.0 <= self.stiffness_n_per_m <= 1e5 and 0.0 <= self.relative_std < 0.5):
+            raise UnusableInputError(
+                Message("calibration.spring", "a spring has 10 to 100000 N/m, known to better than 50 %")
+            )
+
 
 def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDescription) -> Findings:
-    """Voltage to current: resistance, zeros of both channels, voltage against the command.
+    """Return resistance, zeros of both channels and voltage gain, from current against voltage against command.
 
-    All are in the channels' own units: what they call a volt and an ampere. ``rest`` are samples with the coil free, in
-    which neither voltage nor current is anything but its channel's zero.
+    All are in the units of the channels, whose gains are not known. ``rest`` are samples with the coil free, which
+    give the zeros of voltage and current.
 
     Raises:
         UnusableInputError: no current flows.
@@ -49,15 +71,19 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
     gain = straight_line(levels.command_v, levels.voltage_v, levels.noise["voltage"])
     leak = line.intercept.value - zeros["current"].value
     problems = [
-        *_bent(line, levels.current_a, "current against voltage"),
-        *_bent(gain, levels.voltage_v, "voltage against the command"),
+        *_bent(line, levels.current_a, _CURRENT_LINE),
+        *_bent(gain, levels.voltage_v, _GAIN_LINE),
         *_short(gain, levels),
-        *_implausible("the coil's resistance", resistance.value, device.coil_resistance_ohm, "ohm"),
-        *_implausible("the voltage for one volt of command", gain.slope.value, device.amplifier_gain, "V"),
+        *_implausible(_RESISTANCE, resistance.value, device.coil_resistance_ohm, "Ω"),
+        *_implausible(_VOLTAGE, gain.slope.value, device.amplifier_gain, "V"),
     ]
     if abs(leak) > MOST_LEAK_A:
         problems.append(
-            f"{1e3 * leak:.0f} mA flow where no voltage is: the zero of current or voltage depends on the amplifier"
+            Message(
+                "calibration.leak",
+                "{current} flow at 0 V: the zero of current or voltage depends on the amplifier",
+                current=Quantity(1e3 * leak, "mA"),
+            )
         )
     return Findings(
         quantities={
@@ -78,31 +104,36 @@ def electrical_findings(levels: Levels, rest: NDArray[np.void], device: DeviceDe
             }
         },
         problems=tuple(problems),
-        notes=(*_outliers(line, "current against voltage"), *_outliers(gain, "voltage against the command")),
+        notes=(*_outliers(line, _CURRENT_LINE), *_outliers(gain, _GAIN_LINE)),
     )
 
 
 def resistance_of(line: Line, device: DeviceDescription) -> Estimate:
-    """The coil's resistance from current against voltage.
+    """Return the coil resistance, ohm, from the line of current against voltage.
 
     Raises:
-        UnusableInputError: no current flows, or against the voltage.
+        UnusableInputError: no current flows, or it is inverted.
     """
     conductance = line.slope
     if conductance.value * device.coil_resistance_ohm < -0.1:
         raise UnusableInputError(
-            "the current reads against the voltage: one of the two channels is the wrong way round"
+            Message(
+                "calibration.inverted",
+                "the current reading falls with the voltage: one of the two channels is inverted; check its wiring",
+            )
         )
     if conductance.value * device.coil_resistance_ohm < 0.1:
-        raise UnusableInputError("no current flows through the coil: check that it is connected")
+        raise UnusableInputError(
+            Message("calibration.no_current", "no current flows through the coil: check that it is connected")
+        )
     return Estimate(1.0 / conductance.value, (conductance.std or 0.0) / conductance.value**2)
 
 
 def spring_line(levels: Levels, zero_a: float) -> Line:
-    """Position as it is read against current with its zero taken off, m and A.
+    """Fit position readings, m, over current without its zero, A.
 
     Raises:
-        UnusableInputError: the levels agree on no line.
+        UnusableInputError: the levels do not lie on a line.
     """
     return straight_line(levels.current_a - zero_a, levels.position_m, levels.noise["position"])
 
@@ -116,17 +147,22 @@ def force_by_spring(
     *,
     known: bool = True,
 ) -> Findings:
-    """The force constant, in newtons for what the current channel calls an ampere, against a spring.
+    """Return the force constant from the line of position over current against a spring, N per reading of an ampere.
 
-    With ``known`` false the spring only holds the probe, and the force constant that follows from it is not judged.
+    The slope of the line is gain * force constant / stiffness, with the gain of the position channel. The hysteresis is
+    the difference of equal levels that were reached from both sides. The standard deviation of the force constant is
+    that of the measurement; ``calibration_relative_uncertainty`` includes the uncertainty of the spring.
 
-    The spring's length follows the current in a straight line of slope gain * force constant / stiffness, where the
-    gain is that of the position channel. Every level but the outermost was come to from either side: their difference
-    is the hysteresis. The deviation is that of the measurement; what the spring itself is uncertain by is in
-    ``calibration_relative_uncertainty``, with all else.
+    Args:
+        levels: readings of the voltage steps.
+        device: nominal figures.
+        spring: known spring.
+        position_gain: gain of the position channel; None where it was not calibrated.
+        zero_a: zero of the current channel, A.
+        known: false where the spring only holds the probe; the force constant is then not checked.
 
     Raises:
-        UnusableInputError: the levels agree on no line.
+        UnusableInputError: the levels do not lie on a line.
     """
     current = levels.current_a - zero_a
     line = spring_line(levels, zero_a)
@@ -137,13 +173,19 @@ def force_by_spring(
     hysteresis = _hysteresis(levels)
     swing = float(np.ptp(levels.position_m))
     problems = [
-        *_bent(line, levels.position_m, "position against current"),
-        *(_implausible("the force constant", value, device.force_constant_n_per_a, "N/A") if known else ()),
+        *_bent(line, levels.position_m, _SPRING_LINE),
+        *(_implausible(_FORCE, value, device.force_constant_n_per_a, "N/A") if known else ()),
     ]
     if hysteresis > MOST_HYSTERESIS * swing:
         problems.append(
-            f"the spring comes to rest {1e6 * hysteresis:.0f} um apart from either side, over {1e3 * swing:.1f} mm: "
-            "look for friction, or a spring that is not seated"
+            Message(
+                "calibration.hysteresis",
+                "the rest positions of the spring from both sides differ by {difference}, over a swing of {swing}: "
+                "look "
+                "for friction, or a spring that is not seated",
+                difference=Quantity(1e6 * hysteresis, "µm"),
+                swing=Quantity(1e3 * swing, "mm", 1),
+            )
         )
     return Findings(
         quantities={
@@ -165,7 +207,7 @@ def force_by_spring(
             }
         },
         problems=tuple(problems),
-        notes=tuple(_outliers(line, "position against current")),
+        notes=tuple(_outliers(line, _SPRING_LINE)),
         shared={
             "force_constant_n_per_a": 0.0 if position_gain is not None else abs(value) * scale,
             "spring_n_per_m": spring.relative_std * spring.stiffness_n_per_m,
@@ -176,16 +218,25 @@ def force_by_spring(
 def force_by_weights(
     series: Sequence[Levels], weights_kg: Sequence[float], device: DeviceDescription, along: float, zero_a: float
 ) -> Findings:
-    """The force constant from known weights on the probe; ``series`` and ``weights_kg`` begin with none, 0 kg.
+    """Return the force constant from known weights on the probe.
 
-    A weight shifts the line of position against current; the current that shifts it back carries the weight. Neither
-    the spring's stiffness nor the position scale matters. ``along`` is the cosine between the stroke and straight down.
+    A weight shifts the line of position over current; the current that shifts it back carries the weight. The result
+    depends neither on the stiffness of the spring nor on the position scale.
+
+    Args:
+        series: readings of the voltage steps for each weight; the first without a weight.
+        weights_kg: mass of each; the first is 0.
+        device: nominal figures.
+        along: cosine of the angle between the stroke and the vertical.
+        zero_a: zero of the current channel, A.
 
     Raises:
-        UnusableInputError: the levels agree on no line, or the stroke lies so flat that the weights do not pull on it.
+        UnusableInputError: the levels do not lie on a line, or the stroke is too far from vertical.
     """
     if abs(along) < 0.5:
-        raise UnusableInputError("known weights need the stroke upright: they do not pull along it as it lies")
+        raise UnusableInputError(
+            Message("calibration.not_upright", "known weights need a vertical stroke: place the instrument upright")
+        )
     lines = [spring_line(one, zero_a) for one in series]
     slope = float(np.mean([line.slope.value for line in lines]))
     carried = np.array([(line.intercept.value - lines[0].intercept.value) / slope for line in lines])  # A
@@ -195,9 +246,14 @@ def force_by_weights(
     off = newtons - constant * carried
     scatter = float(np.sqrt(off @ off / max(1, carried.size - 2)))
     relative = max(scatter / abs(constant), noise) / float(np.linalg.norm(carried)) if constant else 1.0
-    problems = _implausible("the force constant", constant, device.force_constant_n_per_a, "N/A")
+    problems = _implausible(_FORCE, constant, device.force_constant_n_per_a, "N/A")
     if np.abs(off).max() > MOST_BENT * np.ptp(newtons):
-        problems.append("the weights agree on no line: check what each of them weighs, and that it hangs freely")
+        problems.append(
+            Message(
+                "calibration.weights_line",
+                "the weights do not lie on a line: check the mass of each of them, and that it hangs freely",
+            )
+        )
     stiffness = constant / slope
     return Findings(
         quantities={
@@ -207,12 +263,17 @@ def force_by_weights(
         },
         tables={"weights": {"weight_n": column(newtons), "current_a": column(carried), "residual_n": column(off)}},
         problems=tuple(problems),
-        notes=("the force constant is from known weights; the spring's stiffness follows from it",),
+        notes=(
+            Message(
+                "calibration.by_weights",
+                "the force constant is from known weights; the stiffness of the spring follows from it",
+            ),
+        ),
     )
 
 
 def _hysteresis(levels: Levels) -> float:
-    """The largest distance between two levels at one command, m; each came to rest from another side."""
+    """Return the largest difference of two levels at the same command, m, which were reached from different sides."""
     apart = [0.0]
     for volts in np.unique(levels.command_v):
         same: NDArray[np.float64] = levels.position_m[levels.command_v == volts]
@@ -221,38 +282,76 @@ def _hysteresis(levels: Levels) -> float:
 
 
 def _bent(line: Line, values: NDArray[np.float64], what: str) -> list[str]:
-    """What is wrong with a line, in words."""
+    """Return problems of a line: curvature and too many outliers."""
     share = line.worst / float(np.ptp(values)) if np.ptp(values) else 0.0
-    found = []
+    found: list[str] = []
     if share > MOST_BENT:
-        found.append(f"{what} is not a straight line: {100 * share:.1f} % of its span off")
+        found.append(
+            Message(
+                "calibration.bent",
+                "{line} is not a straight line: the largest deviation is {share} of its span",
+                line=what,
+                share=Quantity(100.0 * share, "%", 1),
+            )
+        )
     if np.mean(line.outliers) > MOST_OUTLIERS:
-        found.append(f"{what}: {np.count_nonzero(line.outliers)} of {line.outliers.size} points lie off the line")
+        found.append(
+            Message(
+                "calibration.outliers",
+                "{line}: {count} of {points} points lie off the line",
+                line=what,
+                count=int(np.count_nonzero(line.outliers)),
+                points=line.outliers.size,
+            )
+        )
     return found
 
 
 def _short(gain: Line, levels: Levels) -> list[str]:
-    """Where the greatest command of either sign gives less voltage than the others promise."""
+    """Return the problem that the voltage is clipped at the largest command of either sign, if it is."""
     for number in (int(np.argmax(levels.command_v)), int(np.argmin(levels.command_v))):
         command, voltage = levels.command_v[number], levels.voltage_v[number]
         promised = gain.at(float(command))
         if abs(command) > 0 and np.sign(command) * (promised - voltage) > MOST_BENT * abs(promised):
             return [
-                f"the amplifier gives {voltage:.2f} V where {promised:.2f} V were to be expected: "
-                "check its supply, the voltage is clipped"
+                Message(
+                    "calibration.clipped",
+                    "the amplifier gives {voltage:.2f} V instead of the expected {expected:.2f} V: the voltage is "
+                    "clipped; check the supply of the amplifier",
+                    voltage=float(voltage),
+                    expected=promised,
+                )
             ]
     return []
 
 
 def _outliers(line: Line, what: str) -> list[str]:
     count = int(np.count_nonzero(line.outliers))
-    return [f"{what}: {count} of {line.outliers.size} points left out, see the table"] if count else []
+    if not count:
+        return []
+    return [
+        Message(
+            "calibration.left_out",
+            "{line}: {count} of {points} points were left out, see the table",
+            line=what,
+            count=count,
+            points=line.outliers.size,
+        )
+    ]
 
 
 def _implausible(what: str, value: float, nominal: float, unit: str) -> list[str]:
     if abs(value / nominal - 1.0) <= IMPLAUSIBLE:
         return []
     return [
-        f"{what} comes out as {value:.4g} {unit} where the device says {nominal:.4g}: more than "
-        f"{100 * IMPLAUSIBLE:.0f} % apart is not believed; check the fixture and the wiring"
+        Message(
+            "calibration.off_nominal",
+            "{quantity} is {value:.4g} {unit}, but {nominal:.4g} {unit} by the device: a difference of more than "
+            "{percent:.0f} % is not plausible; check the fixture and the wiring",
+            quantity=what,
+            value=value,
+            nominal=nominal,
+            unit=unit,
+            percent=100.0 * IMPLAUSIBLE,
+        )
     ]

@@ -1,8 +1,8 @@
-"""Calibrations side by side: what differs between two sweeps, along the stroke and in figures, and trends over dates.
+"""Comparison of calibrations: differences of two sweeps, residuals of a static calibration, trends over dates.
 
-Two deviations are held apart. The noise of a sweep is what its repeats would scatter by; its uncertainty holds the
-scales of spring and electronics as well, which two sweeps with the same spring on the same instrument have alike. A
-difference beyond the noise is likely real there, even where it is within the uncertainty.
+Two standard deviations are distinguished. The noise of a sweep is the scatter of its repeats; its uncertainty includes
+the scales of spring and electronics, which are common to sweeps with the same spring on the same instrument. There a
+difference beyond the noise is likely real, even within the uncertainty.
 """
 
 from __future__ import annotations
@@ -17,17 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.words import label_of
+from tissueid.calibration.labels import label_of
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean, fixed
+from tissueid.language import marked
+from tissueid.messages import Message, Verbatim
+from tissueid.messages import Quantity as ShownQuantity
 from tissueid.records import Estimate
-from tissueid.wording import fixed
 
 Array = NDArray[np.float64]
 Verdict = Literal["noise", "uncertainty", "beyond", "unknown"]
-"""Of a difference: within the noise, beyond it but within the uncertainty, beyond both, or nothing is known of it."""
+"""Of a difference: within the noise, beyond it but within the uncertainty, beyond both, or uncertainty unknown."""
 
 DEVIATIONS = 2.0
-"""A difference of so many standard deviations is one: by chance it is seen once in twenty times."""
+"""Standard deviations of a significant difference: exceeded by chance once in twenty times."""
 COMPARED = (
     "force_constant_n_per_a",
     "moving_mass_kg",
@@ -39,9 +42,9 @@ COMPARED = (
     "spring_over_flux",
     "least_vaf_percent",
 )
-"""Figures of a sweep that are compared, in this order."""
+"""Quantities of a sweep that are compared, in this order."""
 PLACES = ("linear_region_min_m", "linear_region_max_m", "least_vaf_percent")
-"""Figures whose difference is read as it is, not as a share."""
+"""Quantities with an absolute, not a relative, difference."""
 _ALONG = {
     "force_constant": ("force_constant", "value_n_per_a", "std_n_per_a"),
     "mass": ("sweep", "mass_kg", "mass_std_kg"),
@@ -50,39 +53,37 @@ _ALONG = {
     "vaf": ("sweep", "vaf_percent", ""),
 }
 ALONG = tuple(_ALONG)
-"""What a sweep has along the stroke."""
+"""Names of the profiles of a sweep along the stroke."""
 _RESIDUALS = (
-    ("electrical", "voltage_v", "residual_a", "Current off the line of voltage", "V", "A"),
-    ("force", "current_a", "residual_m", "Position off the line of current", "A", "m"),
-    ("position", "position_m", "residual_m", "Reading off the line of position", "m", "m"),
+    ("electrical", "voltage_v", "residual_a", marked("Residual of current over voltage"), "V", "A"),
+    ("force", "current_a", "residual_m", marked("Residual of position over current"), "A", "m"),
+    ("position", "position_m", "residual_m", marked("Residual of the position reading"), "m", "m"),
 )
 _GREATEST = 1e9
-"""No figure of an instrument is greater; what a file says beyond is not shown."""
+"""Largest value that is shown, SI; a file may contain anything."""
 _GRID = 101
+"""Positions at which two profiles are compared."""
 _YEAR_S = 365.25 * 86400.0
 LEAST_TREND = 3
-"""So many dates make a trend."""
+"""Least number of dates of a trend."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Something along the stroke: positions (n,), m, rising; values (n,), SI; their deviations (n,), or None."""
+    """A profile along the stroke: positions (n,), m, rising; values (n,), SI; standard deviations (n,) or None."""
 
     position_m: Array
     value: Array
     std: Array | None
 
     def at(self, position_m: Array) -> Array:
-        """Values at positions (k,), by straight lines; NaN beyond the ends."""
+        """Return interpolated values at positions (k,), m; NaN beyond the ends."""
         return np.asarray(np.interp(position_m, self.position_m, self.value, np.nan, np.nan), np.float64)
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One figure of two calibrations. ``absolute`` is now less before; ``relative`` that over before, NaN for places.
-
-    ``noise`` and ``uncertainty`` are standard deviations of ``absolute``; None where they are not known.
-    """
+    """Difference of one quantity. ``noise`` and ``uncertainty`` are standard deviations of ``absolute`` or None."""
 
     name: str
     before: Quantity
@@ -92,19 +93,19 @@ class Difference:
 
     @property
     def absolute(self) -> float:
-        """By how much it is more now, SI."""
+        """Value now minus value before, SI."""
         return self.now.value - self.before.value
 
     @property
     def relative(self) -> float:
-        """By which share it is more now."""
+        """Difference relative to the value before; NaN for quantities of ``PLACES``."""
         if self.name in PLACES or self.before.value == 0.0:
             return math.nan
         return self.absolute / abs(self.before.value)
 
     @property
     def verdict(self) -> Verdict:
-        """What the difference is worth."""
+        """Significance of the difference."""
         size = abs(self.absolute)
         if self.noise is not None and size <= DEVIATIONS * self.noise:
             return "noise"
@@ -117,8 +118,8 @@ class Difference:
 class Comparison:
     """Two sweeps, the earlier one first.
 
-    ``profile`` is the mean relative difference of the force constant over the ``common_m`` linear region, and
-    ``largest`` the largest, at ``largest_at_m``; NaN where the regions do not overlap.
+    ``profile`` is the mean relative difference of the force constant over the ``common_m`` linear region, ``largest``
+    the largest, at ``largest_at_m``; NaN where the regions do not overlap.
     """
 
     before: Calibration
@@ -131,43 +132,53 @@ class Comparison:
     remarks: tuple[str, ...]
 
     @property
-    def words(self) -> str:
-        """The drift of the force constant in a sentence."""
+    def words(self) -> Message:
+        """Change of the force constant in a sentence."""
         found = next((item for item in self.differences if item.name == "force_constant_n_per_a"), None)
         if found is None:
-            return "One of the two sweeps holds no force constant."
+            return Message("drift.no_force_constant", "One of the two sweeps contains no force constant.")
         return drift_in_words(found, self.before.date[:10])
 
 
-def drift_in_words(found: Difference, date: str) -> str:
-    """One difference in a sentence: how much, since when, and whether that is more than what is not known."""
-    label = label_of(found.name)
+def drift_in_words(found: Difference, date: str) -> Message:
+    """Return a difference as a sentence: its size, the earlier date, and its significance."""
     if math.isnan(found.relative):
         scale, unit = (1e3, "mm") if found.before.unit == "m" else (1.0, found.before.unit)
-        size = f"{fixed(scale * abs(found.absolute), 2)} {unit}"
-        known = None if found.uncertainty is None else f"{fixed(scale * DEVIATIONS * found.uncertainty, 2)} {unit}"
-        more, less = "further", "nearer"
-        if found.before.unit != "m":
-            more, less = "more", "less"
+        size, decimals = scale * abs(found.absolute), 2
+        known = None if found.uncertainty is None else scale * DEVIATIONS * found.uncertainty
     else:
-        share = None if found.uncertainty is None else DEVIATIONS * found.uncertainty / abs(found.before.value)
-        alike = share is not None and fixed(100.0 * abs(found.relative), 1) == fixed(100.0 * share, 1)
-        size = f"{fixed(100.0 * abs(found.relative), 2 if alike else 1)} %"
-        known = None if share is None else f"{fixed(100.0 * share, 2 if alike else 1)} %"
-        more, less = "higher", "lower"
-    said = {
-        "noise": "within the noise of the two",
-        "uncertainty": f"within the uncertainty of ±{known}",
-        "beyond": f"beyond the uncertainty of ±{known}",
-        "unknown": "and no uncertainty is known",
-    }[found.verdict]
-    if not any(digit in size for digit in "123456789"):
-        return f"{label} the same as on {date}."
-    return f"{label} {size} {more if found.absolute > 0 else less} than on {date}, {said}."
+        size, unit = 100.0 * abs(found.relative), "%"
+        known = None if found.uncertainty is None else 100.0 * DEVIATIONS * found.uncertainty / abs(found.before.value)
+        decimals = 2 if known is not None and fixed(size, 1) == fixed(known, 1) else 1
+    label = label_of(found.name)
+    if not any(digit in fixed(size, decimals) for digit in "123456789"):
+        return Message("drift.none", "{quantity}: the same as on {date}.", quantity=label, date=date)
+    return Message(
+        "drift.higher" if found.absolute > 0 else "drift.lower",
+        _HIGHER if found.absolute > 0 else _LOWER,
+        quantity=label,
+        difference=ShownQuantity(size, unit, decimals),
+        date=date,
+        significance=_significance(found.verdict, ShownQuantity(math.nan if known is None else known, unit, decimals)),
+    )
+
+
+_HIGHER = marked("{quantity}: {difference} higher than on {date}, {significance}.")
+_LOWER = marked("{quantity}: {difference} lower than on {date}, {significance}.")
+
+
+def _significance(verdict: Verdict, known: ShownQuantity) -> Message:
+    if verdict == "noise":
+        return Message("drift.noise", "within the noise of both")
+    if verdict == "uncertainty":
+        return Message("drift.uncertainty", "within the uncertainty of ±{uncertainty}", uncertainty=known)
+    if verdict == "beyond":
+        return Message("drift.beyond", "beyond the uncertainty of ±{uncertainty}", uncertainty=known)
+    return Message("drift.unknown", "with unknown uncertainty")
 
 
 def along(calibration: Calibration, name: str) -> Profile | None:
-    """Something along the stroke, of ``ALONG``; None where the calibration does not hold it."""
+    """Return a profile of ``ALONG``; None where the calibration does not contain it."""
     table, values, stds = _ALONG[name]
     columns = calibration.tables.get(table, {})
     if not columns.get("position_m") or values not in columns:
@@ -182,7 +193,7 @@ def along(calibration: Calibration, name: str) -> Profile | None:
 
 
 def linear_region(calibration: Calibration) -> tuple[float, float] | None:
-    """Where the coil is linear, m; None where the calibration does not say."""
+    """Return the linear region, m; None where the calibration does not contain it."""
     low, high = (calibration.quantities.get(f"linear_region_{end}_m") for end in ("min", "max"))
     if low is None or high is None or not -1.0 < low.value < high.value < 1.0:
         return None
@@ -190,13 +201,15 @@ def linear_region(calibration: Calibration) -> tuple[float, float] | None:
 
 
 def compare_sweeps(first: Calibration, second: Calibration) -> Comparison:
-    """What differs between two sweeps, whichever of them is the earlier.
+    """Compare two sweeps, in either order.
 
     Raises:
-        UnusableInputError: one of them is no sweep.
+        UnusableInputError: one of them is not a sweep.
     """
     if {first.kind, second.kind} != {"sweep"}:
-        raise UnusableInputError("only sweeps are compared along the stroke: choose two sweeps")
+        raise UnusableInputError(
+            Message("drift.not_sweeps", "only sweeps can be compared along the stroke: choose two sweeps")
+        )
     before, now = sorted((first, second), key=lambda item: item.made)
     found = tuple(
         _difference(name, before, now)
@@ -218,13 +231,13 @@ def _difference(name: str, before: Calibration, now: Calibration) -> Difference:
 
 
 def _noise(name: str, before: Calibration, now: Calibration) -> float | None:
-    """By how much the difference of two sweeps of the same coil would scatter, as far as they tell."""
+    """Return the standard deviation of the difference of two sweeps by noise alone; None where it is not known."""
     own = [_own_noise(name, calibration) for calibration in (before, now)]
     return None if own[0] is None or own[1] is None else math.hypot(own[0], own[1])
 
 
 def _own_noise(name: str, calibration: Calibration) -> float | None:
-    """From repeats of the sweep where there are some, or from what each position says of itself."""
+    """Return the standard deviation by noise, from the repeats of a sweep, else from that of each position."""
     runs = [run for run in calibration.tables.get("repeats", {}).get(name, ()) if abs(run) < _GREATEST]
     if len(runs) > 1:
         return float(np.std(runs, ddof=1) / math.sqrt(len(runs)))
@@ -241,7 +254,7 @@ def _own_noise(name: str, calibration: Calibration) -> float | None:
 
 
 def _along_difference(before: Calibration, now: Calibration) -> tuple[tuple[float, float] | None, float, float, float]:
-    """Where both are linear, and by which share the force constant differs there: mean, largest, and where that is."""
+    """Return the common linear region, and mean, largest and position of the relative difference of force constants."""
     nothing = (None, math.nan, math.nan, math.nan)
     regions = linear_region(before), linear_region(now)
     one, other = along(before, "force_constant"), along(now, "force_constant")
@@ -263,22 +276,31 @@ def _along_difference(before: Calibration, now: Calibration) -> tuple[tuple[floa
     return common, float(share.mean()), float(share[worst]), float(grid[worst])
 
 
-def _remarks(before: Calibration, now: Calibration) -> list[str]:
-    """What keeps the two from being of one kind."""
+def _remarks(before: Calibration, now: Calibration) -> list[Message]:
+    """Return remarks on the comparability of two sweeps."""
     lines = []
     if (before.serial_number, before.model) != (now.serial_number, now.model):
-        lines.append(f"They are of two instruments, {before.serial_number} and {now.serial_number}.")
+        lines.append(
+            Message(
+                "drift.instruments",
+                "The sweeps are of two instruments, {one} and {other}.",
+                one=Verbatim(clean(before.serial_number)),
+                other=Verbatim(clean(now.serial_number)),
+            )
+        )
     springs = [calibration.conditions.get("spring_stiffness_n_per_m") for calibration in (before, now)]
     if springs[0] != springs[1]:
-        lines.append("Different springs were used: their uncertainties are in every difference.")
+        lines.append(
+            Message("drift.springs", "Different springs were used: every difference includes their uncertainties.")
+        )
     if any(calibration.verdict == "failed" for calibration in (before, now)):
-        lines.append("At least one of them failed.")
+        lines.append(Message("drift.failed", "At least one of the sweeps failed."))
     return lines
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What lies off a line of a static calibration: ``x`` (n,) and ``y`` (n,), SI with their units."""
+    """Residuals of a line of a static calibration: ``x`` (n,) and ``y`` (n,), SI with their units."""
 
     label: str
     x: Array
@@ -288,7 +310,7 @@ class Residuals:
 
 
 def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
-    """The residuals that a static calibration keeps; those of tables that are not as they should be are left out."""
+    """Return the residuals in a static calibration; malformed tables are left out."""
     found = []
     for table, across, off, label, x_unit, y_unit in _RESIDUALS:
         columns = calibration.tables.get(table, {})
@@ -301,9 +323,9 @@ def residuals(calibration: Calibration) -> tuple[Residuals, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Trend:
-    """A figure over dates, oldest first. ``per_year`` is its slope; None where the dates are too few or as good as one.
+    """A quantity over dates, oldest first. ``per_year`` is its slope; None with too few different dates.
 
-    ``std`` is NaN where a calibration does not say.
+    ``std`` is NaN where a calibration does not contain it.
     """
 
     name: str
@@ -314,29 +336,44 @@ class Trend:
     per_year: Estimate | None
 
     @property
-    def words(self) -> str:
-        """The trend in a sentence."""
+    def words(self) -> Message:
+        """Trend in a sentence."""
         label = label_of(self.name)
         if self.per_year is None:
-            return f"{label}: {LEAST_TREND} calibrations of different days make a trend."
+            return Message(
+                "trend.too_few",
+                "{quantity}: a trend needs calibrations of at least {least} different days.",
+                quantity=label,
+                least=LEAST_TREND,
+            )
         mean = float(np.mean(self.value))
         slope, std = self.per_year.value, self.per_year.std or 0.0
         scale, unit = (100.0 / abs(mean), "%") if mean else (1.0, self.unit)
-        size = f"{fixed(scale * abs(slope), 1)} ± {fixed(scale * std, 1)} {unit} a year"
+        values: dict[str, str | ShownQuantity] = {"quantity": label, "std": ShownQuantity(scale * std, unit, 1)}
         if abs(slope) <= DEVIATIONS * std or not any(digit in fixed(scale * abs(slope), 1) for digit in "123456789"):
-            return f"{label}: no trend ({'+' if slope > 0 else '−'}{size})."
-        return f"{label}: {'rises' if slope > 0 else 'falls'} by {size}."
+            return Message(
+                "trend.none", "{quantity}: no trend ({slope:.1f} ± {std} per year).", slope=scale * slope, **values
+            )
+        if slope > 0.0:
+            return Message(
+                "trend.rises", "{quantity}: rises by {slope:.1f} ± {std} per year.", slope=scale * slope, **values
+            )
+        return Message(
+            "trend.falls", "{quantity}: falls by {slope:.1f} ± {std} per year.", slope=-scale * slope, **values
+        )
 
 
 def trend(calibrations: Sequence[Calibration], name: str) -> Trend:
-    """A figure of several calibrations over their dates, with a straight line by least squares.
+    """Return a quantity of several calibrations over their dates, with its slope by least squares.
 
     Raises:
-        UnusableInputError: none of them holds it.
+        UnusableInputError: no calibration contains it.
     """
     held = [item for item in calibrations if name in item.quantities and abs(item.quantities[name].value) < _GREATEST]
     if not held:
-        raise UnusableInputError(f"no calibration holds {name}")
+        raise UnusableInputError(
+            Message("trend.no_quantity", "no calibration contains {quantity}", quantity=label_of(name))
+        )
     held.sort(key=lambda item: item.made)
     value = np.array([item.quantities[name].value for item in held])
     stds = [item.quantities[name].std for item in held]

@@ -1,22 +1,28 @@
-"""Calibration files: TOML that says what was measured on which device, when, how well, under which conditions."""
+"""Calibration files: TOML with the quantities measured on one device, their uncertainties, and the conditions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
-from tissueid.options import reason
-from tissueid.untrusted import toml_table
-from tissueid.whole_file import whole_file
+from tissueid.messages import Message, message_from
+from tissueid.option_errors import validation_reason
+from tissueid.untrusted_input import toml_table
 
 FORMAT: Literal["tissueid-calibration"] = "tissueid-calibration"
 MOST_BYTES = 1024 * 1024
+"""Largest calibration file, bytes."""
 MOST_ROWS = 10_000
+"""Largest number of rows of a table."""
+_MOST_MESSAGES = 200
+"""Largest number of messages that a file keeps."""
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -41,7 +47,8 @@ class Calibration(BaseModel):
 
     ``quantities`` are single figures by name (``coil_resistance_ohm``, ``force_constant_n_per_a``,
     ``linear_region_min_m``, ...); ``tables`` are columns of equal length by name (``force_constant``: ``position_m``,
-    ``value_n_per_a``, ``std_n_per_a``). ``problems`` says why a verdict is ``failed``.
+    ``value_n_per_a``, ``std_n_per_a``). ``problems`` says why a verdict is ``failed``. ``messages`` holds problems and
+    notes again, as code, template and values (``Message.as_dict``), for translation.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,6 +68,14 @@ class Calibration(BaseModel):
     problems: Annotated[tuple[Sentence, ...], Field(max_length=100)] = ()
     quantities: Annotated[dict[Name, Quantity], Field(max_length=200)] = Field(default_factory=dict)
     tables: Annotated[dict[Name, dict[Name, Column]], Field(max_length=100)] = Field(default_factory=dict)
+    messages: tuple[dict[str, Any], ...] = ()
+
+    @field_validator("messages", mode="before")
+    @classmethod
+    def _restorable(cls, given: object) -> tuple[dict[str, Any], ...]:
+        """Keep the entries that are messages and can be stored as TOML."""
+        found = [message_from(item) for item in given[:_MOST_MESSAGES]] if isinstance(given, list | tuple) else []
+        return stored_messages(found)
 
     @field_validator("date")
     @classmethod
@@ -68,9 +83,9 @@ class Calibration(BaseModel):
         try:
             time = datetime.fromisoformat(text)
         except ValueError:
-            raise ValueError("it must be a time such as 2026-03-01T09:30:00Z") from None
+            raise ValueError("must be a time such as 2026-03-01T09:30:00Z") from None
         if time.utcoffset() != timedelta(0):
-            raise ValueError("it must be a time in UTC, such as 2026-03-01T09:30:00Z")
+            raise ValueError("must be a time in UTC, such as 2026-03-01T09:30:00Z")
         return text
 
     @field_validator("tables")
@@ -85,69 +100,101 @@ class Calibration(BaseModel):
 
     @property
     def made(self) -> datetime:
-        """When it was made, UTC."""
+        """Date of the calibration, UTC."""
         return datetime.fromisoformat(self.date).astimezone(UTC)
 
     def age_days(self, now: datetime) -> float:
-        """Days from when it was made until ``now``; negative where it lies in the future."""
+        """Return the age in days at ``now``; negative for a date in the future."""
         return (now - self.made) / timedelta(days=1)
 
 
+def stored_messages(texts: Sequence[str]) -> tuple[dict[str, Any], ...]:
+    """Return the messages among texts as dictionaries that TOML can hold; those with values missing are left out."""
+    stored = [text.as_dict() for text in texts if isinstance(text, Message)]
+    return tuple(item for item in stored if not _has_none(item))[:_MOST_MESSAGES]
+
+
+def _has_none(value: object) -> bool:
+    if isinstance(value, dict | list):
+        return any(_has_none(item) for item in (value.values() if isinstance(value, dict) else value))
+    return value is None
+
+
 def utc_date(now: datetime | None = None) -> str:
-    """A time as calibrations carry it, to the second; that of now without one."""
+    """Format a time (default: now) in UTC, to the second, as calibration files store it."""
     return (now or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration from wherever it came.
+    """Read a calibration file, whose content is not trusted.
 
     Raises:
-        UnusableInputError: no such file, too large, not TOML, not a calibration; says which field is wrong.
+        UnusableInputError: the file is missing, too large, not TOML, or not a calibration; names the wrong field.
     """
     if path.exists() and not path.is_file():
-        raise UnusableInputError(f"{path} is not a file")
+        raise UnusableInputError(Message("calibration.not_a_file", "{path} is not a file", path=str(path)))
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise UnusableInputError(f"cannot read {path}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message(
+                "calibration.unreadable", "cannot read {path}: {reason}", path=str(path), reason=str(error.strerror)
+            )
+        ) from error
     content = _parsed(path, data)
     if content.get("format") != FORMAT:
-        raise UnusableInputError(f"{path} is not a calibration: its format is not {FORMAT!r}")
+        raise _no_calibration(path, Message("calibration.wrong_format", "its format is not '{format}'", format=FORMAT))
     try:
         return Calibration.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"] if part not in ("float", "tuple", "[key]")) or "content"
-        raise UnusableInputError(f"{path}: {where[:100]!r} cannot be used: {reason(error)[:200]}") from error
+        raise UnusableInputError(
+            Message(
+                "calibration.field",
+                "{path}: field '{field}' cannot be used: {reason}",
+                path=str(path),
+                field=where[:100],
+                reason=validation_reason(error),
+            )
+        ) from error
 
 
 def _parsed(path: Path, data: bytes) -> dict[str, object]:
-    """The content of a TOML file.
-
-    Raises:
-        UnusableInputError: it is none.
-    """
     if len(data) > MOST_BYTES:
-        raise UnusableInputError(f"{path} is too large for a calibration: at most {MOST_BYTES // 1024} KiB")
+        raise UnusableInputError(
+            Message(
+                "calibration.too_large",
+                "{path} is too large for a calibration: the limit is {limit} KiB",
+                path=str(path),
+                limit=MOST_BYTES // 1024,
+            )
+        )
     try:
         return toml_table(data)
     except UnicodeDecodeError as error:
-        raise UnusableInputError(f"{path} is not a calibration: it is not text") from error
+        raise _no_calibration(path, Message("calibration.not_text", "it is not a text file")) from error
     except ValueError as error:
-        raise UnusableInputError(f"{path} is not a calibration: {str(error).splitlines()[0][:200]}") from error
+        raise _no_calibration(path, str(error).splitlines()[0][:200]) from error
+
+
+def _no_calibration(path: Path, why: str) -> UnusableInputError:
+    return UnusableInputError(
+        Message("calibration.not_one", "{path} is not a calibration: {reason}", path=str(path), reason=why)
+    )
 
 
 def check_writable(path: Path) -> None:
-    """Refuse, before any work, a file that a calibration cannot be written to.
+    """Raise where a calibration cannot be written to ``path``; for use before any work is done.
 
     Raises:
-        UnusableInputError: a folder, no folder for it, or a file that is not a calibration and is not written over.
+        UnusableInputError: ``path`` is a folder, its folder is missing, or another kind of file is there.
     """
     if path.is_dir():
-        raise UnusableInputError(f"{path} is a folder; name a file")
+        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(path)))
     if not path.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {path.parent}")
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
     if path.exists():
         try:
             with path.open("rb") as file:
@@ -155,27 +202,35 @@ def check_writable(path: Path) -> None:
         except (OSError, UnusableInputError):
             content = {}
         if content.get("format") != FORMAT:
-            raise UnusableInputError(f"{path} is there already and is not a calibration; it is not written over")
+            raise UnusableInputError(
+                Message(
+                    "calibration.other_file",
+                    "{path} exists and is not a calibration: it is not overwritten. Name another file",
+                    path=str(path),
+                )
+            )
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration, whole or not at all and safely on the disk; only over another calibration.
+    """Write a calibration atomically and flushed to the disk. Only another calibration is overwritten.
 
     Raises:
-        UnusableInputError: something else is there, the folder is missing, or it cannot be written.
+        UnusableInputError: another kind of file is there, the folder is missing, or writing fails.
     """
     check_writable(path)
     try:
-        with whole_file(path, synced=True, shared=True) as partial:
+        with atomic_file(path, synced=True, shared=True) as partial:
             partial.write_text(as_text(calibration), encoding="utf-8")
     except OSError as error:
-        raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message("file.not_written", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
+        ) from error
 
 
 def keep_calibration(path: Path, calibration: Calibration) -> Path:
-    """Write a calibration, a failed one beside one that passed and never over it; returns where it is.
+    """Write a calibration and return its path. A failed one never overwrites one that passed.
 
-    What is beside it is named ``<stem>.failed.toml``, with a number where another one that passed is there.
+    It is then written to ``<stem>.failed.toml``, or ``<stem>.failed_2.toml`` and so on.
 
     Raises:
         UnusableInputError: as ``write_calibration``.
@@ -189,7 +244,6 @@ def keep_calibration(path: Path, calibration: Calibration) -> Path:
 
 
 def _passed(path: Path) -> bool:
-    """Whether a calibration that passed is there."""
     try:
         return read_calibration(path).verdict == "passed"
     except UnusableInputError:
@@ -197,9 +251,12 @@ def _passed(path: Path) -> bool:
 
 
 def as_text(calibration: Calibration) -> str:
-    """A calibration as TOML, with a head for whoever opens it."""
+    """Return a calibration as TOML, with a comment for the reader."""
     head = (
         f"# {calibration.kind.capitalize()} calibration of {calibration.model}, {calibration.serial_number}.\n"
-        "# SI units; std is one standard deviation. 'tissueid calibrate show FILE' tells it in words.\n\n"
+        "# SI units; std is one standard deviation. 'tissueid calibrate show FILE' prints it as a table.\n\n"
     )
-    return head + tomli_w.dumps(calibration.model_dump(mode="python", exclude_none=True))
+    content = calibration.model_dump(mode="python", exclude_none=True)
+    if not calibration.messages:
+        del content["messages"]
+    return head + tomli_w.dumps(content)

@@ -1,4 +1,4 @@
-"""What the steps of a calibration find, gathered: figures, tables, what is wrong, and what else is worth saying."""
+"""Results of the steps of a calibration: quantities, tables, problems and notes."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from numpy.typing import ArrayLike
 
 from tissueid.calibration.file import Quantity
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.records import Estimate
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What one step found. ``problems`` make the verdict a failure; ``notes`` do not.
+    """Results of one step. ``problems`` make the verdict a failure; ``notes`` do not.
 
-    ``shared`` is the part of a figure's deviation that every repeat has alike, in the figure's unit: what the spring is
-    known to, and the like.
+    ``shared`` is the part of a quantity's standard deviation that is common to all repeats, in the quantity's unit,
+    such as the uncertainty of the spring.
     """
 
     quantities: dict[str, Quantity] = field(default_factory=dict)
@@ -28,13 +29,15 @@ class Findings:
     shared: dict[str, float] = field(default_factory=dict)
 
     def value(self, name: str) -> float:
-        """A figure that a step before has found.
+        """Return the value of a quantity of an earlier step.
 
         Raises:
-            UnusableInputError: it has not.
+            UnusableInputError: no step has measured it.
         """
         if name not in self.quantities:
-            raise UnusableInputError(f"the calibration holds no {name}")
+            raise UnusableInputError(
+                Message("calibration.no_quantity", "the calibration does not contain {name}", name=name)
+            )
         return self.quantities[name].value
 
     def __add__(self, other: Findings) -> Findings:
@@ -48,9 +51,9 @@ class Findings:
 
 
 def quantity(estimate: Estimate | float, unit: str, std: float | None = None) -> Quantity:
-    """A figure with its deviation, as a calibration keeps it; a deviation that is not finite is none.
+    """Return a quantity of a calibration file. A standard deviation that is not finite is left out.
 
-    Deviations that were scaled by a figure of the wrong sign, from a channel the wrong way round, are made positive.
+    Standard deviations that were scaled by a negative value, from an inverted channel, are made positive.
     """
     found = estimate if isinstance(estimate, Estimate) else Estimate(estimate, std)
     known = None if found.std is None or not np.isfinite(found.std) else abs(float(found.std))
@@ -58,16 +61,16 @@ def quantity(estimate: Estimate | float, unit: str, std: float | None = None) ->
 
 
 def column(values: ArrayLike) -> tuple[float, ...]:
-    """A column of a table, to as many digits as anybody reads."""
+    """Return a column of a table, to seven digits."""
     return tuple(float(f"{value:.7g}") for value in np.asarray(values, np.float64))
 
 
 def repeated(runs: Sequence[Findings]) -> Findings:
-    """One finding from several runs of the same steps: means, and how far they lie apart.
+    """Return the mean of several runs of the same steps.
 
-    The random part of a mean's deviation is the larger of what each run says of itself and what they scatter by, over
-    the root of their number; what all runs share stays as it is. What is wrong with one of them is wrong. The table
-    ``repeats`` holds every run's figures; other tables are the first run's.
+    The random part of the standard deviation of a mean is the larger of the runs' own estimate and their scatter,
+    divided by the root of their number; the part common to all runs stays as it is. A problem of one run is a problem
+    of all. The table ``repeats`` holds the quantities of each run; other tables are those of the first run.
     """
     first = runs[0]
     if len(runs) == 1:

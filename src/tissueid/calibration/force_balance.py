@@ -1,8 +1,8 @@
 """The mechanical half of a sweep: force constant along the stroke, mass and damping, against the calibration spring.
 
-M x'' + B x' + K (x - x_s) - m g = k(x) i holds in all tests with the same M, B and k(x), and K is that of the spring.
-Both sides are convolved with a smooth window, so that the derivatives fall on the window and not on the recorded
-position (modulating functions, Shinbrot 1957); what is left is linear in M, B, k(x) and an offset for each test.
+M x'' + B x' + K (x - x_s) - m g = k(x) i holds in all tests with the same M, B and k(x); K is that of the spring. Both
+sides are convolved with a smooth window, so that the window is differentiated in place of the recorded position
+(modulating functions, Shinbrot 1957). The result is linear in M, B, k(x) and an offset for each test.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from scipy import special
 
 from tissueid.calibration.flux import FluxFit
-from tissueid.calibration.spline_basis import Array, SplineBasis
-from tissueid.calibration.spline_regression import covariance_of, solved
+from tissueid.calibration.spline_basis import Array, SplineBasis, covariance_of, solved
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.records import Estimate
 
 WINDOW_S = 2.5e-3
-"""Standard deviation of the window: passes 60 Hz, three times the spring's resonance."""
+"""Standard deviation of the window, s: it passes 60 Hz, three times the resonance of the spring."""
 _REACH = 6.0
+"""Half width of the window, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class BalanceFit:
-    """What the balance of forces says, for a spring of exactly the stiffness that was given.
+    """Result of the force balance, for a spring of exactly the given stiffness.
 
     ``coefficients`` (p,) of the basis are the force constant, N/A, with ``covariance`` (p, p).
     """
@@ -42,8 +42,8 @@ class BalanceFit:
 def fit_balance(tests: Sequence[SweepTest], flux: FluxFit, stiffness_n_per_m: float) -> BalanceFit:
     """Fit the balance to all tests, with the currents of the electrical half.
 
-    The current is noisy where it stands on the right-hand side; what the electrical equation gives for it is the
-    instrument by which that noise does no harm.
+    The measured current is a noisy regressor; the modelled current of the electrical equation is its instrumental
+    variable, so that the noise causes no bias.
     """
     basis, rate = flux.basis, tests[0].sample_rate_hz
     size, every = basis.size, max(1, round(WINDOW_S * rate))
@@ -60,7 +60,7 @@ def fit_balance(tests: Sequence[SweepTest], flux: FluxFit, stiffness_n_per_m: fl
         target = stiffness_n_per_m * _convolved(about, window)
         whole = np.isfinite(design).all(axis=1) & np.isfinite(target) & np.isfinite(clean).all(axis=1)
         part = np.flatnonzero(whole)[::every]
-        # Without its mean: where the spring rests, and the weight, are offsets of each test.
+        # Without means: rest position of the spring and weight are offsets of each test.
         rows.append(tuple(a[part] - a[part].mean(axis=0) for a in (design, clean, target)))
     design, clean, target = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     scale = np.sqrt(np.mean(design**2, axis=0))
@@ -70,7 +70,7 @@ def fit_balance(tests: Sequence[SweepTest], flux: FluxFit, stiffness_n_per_m: fl
     influence = (clean / scale) @ inverse * residual[:, None]
     covariance = covariance_of(influence, residual, rate / every) / np.outer(scale, scale)
     solution, std = solution / scale, np.sqrt(np.diag(covariance))
-    # A force that acts later by the error of L / R is taken for damping K times, and for mass B times that error.
+    # A delay of the force by the error of L / R changes damping by K times, and mass by B times that error.
     std[size:] = np.hypot(std[size:], flux.lag.noise_s * np.array([abs(solution[size + 1]), stiffness_n_per_m]))
     return BalanceFit(
         basis=basis,
@@ -83,7 +83,7 @@ def fit_balance(tests: Sequence[SweepTest], flux: FluxFit, stiffness_n_per_m: fl
 
 
 def _windows(rate: float) -> tuple[Array, Array, Array, Array]:
-    """The window, its slope and its bend at the samples, and its mean over the interval before each sample."""
+    """Return the window, its first two derivatives, and its mean over the interval before each sample."""
     reach = int(np.ceil(_REACH * WINDOW_S * rate))
     time = np.arange(-reach, reach + 1) / rate
     window = np.exp(-0.5 * (time / WINDOW_S) ** 2) / (np.sqrt(2.0 * np.pi) * WINDOW_S * rate)
@@ -97,5 +97,5 @@ def _windows(rate: float) -> tuple[Array, Array, Array, Array]:
 
 
 def _convolved(values: Array, window: Array) -> Array:
-    """Values (n,) under the window, shape (n - window + 1,); NaN where one of them is."""
+    """Return values (n,) convolved with the window, shape (n - window + 1,); NaN where a value is missing."""
     return np.convolve(values, window, mode="valid")

@@ -1,4 +1,4 @@
-"""Figures of several calibrations laid over the nominal ones: whence each is taken, and what is to be said of it."""
+"""Merge of several calibrations with the nominal figures of a device: the source of each figure, and warnings."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from datetime import datetime
 import numpy as np
 
 from tissueid.calibration.file import Calibration
-from tissueid.calibration.judging import State
-from tissueid.calibration.plausible import BOUNDS, LAID_OVER
-from tissueid.calibration.words import label_of
-from tissueid.device import DeviceDescription
+from tissueid.calibration.labels import label_of
+from tissueid.calibration.plausibility import BOUNDS, DEVICE_TOLERANCES
+from tissueid.calibration.status import State
+from tissueid.device import CALIBRATE_STATIC, CALIBRATE_SWEEP, DeviceDescription, warning_entries
+from tissueid.language import marked
+from tissueid.messages import Listing, Message, Quantity
 
 POSITION = ("position_gain", "position_offset_m")
-"""The scale of the position."""
+"""Quantities of the position scale."""
 DISAGREE = 0.03
-"""Static calibration and sweep find the same force constant within this, or it is said."""
+"""Relative difference of the force constants of static calibration and sweep beyond which a warning is given."""
 NEEDED = ("coil_resistance_ohm", "force_constant_n_per_a", "current_offset_a")
-"""Without these a static calibration does not turn readings into newtons."""
+"""Quantities that a static calibration needs for force in newtons."""
 MOST_SHIFT_M = 0.1e-3
-"""By so much may the position scale move under a sweep before its linear region is said to be off."""
-BETWEEN = "; "
-"""Stands between two warnings, and in none."""
-NO_REGION = "the linear region is not known: run 'tissueid calibrate sweep'"
+"""Largest change of the position scale after a sweep without a warning about its linear region, m."""
+NO_REGION = Message("calibration.no_region", "the linear region is not known: run {action}", action=CALIBRATE_SWEEP)
 
 
 @dataclass(frozen=True)
 class Used:
-    """A calibration that may be used; ``words`` says why it is stale."""
+    """A usable calibration; ``words`` says why it is stale."""
 
     file: str
     calibration: Calibration
@@ -38,21 +38,16 @@ class Used:
 
     @property
     def made(self) -> datetime:
-        """When."""
+        """Date of the calibration."""
         return self.calibration.made
 
     def differs(self, other: Calibration) -> bool:
-        """Whether another would put other figures in force."""
+        """Return whether another calibration has other quantities."""
         return self.calibration.quantities != other.quantities
 
 
-def joined(warnings: Sequence[str]) -> str:
-    """Warnings in one text, of which ``BETWEEN`` parts them again."""
-    return BETWEEN.join(warning.replace(BETWEEN, ", ") for warning in warnings)
-
-
 def number_of(known: Mapping[str, float | str], name: str | None, default: float) -> float:
-    """A figure that is known; ``default`` where it is not, or is none."""
+    """Return the finite number under a name; ``default`` where there is none."""
     value = default if name is None else known.get(name, default)
     return float(value) if isinstance(value, int | float) and np.isfinite(value) else default
 
@@ -60,9 +55,16 @@ def number_of(known: Mapping[str, float | str], name: str | None, default: float
 def laid_over(
     nominal: DeviceDescription, statics: Sequence[Used], sweeps: Sequence[Used], warnings: list[str]
 ) -> DeviceDescription:
-    """Figures of static calibrations, newest first, before those of a sweep, and all before the nominal ones."""
+    """Return the device with calibrated figures: of static calibrations, else of a sweep, else nominal.
+
+    Args:
+        nominal: description by the device itself.
+        statics: usable static calibrations, newest first.
+        sweeps: the sweep to use, or none.
+        warnings: warnings so far; others are appended.
+    """
     if not statics and not sweeps:
-        refused: dict[str, float | str] = {"state": "none", "verdict": "none", "warnings": joined(warnings)}
+        refused: dict[str, float | str] = {"state": "none", "verdict": "none", **warning_entries(warnings)}
         return replace(nominal, calibration=refused) if warnings else nominal
     known: dict[str, float | str] = {"state": "valid", "verdict": "passed"}
     found = _sources(statics)
@@ -77,11 +79,11 @@ def laid_over(
     for item in (*([base] if base is not None else []), *sweeps):
         if item.state == "stale":
             known["state"] = "stale"
-            warnings.append(f"{item.file}: {item.words}")
+            warnings.append(warning_about(item.file, item.words))
     for name, item in found.items():
         figure = item.calibration.quantities[name]
         known[name] = figure.value
-        if name in LAID_OVER:
+        if name in DEVICE_TOLERANCES:
             known[f"nominal_{name}"] = getattr(nominal, name)
             if figure.std is not None:
                 known[f"{name}_std"] = figure.std
@@ -89,9 +91,11 @@ def laid_over(
     if "linear_region_min_m" not in known:
         warnings.append(NO_REGION)
     if base is None:
-        warnings.append("there is no static calibration: run 'tissueid calibrate static'")
+        warnings.append(
+            Message("calibration.no_static", "there is no static calibration: run {action}", action=CALIBRATE_STATIC)
+        )
     if warnings:
-        known["warnings"] = joined(warnings)
+        known |= warning_entries(warnings)
     uncertainty = number_of(known, "calibration_relative_uncertainty", nominal.calibration_relative_uncertainty)
     return replace(
         nominal,
@@ -106,17 +110,22 @@ def laid_over(
     )
 
 
+def warning_about(file: str, words: str) -> Message:
+    """Return a warning about a calibration file."""
+    return Message("calibration.about", "{file}: {warning}", file=file, warning=words)
+
+
 def _figures(calibration: Calibration) -> tuple[str, ...]:
-    """The figures of a calibration that are put in force."""
+    """Return the names of the quantities that take effect on the device."""
     return tuple(
         name
         for name in calibration.quantities
-        if name in LAID_OVER or name in BOUNDS or name.startswith(("linear_region_", "stroke_m"))
+        if name in DEVICE_TOLERANCES or name in BOUNDS or name.startswith(("linear_region_", "stroke_m"))
     )
 
 
 def _sources(statics: Sequence[Used]) -> dict[str, Used]:
-    """Where each figure is taken from: the newest good calibration that holds it, else the newest stale one."""
+    """Return the source of each figure: the newest valid calibration that contains it, else the newest stale one."""
     found: dict[str, Used] = {}
     for item in sorted(statics, key=lambda item: item.state == "stale"):
         for name in _figures(item.calibration):
@@ -125,38 +134,50 @@ def _sources(statics: Sequence[Used]) -> dict[str, Used]:
 
 
 def _base(statics: Sequence[Used], found: Mapping[str, Used]) -> Used | None:
-    """The static calibration that others only complete: the oldest of those that give what is needed for newtons."""
+    """Return the static calibration that others only complete: the oldest source of a figure of ``NEEDED``."""
     giving = [found[name] for name in NEEDED if name in found]
     return min(giving, key=lambda item: item.made) if giving else next(iter(statics), None)
 
 
 def _patchwork(base: Used, found: Mapping[str, Used]) -> list[str]:
-    """What is to be said where static calibrations of a few steps stand beside each other."""
-    lines = []
+    """Return warnings about figures that come from several static calibrations, or from none."""
+    lines: list[str] = []
     files = {item.file: item for item in found.values() if item.calibration.kind == "static"}
     if len(files) > 1:
         newest = max(files.values(), key=lambda item: (item.made, item.file))
         for item in files.values():
-            names = ", ".join(_label(name) for name, source in found.items() if source is item)
-            if item is not newest:
-                old = f", and {item.words}" if item.state == "stale" and item is not base else ""
-                lines.append(f"{newest.file} does not hold all: {names} are those of {item.file}{old}")
-    if missing := [_label(name) for name in NEEDED if name not in found]:
+            names = Listing(tuple(label_of(name) for name, source in found.items() if source is item))
+            if item is newest:
+                continue
+            values = {"file": newest.file, "names": names, "other": item.file}
+            if item.state == "stale" and item is not base:
+                lines.append(
+                    Message(
+                        "calibration.completed_by_stale",
+                        "{file} is not complete. Taken from {other}: {names}. Note that {reason}",
+                        reason=item.words,
+                        **values,
+                    )
+                )
+            else:
+                lines.append(
+                    Message("calibration.completed", "{file} is not complete. Taken from {other}: {names}", **values)
+                )
+    if missing := [label_of(name) for name in NEEDED if name not in found]:
         lines.append(
-            f"no static calibration holds {', '.join(missing)}: what the instrument says of itself is used; "
-            "run 'tissueid calibrate static'"
+            Message(
+                "calibration.nominal_used",
+                "no static calibration contains: {names}. The nominal values of the instrument are used; run {action}",
+                names=Listing(tuple(missing)),
+                action=CALIBRATE_STATIC,
+            )
         )
     return lines
 
 
-def _label(name: str) -> str:
-    label = label_of(name)
-    return label[:1].lower() + label[1:]
-
-
 def _disagreements(found: Mapping[str, Used], sweeps: Sequence[Used], known: Mapping[str, float | str]) -> list[str]:
-    """Where a sweep does not agree with the static calibration in force, or was made under another one."""
-    lines = []
+    """Return warnings about a sweep that disagrees with the static calibration in force, or was made under another."""
+    lines: list[str] = []
     for item in sweeps:
         swept = item.calibration.quantities.get("force_constant_n_per_a")
         static = found.get("force_constant_n_per_a")
@@ -164,27 +185,42 @@ def _disagreements(found: Mapping[str, Used], sweeps: Sequence[Used], known: Map
             value = static.calibration.quantities["force_constant_n_per_a"].value
             if abs(swept.value / value - 1.0) > DISAGREE:
                 lines.append(
-                    f"static calibration and sweep disagree on the force constant: {value:.3f} and "
-                    f"{swept.value:.3f} N/A; repeat both"
+                    Message(
+                        "calibration.disagree",
+                        "static calibration and sweep disagree on the force constant: {static:.3f} and {sweep:.3f} N/A;"
+                        " repeat both",
+                        static=value,
+                        sweep=swept.value,
+                    )
                 )
         made_under = item.calibration.conditions
         off_m = _shift_m(made_under, known)
         if off_m > MOST_SHIFT_M:
-            under = made_under.get("static_file", "no static calibration")
             lines.append(
-                f"{item.file} was made under {under}, by whose scale positions differ by {1e3 * off_m:.2f} mm from "
-                "those now: its linear region is off by as much; repeat the sweep"
+                Message(
+                    "calibration.region_shifted",
+                    "{file} was made under {static}, whose position scale differs by {shift} from the current one: its "
+                    "linear region is shifted by as much; repeat the sweep",
+                    file=item.file,
+                    static=made_under.get("static_file", marked("no static calibration")),
+                    shift=Quantity(1e3 * off_m, "mm", 2),
+                )
             )
         elif not np.isfinite(off_m):
             lines.append(
-                f"{item.file} was made under another static calibration ({made_under['static_file']}), and does not "
-                "say by what scale: its linear region may be off; repeat the sweep"
+                Message(
+                    "calibration.region_unsure",
+                    "{file} was made under another static calibration ({static}) and does not contain its position "
+                    "scale: its linear region may be shifted; repeat the sweep",
+                    file=item.file,
+                    static=made_under["static_file"],
+                )
             )
     return lines
 
 
 def _shift_m(made_under: Mapping[str, float | str], known: Mapping[str, float | str]) -> float:
-    """By how much the ends of a linear region lie elsewhere than when it was found, m; NaN where nobody knows."""
+    """Return the shift of the ends of a linear region since the sweep, m; NaN where it is not known."""
     dates = made_under.get("static_date"), known.get("static_date")
     if dates[0] is not None and dates[0] != dates[1] and not any(name in made_under for name in POSITION):
         return float("nan")

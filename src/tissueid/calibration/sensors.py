@@ -1,4 +1,4 @@
-"""The sensors: position along the stroke, thermometer, accelerometer; what supplies and mains do to all channels."""
+"""Static calibration of position sensor, thermometer and accelerometer; drift, noise and mains of all channels."""
 
 from __future__ import annotations
 
@@ -8,60 +8,92 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.calibration.findings import Findings, column, quantity
-from tissueid.calibration.levels import Levels, mean, noise_of_mean
-from tissueid.calibration.line import Line, straight_line
+from tissueid.calibration.labels import CHANNELS
+from tissueid.calibration.line_fit import Line, straight_line
+from tissueid.calibration.step_levels import Levels, mean, noise_of_mean
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
 MAINS_HZ = (50.0, 60.0, 100.0, 120.0)
+"""Frequencies of mains interference, Hz."""
 _MAINS_CHANCE = 1e-6
-"""Noise alone shows mains as clearly as this once in so many channels and lines."""
+"""Probability that noise alone is taken for mains, for each channel and frequency."""
 
 MOST_NONLINEAR = 0.01
-"""Share of the span by which one position may be off the line."""
+"""Largest distance of a position from the line, as a share of the span."""
 _LEAST_GAIN = 0.1
+"""Least gain of a position sensor that responds."""
 MOST_TEMPERATURE_JUMP_C = 2.0
-JUMP_S = 0.1
+"""Largest step of the thermometer within a tenth of a second, °C."""
 _HEATING_SEEN_J = 20.0
+"""Heat beyond which the thermometer must respond, J."""
 _LEAST_RISE_C_PER_J = 0.005
+"""Least rise of the thermometer, °C per joule."""
+_MOST_TEMPERATURE_OFFSET_C = 10.0
+"""Largest difference of the thermometer from room temperature, °C."""
 MOST_ACCELERATION_ERROR = 0.15
+"""Largest relative error of the accelerometer."""
 MOST_SUPPLY_DRIFT = 0.005
+"""Largest relative drift of resistance and voltage, and drift of the current's zero, A, in addition to four standard
+deviations."""
 MOST_POSITION_DRIFT_M = 20e-6
-"""By so much, and four deviations, may the same place read differently at the end."""
+"""Largest drift of the position at rest, m, in addition to four standard deviations."""
 NOISE_BOUNDS = {"voltage": 0.05, "current": 0.10, "position": 20e-6, "temperature": 1.0, "acceleration_x": 1.0}
-"""Noise of a sample beyond which a channel is not fit for use, SI: some five to twenty times the ordinary."""
+"""Largest noise per sample of each channel, SI: about five to twenty times the usual."""
 _UNITS = {"voltage": "V", "current": "A", "position": "m", "temperature": "degC", "acceleration_x": "m/s^2"}
+_SHOWN = {"degC": "°C", "m/s^2": "m/s²"}
 _SUFFIX = {"voltage": "v", "current": "a", "position": "m", "temperature": "c", "acceleration_x": "m_s2"}
 
 
 def position_line(truth_m: NDArray[np.float64], rests: Sequence[NDArray[np.void]]) -> Line:
-    """Readings at rest, samples for each place, against known places, shape (n,).
+    """Fit readings at rest, samples for each position, over known positions (n,), m.
 
     Raises:
-        UnusableInputError: fewer than three places, or they agree on no line, or all read the same.
+        UnusableInputError: fewer than three positions, no line, or a sensor that does not respond.
     """
     readings = np.array([mean(rest, "position") for rest in rests])
     noise = max(noise_of_mean(rest, "position") for rest in rests)
     line = straight_line(truth_m, readings, noise)
     if abs(line.slope.value) < _LEAST_GAIN:
-        raise UnusableInputError("the position reads the same at every place: check its sensor, and the fixture")
+        raise UnusableInputError(
+            Message(
+                "calibration.position_stuck",
+                "the position sensor reads the same at every position: check the sensor and the fixture",
+            )
+        )
     return line
 
 
 def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estimate | None) -> Findings:
-    """Gain and offset of the position channel, and how far it is from straight.
+    """Return gain, offset and nonlinearity of the position channel.
 
-    ``offset_m`` is the reading where the position is nothing; None where only distances between places were known.
+    Args:
+        truth_m: known positions (n,), m.
+        line: of the readings there.
+        offset_m: reading at position zero; None where only distances between positions were known.
     """
     span = float(np.ptp(truth_m)) * line.slope.value
     problems = []
     if line.worst > MOST_NONLINEAR * abs(span):
         problems.append(
-            f"the position sensor is not straight: {1e6 * line.worst:.0f} um off over {1e3 * abs(span):.1f} mm"
+            Message(
+                "calibration.nonlinear",
+                "the position sensor is not linear: the largest deviation is {deviation} over {span}",
+                deviation=Quantity(1e6 * line.worst, "µm"),
+                span=Quantity(1e3 * abs(span), "mm", 1),
+            )
         )
     if not 0.8 < line.slope.value < 1.2:
-        problems.append(f"one millimetre reads as {line.slope.value:.3f} mm: that is not believed; check the places")
+        problems.append(
+            Message(
+                "calibration.position_gain",
+                "one millimetre reads as {reading:.3f} mm: this is not plausible; check the positions",
+                reading=line.slope.value,
+            )
+        )
     count = int(np.count_nonzero(line.outliers))
     quantities = {
         "position_gain": quantity(line.slope, ""),
@@ -80,43 +112,77 @@ def position_findings(truth_m: NDArray[np.float64], line: Line, offset_m: Estima
             }
         },
         problems=tuple(problems),
-        notes=(f"position along the stroke: {count} of {line.outliers.size} places left out",) if count else (),
+        notes=(
+            Message(
+                "calibration.positions_left_out",
+                "position along the stroke: {count} of {points} positions were left out",
+                count=count,
+                points=line.outliers.size,
+            ),
+        )
+        if count
+        else (),
     )
 
 
 def temperature_findings(rest: NDArray[np.void], levels: Levels, ambient_c: float | None) -> Findings:
-    """The thermometer: its zero against the room's temperature before the coil is used, and if it follows heat."""
+    """Return zero and rise of the thermometer, and its problems.
+
+    Args:
+        rest: samples before the coil was used.
+        levels: readings of the voltage steps, which heat the coil.
+        ambient_c: room temperature, °C; None where it is not known.
+    """
     reading = mean(rest, "temperature")
     rise = levels.last_temperature_c - levels.first_temperature_c
     problems = []
     if levels.heat_j > _HEATING_SEEN_J and not rise > _LEAST_RISE_C_PER_J * levels.heat_j:
         problems.append(
-            f"the thermometer rises by {rise:.2f} °C where {levels.heat_j:.0f} J went into the coil: "
-            "see whether it is loose or broken; its limit cannot be relied on"
+            Message(
+                "calibration.thermometer_stuck",
+                "the thermometer rises by {rise} for {heat} into the coil: check whether it is loose or broken; the "
+                "temperature limit cannot be relied on",
+                rise=Quantity(rise, "°C", 2),
+                heat=Quantity(levels.heat_j, "J"),
+            )
         )
     jump = _largest_jump(rest["temperature"], levels)
     if jump > MOST_TEMPERATURE_JUMP_C:
-        problems.append(f"the thermometer jumps by {jump:.1f} °C: see whether it has a loose contact")
+        problems.append(
+            Message(
+                "calibration.thermometer_jumps",
+                "the thermometer jumps by {jump}: check it for a loose contact",
+                jump=Quantity(jump, "°C", 1),
+            )
+        )
     quantities = {
         "temperature_at_rest_c": quantity(Estimate(reading, noise_of_mean(rest, "temperature")), "degC"),
         "temperature_rise_c": quantity(rise, "degC"),
         "heat_j": quantity(levels.heat_j, "J"),
     }
-    notes: tuple[str, ...] = ("the thermometer's zero was not found: the room's temperature was not given",)
+    notes: tuple[str, ...] = (
+        Message(
+            "calibration.no_ambient", "the thermometer was not adjusted because the room temperature was not given"
+        ),
+    )
     if ambient_c is not None:
         notes = ()
         offset = reading - ambient_c
         quantities["temperature_offset_c"] = quantity(Estimate(offset, noise_of_mean(rest, "temperature")), "degC")
-        if abs(offset) > 10.0:
+        if abs(offset) > _MOST_TEMPERATURE_OFFSET_C:
             problems.append(
-                f"the thermometer reads {reading:.1f} °C in a room of {ambient_c:.1f} °C: "
-                "let the coil cool, or see to it"
+                Message(
+                    "calibration.thermometer_off",
+                    "the thermometer reads {reading} in a room of {room}: let the coil cool, or check the thermometer",
+                    reading=Quantity(reading, "°C", 1),
+                    room=Quantity(ambient_c, "°C", 1),
+                )
             )
     return Findings(quantities=quantities, problems=tuple(problems), notes=notes)
 
 
 def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
-    """The largest step between neighbouring means over a tenth of a second, degC, at rest and at no voltage."""
+    """Return the largest step between adjacent means over a tenth of a second, °C, at rest and at 0 V."""
     found = 0.0
     for values in (temperature, levels.rest["temperature"]):
         parts = np.array_split(values, max(2, round(values.size / 200)))
@@ -126,17 +192,23 @@ def _largest_jump(temperature: NDArray[np.float64], levels: Levels) -> float:
 
 
 def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | None) -> Findings:
-    """The accelerometer along the stroke: gravity is what it is held against.
+    """Return gain and zero of the accelerometer along the stroke, compared to gravity.
 
-    From one way up, the gain is found as if its zero were right; ``turned`` is what it reads the other way up, by which
-    zero and gain are known both.
+    Args:
+        rest: samples at rest.
+        turned: samples at rest upside down, which give gain and zero; None: the zero is taken to be right.
     """
     along, across = mean(rest, "acceleration_x"), mean(rest, "acceleration_y")
     noise = noise_of_mean(rest, "acceleration_x")
     quantities, notes, problems = {}, [], []
     if turned is None:
         gain, std = float(np.hypot(along, across)) / GRAVITY_M_S2, noise / GRAVITY_M_S2
-        notes.append("the accelerometer's zero is taken for right: the instrument was not turned over")
+        notes.append(
+            Message(
+                "calibration.not_turned",
+                "the zero of the accelerometer was not measured because the instrument was not turned over",
+            )
+        )
         offset = 0.0
     else:
         other = mean(turned, "acceleration_x")
@@ -147,7 +219,12 @@ def acceleration_findings(rest: NDArray[np.void], turned: NDArray[np.void] | Non
         quantities["acceleration_offset_m_s2"] = quantity(far, "m/s^2")
     if abs(gain - 1.0) > MOST_ACCELERATION_ERROR:
         problems.append(
-            f"the accelerometer reads {gain:.2f} times gravity at rest: hold the instrument still, or see to it"
+            Message(
+                "calibration.accelerometer",
+                "the accelerometer reads {gain:.2f} times gravity at rest: hold the instrument still, or check the "
+                "accelerometer",
+                gain=gain,
+            )
         )
     quantities["acceleration_gain"] = quantity(Estimate(gain, std), "")
     gravity = (along - offset) / (gain or 1.0)
@@ -164,10 +241,15 @@ def supply_findings(
     *,
     same_place: bool = True,
 ) -> Findings:
-    """What the supplies changed between the beginning and the end, how noisy the channels are, and the mains in them.
+    """Return drift from the first to the last electrical step, and noise and mains of the channels.
 
-    ``first`` and ``last`` are the electrical steps, ``rest`` and ``again`` what was read before each, the coil free.
-    With ``same_place`` false the spring was put back by hand meanwhile, and where it stands says nothing.
+    Args:
+        first: first electrical step.
+        last: last electrical step.
+        rest: samples at rest before the first.
+        again: samples at rest before the last.
+        device: nominal figures.
+        same_place: false where the spring was put back by hand in between; the position drift is then left out.
     """
     quantities, problems, notes = {}, [], []
     if same_place:
@@ -176,13 +258,17 @@ def supply_findings(
         quantities["supply_position_drift_m"] = quantity(moved, "m", moved_std)
         if abs(moved) > MOST_POSITION_DRIFT_M + 4.0 * moved_std:
             problems.append(
-                f"position at rest changed by {1e6 * moved:+.0f} um within the calibration: see whether the spring is "
-                "seated, and let the supplies warm up"
+                Message(
+                    "calibration.position_drift",
+                    "the position at rest changed by {drift} during the calibration: check that the spring is seated, "
+                    "and let the supplies warm up",
+                    drift=Quantity(1e6 * moved, "µm"),
+                )
             )
-    for name, what, scale in (
-        ("coil_resistance_ohm", "resistance", device.coil_resistance_ohm),
-        ("voltage_gain", "voltage", device.amplifier_gain),
-        ("current_offset_a", "current_zero", 1.0),
+    for name, what, label, scale in (
+        ("coil_resistance_ohm", "resistance", marked("resistance"), device.coil_resistance_ohm),
+        ("voltage_gain", "voltage", marked("voltage"), device.amplifier_gain),
+        ("current_offset_a", "current_zero", marked("zero of the current"), 1.0),
     ):
         before, after = first.quantities[name], last.quantities[name]
         drift = (after.value - before.value) / scale
@@ -190,28 +276,49 @@ def supply_findings(
         unit = "A" if name == "current_offset_a" else ""
         quantities[f"supply_{what}_drift"] = quantity(Estimate(drift, std), unit)
         if abs(drift) > MOST_SUPPLY_DRIFT + 4.0 * std:
-            much = f"{1e3 * drift:+.1f} mA" if unit else f"{100 * drift:+.2f} %"
+            size = Quantity(1e3 * drift, "mA", 1) if unit else Quantity(100.0 * drift, "%", 2)
             problems.append(
-                f"{what.replace('_', ' ')} changed by {much} within the calibration: let the supplies warm up, "
-                "and check them"
+                Message(
+                    "calibration.supply_drift",
+                    "{quantity} changed by {drift} during the calibration: let the supplies warm up, and check them",
+                    quantity=label,
+                    drift=size,
+                )
             )
     for name, bound in NOISE_BOUNDS.items():
         values = np.asarray(rest[name], np.float64)
         noise = float(np.std(np.diff(values)) / np.sqrt(2.0))
         quantities[f"noise_{name}_{_SUFFIX[name]}"] = quantity(noise, _UNITS[name])
         if noise > bound:
-            problems.append(f"{name.replace('_', ' ')} is too noisy at rest: {noise:.3g} {_UNITS[name]} a sample")
+            problems.append(
+                Message(
+                    "calibration.noisy",
+                    "{channel} is too noisy at rest: {noise:.3g} {unit} per sample",
+                    channel=CHANNELS[name],
+                    noise=noise,
+                    unit=_SHOWN.get(_UNITS[name], _UNITS[name]),
+                )
+            )
         hertz, amplitude = mains(values, device.sample_rate_hz)
         if hertz:
             quantities[f"mains_{name}_{_SUFFIX[name]}"] = quantity(amplitude, _UNITS[name])
-            notes.append(f"the mains are in {name.replace('_', ' ')}: {amplitude:.2g} {_UNITS[name]} at {hertz:g} Hz")
+            notes.append(
+                Message(
+                    "calibration.mains",
+                    "mains interference in {channel}: {amplitude:.2g} {unit} at {frequency:g} Hz",
+                    channel=CHANNELS[name],
+                    amplitude=amplitude,
+                    unit=_SHOWN.get(_UNITS[name], _UNITS[name]),
+                    frequency=hertz,
+                )
+            )
     return Findings(quantities=quantities, problems=tuple(problems), notes=tuple(notes))
 
 
 def mains(values: NDArray[np.float64], rate_hz: float) -> tuple[float, float]:
-    """Frequency, Hz, and amplitude of the strongest mains line in values, shape (n,); 0 and 0 where noise explains all.
+    """Return frequency, Hz, and amplitude of the strongest mains line in values (n,); 0 and 0 without a mains line.
 
-    The power at the line is held against that at the frequencies beside it, 1.5 to 6 Hz off.
+    The power at the line is compared to the power at neighbouring frequencies, 1.5 to 6 Hz away.
     """
     time = np.arange(values.size) / rate_hz
     values = (values - values.mean()) * np.hanning(values.size)
@@ -221,10 +328,10 @@ def mains(values: NDArray[np.float64], rate_hz: float) -> tuple[float, float]:
 
     best = 0.0, 0.0
     for hertz in MAINS_HZ:
-        beside = [power(hertz + off) for distance in (1.5, 3.0, 4.5, 6.0) for off in (distance, -distance)]
-        floor = float(np.mean(beside))
+        neighbours = [power(hertz + off) for distance in (1.5, 3.0, 4.5, 6.0) for off in (distance, -distance)]
+        floor = float(np.mean(neighbours))
         # Power of noise over its mean from 8 others, 2 degrees of freedom each, follows F(2, 16).
-        if floor > 0 and (1.0 + power(hertz) / floor / len(beside)) ** -len(beside) < _MAINS_CHANCE:
+        if floor > 0 and (1.0 + power(hertz) / floor / len(neighbours)) ** -len(neighbours) < _MAINS_CHANCE:
             amplitude = 2.0 * float(np.sqrt(power(hertz))) / (0.5 * values.size)
             if amplitude > best[1]:
                 best = hertz, amplitude

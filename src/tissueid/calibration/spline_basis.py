@@ -1,4 +1,4 @@
-"""Cubic B-splines along the stroke: how the force constant of the coil may run."""
+"""Cubic B-splines along the stroke for the force constant of the coil, and least squares on them."""
 
 from __future__ import annotations
 
@@ -9,22 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+
 Array = NDArray[np.float64]
 
 LEAST_SPACING_M = 2.0e-3
-"""The field of a magnet does not change within less: its edge is as soft as the gap is wide."""
+"""Least spacing of knots, m: the field of a magnet changes over about the width of its gap."""
+RIDGE = 1e-7
+"""Weight of the smoothness penalty relative to the data: it only takes effect where there is no data."""
 _DEGREE = 3
 
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """Cubic B-splines on a row of knots, m, shape (k,), which rise in equal steps; both ends are fourfold."""
+    """Cubic B-splines on equally spaced knots (k,), m, with fourfold ends."""
 
     knots: Array
 
     @classmethod
     def covering(cls, visited_m: Sequence[Array], spacing_m: float) -> SplineBasis:
-        """The basis over all positions visited, m, knots ``spacing_m`` apart or little less, never too near."""
+        """Return the basis over all visited positions, m, with knots about ``spacing_m`` apart but never too close."""
         low = min(float(np.nanmin(part)) for part in visited_m)
         high = max(float(np.nanmax(part)) for part in visited_m)
         pieces = max(1, int(np.ceil((high - low) / max(spacing_m, LEAST_SPACING_M) - 1e-9)))
@@ -42,11 +46,11 @@ class SplineBasis:
         return float(self.knots[0]), float(self.knots[-1])
 
     def values(self, position_m: Array) -> Array:
-        """Each spline at positions, shape (n,) to (n, size); NaN stays NaN."""
+        """Return each spline at positions (n,), shape (n, size); NaN stays NaN."""
         return self._of(position_m, BSpline(self.knots, np.eye(self.size), _DEGREE))
 
     def integrals(self, position_m: Array) -> Array:
-        """Each spline's integral from the first knot, m, shape (n,) to (n, size); NaN stays NaN."""
+        """Return the integral of each spline from the first knot, m, to positions (n,), shape (n, size)."""
         return self._of(position_m, BSpline(self.knots, np.eye(self.size), _DEGREE).antiderivative())
 
     def _of(self, position_m: Array, spline: BSpline) -> Array:
@@ -54,6 +58,27 @@ class SplineBasis:
         return np.asarray(spline(np.clip(position_m, low, high)), dtype=np.float64)
 
     def roughness(self) -> Array:
-        """Sum of squared second differences of the coefficients, shape (size, size): nil for a straight line."""
+        """Return the matrix (size, size) of the sum of squared second differences of the coefficients."""
         differences = np.diff(np.eye(self.size), 2, axis=0)
         return np.asarray(differences.T @ differences, dtype=np.float64)
+
+
+def solved(design: Array, target: Array, basis: SplineBasis, instruments: Array | None = None) -> tuple[Array, Array]:
+    """Return the least-squares solution (p,) and the inverse of its normal matrix (p, p).
+
+    Args:
+        design: regressors (n, p); the first are the splines of the basis, which are kept smooth where there is no data.
+        target: output (n,).
+        basis: of the splines.
+        instruments: regressors (n, p) without noise, as instrumental variables against bias towards zero.
+    """
+    clean = design if instruments is None else instruments
+    gram = clean.T @ design
+    gram[: basis.size, : basis.size] += RIDGE * np.mean(np.diag(gram)[: basis.size]) * basis.roughness()
+    inverse = np.linalg.inv(gram)
+    return np.asarray(inverse @ (clean.T @ target)), np.asarray(inverse.T)
+
+
+def covariance_of(influence: Array, residual: Array, rate: float) -> Array:
+    """Return the covariance (p, p) of a solution from the influence (n, p) of its rows; residuals may be correlated."""
+    return long_run_covariance(influence, dependence_samples(residual, rate))

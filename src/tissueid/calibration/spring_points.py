@@ -1,4 +1,4 @@
-"""What the coil is at each position of a sweep: linear identification with the spring (Chen 2010, 2.4.1, Fig. 2.12)."""
+"""Linear identification of coil and spring at each position of a sweep (Chen 2010, 2.4.1, Fig. 2.12)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.second_order import SecondOrder
+from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 MEMORY_S = 0.25
-"""By then a spring of 1,000 N/m with 66 g on it has lost 99.9 % of its swing."""
+"""Length of the impulse response, s: a spring of 1,000 N/m with 66 g decays to 0.1 % within it."""
 RATE_HZ = 2000.0
-"""Samples a second that identification with the spring goes by."""
+"""Sample rate of the identification, Hz."""
 LOWEST_HZ, HIGHEST_HZ = 2.0, 200.0
-"""The band of a Bode plot: what the stimulus drives."""
+"""Band of the Bode plot, Hz: the band of the stimulus."""
 _FREQUENCIES = 41
+"""Frequencies of the Bode plot."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpringPoint:
-    """One position: mass, damping and stiffness as they seem to an instrument that believes its force constant.
+    """One position: apparent mass, damping and stiffness with the force constant of the device.
 
     ``vaf_percent`` is that of the impulse response, ``vaf_parametric_percent`` that of the second-order system.
     ``response_m_per_n`` (41,) is the measured compliance at ``frequency_hz`` (41,), from the impulse response.
@@ -52,9 +54,9 @@ class SpringPoint:
 
 
 def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) -> Record:
-    """The record of what was held over the interval before each reading (n,), ``unit``, and of the position, m (n,).
+    """Return a record of the input held over the interval before each reading (n,), and of the position (n,), m.
 
-    Faster rates are brought to ``RATE_HZ``, by means of what was held: the spring answers to nothing faster.
+    Higher sample rates are reduced to ``RATE_HZ`` by averages of the input: the spring does not respond faster.
 
     Raises:
         UnusableInputError: nothing was received.
@@ -66,21 +68,23 @@ def held_record(held: Array, position: Array, sample_rate_hz: float, unit: str) 
     held_from = np.append(means[1:], np.nan)  # a record has what is held from each reading on
     known = np.flatnonzero(np.isfinite(held_from) & np.isfinite(last))
     if not known.size:
-        raise UnusableInputError("all samples were lost; check the link and repeat the sweep")
-    whole = slice(int(known[0]), int(known[-1]) + 1)  # without the ends, where neighbours are lacking
+        raise UnusableInputError(
+            Message("sweep.all_lost", "all samples were lost: check the cable and repeat the sweep")
+        )
+    whole = slice(int(known[0]), int(known[-1]) + 1)  # without the ends, where neighbours are missing
     return Record(held_from[whole], last[whole], sample_rate_hz / every, "held", "position", unit, "m")
 
 
-def _apart(found: Estimate) -> Estimate:
-    """The figure with a deviation that is none below nil, which those of a coil the wrong way round would have."""
+def _positive_std(found: Estimate) -> Estimate:
+    """Return an estimate with a positive standard deviation, which an inverted coil would make negative."""
     return found if found.std is None else Estimate(found.value, abs(found.std))
 
 
 def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescription) -> SpringPoint:
-    """Identify one test; ``mean_current`` (n,) is that over the interval before each reading.
+    """Identify one test; ``mean_current`` (n,) is the mean over the interval before each reading.
 
-    A reading of the current stands for the end of the interval in which a command was held. Taken as it is, it makes
-    the mass some per cent too low; here the mean current of each interval is held over it, as it was.
+    A reading of the current belongs to the end of the interval in which a command was held; used directly it makes the
+    mass some per cent too low. So the mean current of each interval is held over it.
 
     Raises:
         UnusableInputError: nothing moved, or too little was recorded.
@@ -90,7 +94,7 @@ def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescripti
     model = Lms(memory=MEMORY_S, hold="zero-order").fit(record)
     found = model.report.parameters
     frequency = np.geomspace(LOWEST_HZ, HIGHEST_HZ, _FREQUENCIES)
-    # What a force held over each interval does, without what the holding does.
+    # Response to a force, without the effect of holding it over each interval.
     turned = np.exp(-2j * np.pi * frequency[:, None] * (model.lag_s - 0.5 / rate))  # (frequencies, lags)
     turned /= np.sinc(frequency / rate)[:, None]
     return SpringPoint(
@@ -102,9 +106,9 @@ def identify_point(test: SweepTest, mean_current: Array, device: DeviceDescripti
         peak_to_peak_m=float(np.nanmax(test.position) - np.nanmin(test.position)),
         vaf_percent=model.report.vaf_percent,
         vaf_parametric_percent=model.second_order.vaf_percent,
-        mass_kg=_apart(found["mass_kg"]),
-        damping_n_s_per_m=_apart(found["damping_n_s_per_m"]),
-        stiffness_n_per_m=_apart(found["stiffness_n_per_m"]),
+        mass_kg=_positive_std(found["mass_kg"]),
+        damping_n_s_per_m=_positive_std(found["damping_n_s_per_m"]),
+        stiffness_n_per_m=_positive_std(found["stiffness_n_per_m"]),
         frequency_hz=frequency,
         response_m_per_n=turned @ model.impulse_response / rate,
     )

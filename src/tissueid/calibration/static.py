@@ -1,6 +1,6 @@
-"""Static calibration: voltage to current to force, position, range of motion, thermometer, accelerometer, supplies.
+"""Static calibration (thesis 2.4.1, B.1): electrical, force, position, range, thermometer, accelerometer, supplies.
 
-After thesis 2.4.1 and B.1. ``procedure`` has the steps; this gathers what they find into a calibration with a verdict.
+``static_procedure`` runs the steps; this module turns their results into a calibration with a verdict.
 """
 
 from __future__ import annotations
@@ -11,16 +11,18 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from tissueid import __version__
-from tissueid.calibration.file import Calibration, utc_date
+from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import repeated
-from tissueid.calibration.plausible import implausible
-from tissueid.calibration.procedure import Ask, Procedure, Show, StaticPlan
+from tissueid.calibration.labels import stored_text
+from tissueid.calibration.plausibility import implausible
+from tissueid.calibration.static_procedure import Ask, Procedure, Show, StaticPlan
 from tissueid.instrument import Instrument
+from tissueid.messages import Message
 
 
 @dataclass(frozen=True)
 class StaticCalibration:
-    """What came of it: the calibration as it is kept, what else is worth saying, and how long it took."""
+    """The calibration to be stored, notes for the user, and the duration."""
 
     calibration: Calibration
     notes: tuple[str, ...]
@@ -36,25 +38,27 @@ def calibrate_static(
     cancelled: Callable[[], bool] = lambda: False,
     now: datetime | None = None,
 ) -> StaticCalibration:
-    """Calibrate an instrument from its nominal figures on; a calibration that was in force is put out of force.
+    """Calibrate an instrument, starting from its nominal figures; the active calibration is deactivated.
 
-    Where the instrument has no motorised stage, ``ask`` tells a person what to put under the probe; None: nobody is
-    there.
+    Args:
+        instrument: opened, with the calibration spring under the probe or a motorised stage.
+        plan: steps and references; all steps by default.
+        ask: shows a person what to do next and returns when it is done; None where no person is present. Needed
+            without a motorised stage.
+        progress: receives the name of the current step and its completed share.
+        cancelled: polled throughout; true cancels the calibration.
+        now: date of the calibration.
 
     Raises:
-        UnusableInputError: something is missing, and what to give for it; samples were lost; nothing follows anything.
+        UnusableInputError: something is missing, samples were lost, or a channel does not respond.
         CancelledError, LimitError, InstrumentError: the coil is released.
     """
     plan = plan or StaticPlan()
     begin = time.perf_counter()
     procedure = Procedure(instrument, plan, ask, progress, cancelled)
-    procedure.see_off()
+    procedure.drain_release()
     instrument.use_calibration(instrument.nominal, {})
-    runs = []
-    for run in range(plan.repeats):
-        label = f" ({run + 1} of {plan.repeats})" if plan.repeats > 1 else ""
-        runs.append(procedure.run(label))
-    found = repeated(runs)
+    found = repeated([procedure.run(run) for run in range(1, plan.repeats + 1)])
     device = instrument.device
     conditions: dict[str, float | str] = {"repeats": float(plan.repeats), "steps": ", ".join(plan.steps)}
     if plan.ambient_c is not None:
@@ -63,7 +67,8 @@ def calibrate_static(
         conditions["coil_temperature_c"] = found.quantities["temperature_at_rest_c"].value
     if plan.in_place or ask is None:
         conditions["by"] = "motorised stage" if procedure.has_stage else "spring in place"
-    conditions |= {f"note_{number}": note[:500] for number, note in enumerate(found.notes, start=1)}
+    conditions |= {f"note_{number}": stored_text(note) for number, note in enumerate(found.notes, start=1)}
+    problems = found.problems
     calibration = Calibration(
         kind="static",
         model=device.model,
@@ -73,12 +78,19 @@ def calibrate_static(
         valid_days=plan.valid_days,
         software=f"tissueid {__version__}",
         conditions=conditions,
-        verdict="failed" if found.problems else "passed",
-        problems=found.problems,
+        verdict="failed" if problems else "passed",
+        problems=tuple(map(stored_text, problems)),
         quantities=found.quantities,
         tables=found.tables,
+        messages=stored_messages((*problems, *found.notes)),
     )
     if calibration.verdict == "passed" and (strange := implausible(calibration, instrument.nominal)):
-        problem = f"{strange}: that is not believed; check the fixture and the wiring"
-        calibration = calibration.model_copy(update={"verdict": "failed", "problems": (problem,)})
+        problem = Message(
+            "calibration.implausible",
+            "{reason}: this is not plausible; check the fixture and the wiring",
+            reason=strange,
+        )
+        messages = stored_messages((problem, *found.notes))
+        failed = {"verdict": "failed", "problems": (stored_text(problem),), "messages": messages}
+        calibration = calibration.model_copy(update=failed)
     return StaticCalibration(calibration, found.notes, time.perf_counter() - begin)

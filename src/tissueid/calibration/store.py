@@ -1,4 +1,4 @@
-"""The folder of calibrations: where it is, what it holds, and how a new calibration is named."""
+"""The calibration folder: its location, its files, and the name of a new calibration."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ import platformdirs
 
 from tissueid.calibration.file import Calibration, read_calibration
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 
 VARIABLE = "TISSUEID_CALIBRATIONS"
 """Environment variable that names another folder than the user's own."""
 _MOST_FILES = 5000
+"""Largest number of files in the folder."""
 
 
 @dataclass(frozen=True)
 class Stored:
-    """A calibration and its file; without ``calibration``, ``problem`` says why it cannot be read."""
+    """A calibration and its file. ``problem`` says why it cannot be read where ``calibration`` is None."""
 
     path: Path
     calibration: Calibration | None
@@ -28,24 +30,26 @@ class Stored:
 
     @property
     def made(self) -> datetime:
-        """When it was made; long ago where that cannot be read."""
+        """Date of the calibration; the earliest date possible where it cannot be read."""
         return self.calibration.made if self.calibration else datetime.min.replace(tzinfo=UTC)
 
 
 def calibration_folder(given: Path | None = None) -> Path | None:
-    """Return the folder of calibrations: ``given``, else the one that the environment names, else the user's own.
+    """Return the calibration folder: ``given``, else the one in the environment variable, else the user's own.
 
-    The current folder is not looked into: which calibrations are in force must not depend on where a program starts.
-    None where there is no folder yet, because no instrument was calibrated on this account.
+    The current folder is never used: the active calibration must not depend on where a program starts. None where
+    there is no folder yet, because no instrument was calibrated on this account.
 
     Raises:
-        UnusableInputError: the one that is given or named is not there.
+        UnusableInputError: the given or named folder does not exist.
     """
     named = os.environ.get(VARIABLE)
     chosen = given if given is not None else Path(named) if named else None
     if chosen is not None:
         if not chosen.is_dir():
-            raise UnusableInputError(f"there is no folder of calibrations {chosen}")
+            raise UnusableInputError(
+                Message("calibration.no_folder", "there is no calibration folder {folder}", folder=str(chosen))
+            )
         return chosen
     own = own_folder()
     return own if own.is_dir() else None
@@ -60,13 +64,20 @@ def made_folder(given: Path | None = None) -> Path:
     """Return ``calibration_folder(given)``, created if there is none yet.
 
     Raises:
-        UnusableInputError: the folder that is given or named is not there, or the user's own cannot be made.
+        UnusableInputError: the given or named folder does not exist, or the user's own cannot be created.
     """
     folder = calibration_folder(given) or own_folder()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise UnusableInputError(f"cannot make the folder {folder}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message(
+                "file.no_new_folder",
+                "cannot create the folder {folder}: {reason}",
+                folder=str(folder),
+                reason=str(error.strerror),
+            )
+        ) from error
     return folder
 
 
@@ -82,7 +93,7 @@ def free_name(folder: Path, serial_number: str, kind: str, moment: datetime) -> 
 
 
 def is_filed(path: Path) -> bool:
-    """Return whether ``path`` lies in the folder of calibrations, where every test looks for it."""
+    """Return whether ``path`` lies in the calibration folder, where every test finds it."""
     try:
         folder = calibration_folder()
     except UnusableInputError:
@@ -91,19 +102,34 @@ def is_filed(path: Path) -> bool:
 
 
 def stored_calibrations(folder: Path | None) -> tuple[Stored, ...]:
-    """All TOML files of a folder, newest first; those that are no calibrations, or damaged, with the reason.
+    """Return all TOML files of a folder, newest first; files that cannot be read have the reason as ``problem``.
 
     Raises:
-        UnusableInputError: the folder cannot be read, or holds too many files.
+        UnusableInputError: the folder cannot be read or has too many files.
     """
     if folder is None:
         return ()
     try:
         files = sorted(path for path in folder.iterdir() if path.suffix == ".toml" and not path.name.startswith("."))
     except OSError as error:
-        raise UnusableInputError(f"cannot read the folder {folder}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message(
+                "file.folder_unreadable",
+                "cannot read the folder {folder}: {reason}",
+                folder=str(folder),
+                reason=str(error.strerror),
+            )
+        ) from error
     if len(files) > _MOST_FILES:
-        raise UnusableInputError(f"{folder} holds {len(files)} calibrations; at most {_MOST_FILES} are looked through")
+        raise UnusableInputError(
+            Message(
+                "calibration.too_many",
+                "{folder} contains {count} calibrations; the limit is {limit}: move old ones to another folder",
+                folder=str(folder),
+                count=len(files),
+                limit=_MOST_FILES,
+            )
+        )
     found = [_stored(path) for path in files]
     return tuple(sorted(found, key=lambda item: (item.made, item.path.name), reverse=True))
 
@@ -112,4 +138,4 @@ def _stored(path: Path) -> Stored:
     try:
         return Stored(path, read_calibration(path))
     except UnusableInputError as error:
-        return Stored(path, None, str(error))
+        return Stored(path, None, error.message)

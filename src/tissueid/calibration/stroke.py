@@ -1,4 +1,4 @@
-"""The stroke: how far the probe moves, found by moving it gently in free air, and what carries the weight there."""
+"""Range of motion: ends of the stroke and weight of the moving part, from gentle motion in free air."""
 
 from __future__ import annotations
 
@@ -9,30 +9,38 @@ from numpy.typing import NDArray
 
 from tissueid.acquisition import play
 from tissueid.calibration.findings import Findings, column, quantity
-from tissueid.calibration.levels import Cancelled, Share
+from tissueid.calibration.step_levels import Cancelled, Share
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import Instrument, Limits
+from tissueid.messages import Message, Quantity
 from tissueid.records import Estimate
 
 GENTLE_N = 2.0
-"""No more than this in free air; only so gently may the ends of the stroke be met."""
+"""Largest force in free air, N: the probe may touch the ends of its stroke only gently."""
 BEYOND_M = 1.0e-3
+"""Distance of the position limits outside the nominal stroke, m."""
 PUSHES_N = (0.2, 0.4, 0.8)
-"""Forces beyond the coil's weight, tried one after the other until it moves from end to end."""
+"""Forces in addition to the weight, N, tried in turn until the probe moves from end to end."""
 CROSSING_S = 1.8
+"""Time for one crossing of the stroke, s."""
 RISE_S = 0.1
+"""Duration of the raised cosine between two forces, s."""
 _ROUNDS = 2
+"""Crossings in each direction."""
 _AT_END_S = 0.3
+"""Final part of a crossing, s, in which the probe must stand still."""
 _STILL_M = 30e-6
+"""Largest range of the position of a probe at rest, m."""
 _LEAST_STROKE = 0.5
+"""Least length of a crossing, as a share of the nominal stroke."""
 MOST_OFF = 0.06
-"""Relative difference between the stroke found and the nominal one that is not believed."""
+"""Largest relative difference of the stroke from the nominal one."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """One way from end to end: speed, m/s, and current, A, in the middle of it, and where it ended, m."""
+    """One crossing of the stroke: speed, m/s, and current, A, in its middle, and its end position, m."""
 
     speed_m_per_s: float
     current_a: float
@@ -43,12 +51,12 @@ class Crossing:
 def move_gently(
     instrument: Instrument, gravity_m_s2: float, *, progress: Share = lambda _: None, cancelled: Cancelled
 ) -> tuple[Crossing, ...]:
-    """Move the probe from end to end and back, twice, with as little force as it takes; nothing is under it.
+    """Move the probe from end to end and back, twice, with as little force as possible; nothing is under it.
 
-    ``gravity_m_s2`` is that along the stroke, positive where it pulls the probe out.
+    ``gravity_m_s2`` is gravity along the stroke, positive where it pulls the probe out.
 
     Raises:
-        UnusableInputError: it does not move freely.
+        UnusableInputError: the probe does not move freely.
         CancelledError, LimitError, InstrumentError: the coil is released.
     """
     device = instrument.device
@@ -80,12 +88,16 @@ def move_gently(
         if len(found) == len(crossings):
             return found
     raise UnusableInputError(
-        f"the probe does not move from end to end with {GENTLE_N:g} N: see that nothing is under it and nothing rubs"
+        Message(
+            "calibration.stuck",
+            "the probe does not move from end to end with {force:g} N: check that nothing is under it and nothing rubs",
+            force=GENTLE_N,
+        )
     )
 
 
 def _crossing(samples: NDArray[np.void], device: DeviceDescription) -> Crossing | None:
-    """What came of one way; None where it did not lead from end to end."""
+    """Return the crossing in these samples; None where the probe did not move from end to end."""
     position = samples["position"]
     received = np.isfinite(position) & np.isfinite(samples["current"])
     late = position[-round(_AT_END_S * device.sample_rate_hz) :]
@@ -106,10 +118,10 @@ def _crossing(samples: NDArray[np.void], device: DeviceDescription) -> Crossing 
 
 
 def carrying_current(crossings: tuple[Crossing, ...]) -> Estimate:
-    """The current, A, that carries the coil's weight: at which it would move neither way.
+    """Return the current, A, that balances the weight of the moving part.
 
-    Friction holds it back alike on both ways, which are about as fast; their currents, brought to equal speeds, lie
-    evenly about that current.
+    Friction is equal in both directions, which are about equally fast: the currents of both, brought to equal speed,
+    are symmetric about the balancing current.
     """
     speed = np.array([crossing.speed_m_per_s for crossing in crossings])
     current = np.array([crossing.current_a for crossing in crossings])
@@ -130,7 +142,7 @@ def range_findings(
     force_constant_n_per_a: float,
     zero_a: float,
 ) -> Findings:
-    """The ends of the stroke, on the corrected position scale, and the weight of the moving part."""
+    """Return the ends of the stroke on the corrected position scale, and the weight of the moving part."""
     ends = np.array([(crossing.end_m - position_offset.value) / position_gain for crossing in crossings])
     low, high = ends[0::2], ends[1::2]
     carrying = carrying_current(crossings)
@@ -139,8 +151,12 @@ def range_findings(
     problems = []
     if abs(length / device.stroke_m - 1.0) > MOST_OFF:
         problems.append(
-            f"the probe moves {1e3 * length:.1f} mm where the device says {1e3 * device.stroke_m:.1f} mm: "
-            "see what is in its way"
+            Message(
+                "calibration.stroke",
+                "the stroke is {found}, but {nominal} by the device: check what is in the way of the probe",
+                found=Quantity(1e3 * length, "mm", 1),
+                nominal=Quantity(1e3 * device.stroke_m, "mm", 1),
+            )
         )
     return Findings(
         quantities={

@@ -1,8 +1,8 @@
 """The dynamic sweep: a stochastic test on the calibration spring at positions along the stroke (Chen 2010, 2.4.1).
 
-At each position a gentle test comes first. It tells how far the probe would swing, and so how hard it may be shaken
-there without coming to an end of its stroke. The load is nil on average: with a mean current the slope of the force
-constant would act as a spring of its own.
+A gentle test at each position predicts the swing of the probe, and with it the largest excitation that keeps the probe
+away from the ends of its stroke. The mean load is zero: with a mean current, the slope of the force constant would act
+as an additional spring.
 """
 
 from __future__ import annotations
@@ -14,45 +14,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.acquisition import GuidedTest, Progress, SessionRecorder, run_guided_test
-from tissueid.acquisition.placing import Orientation, Placement, find_orientation
-from tissueid.acquisition.playing import never
-from tissueid.calibration.levels import at_rest, mean
+from tissueid.acquisition.playback import never
+from tissueid.acquisition.surface_detection import Orientation, Placement, find_orientation
+from tissueid.calibration.step_levels import at_rest, mean
 from tissueid.calibration.sweep_amplitude import LEAST_SWING_M, gentle_answer, noise, room, strength
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import GRAVITY_M_S2
 from tissueid.errors import CancelledError, FirmwareFaultError, LimitError, TissueIDError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, Limits, SerialInstrument
+from tissueid.messages import Message, Quantity
 from tissueid.sessions import Session
 from tissueid.stimuli import guided
 from tissueid.wire import Fault
 
 PRELOAD_S = 0.3
-"""No load for so long before the noise: the device's soft start is over by then."""
+"""Time without load before the noise, s: longer than the soft start of the device."""
 KIND = "spring"
-NOBODY = (
-    "this instrument has no motorised stage, so somebody has to move the calibration spring from position to position: "
-    "run this on a terminal, where it says when and where to"
-)
+"""Kind of the tests of a sweep in a session."""
 _REST_S = 0.2
+"""Duration of the readings at rest, s."""
 _NEAR_M = 0.3e-3
-"""As near as this a motorised stage brings the probe to where it is wanted."""
+"""Tolerance of the position that a motorised stage reaches, m."""
 _AT_END_M = 0.3e-3
+"""Distance from a position limit, m, within which the probe has reached it."""
 _MOST_SAG_M = 3.0e-3
+"""Largest extension of the spring by the weight of the coil, m."""
 _MOST_POSITIONS = 200
+"""Largest number of positions of a sweep."""
 _HALVED = 0.5
+"""Share of the amplitude of the second try."""
 
 Bring = Callable[[float], None]
-"""Has a person bring the spring to where the probe stands at a position, m; returns when it is there."""
+"""Asks a person to move the spring until the probe stands at a position, m, and returns when it does."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepPlan:
-    """Where, how long and how hard.
+    """Positions, duration and amplitude of a sweep.
 
-    ``swing_m`` is the farthest swing to either side where there is room for it; near the ends it is less.
+    ``swing_m`` is the largest swing to either side, m; it is smaller near the ends of the stroke.
 
     Raises:
-        UnusableInputError: positions that are none, or times that no test lasts.
+        UnusableInputError: a value is out of its range.
     """
 
     from_m: float = 0.002
@@ -66,31 +69,44 @@ class SweepPlan:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.from_m < self.to_m <= 0.1:
-            raise UnusableInputError("a sweep goes from a position to a greater one, both in mm on the stroke")
+            raise UnusableInputError(
+                Message(
+                    "sweep.range", "a sweep must end at a larger position than it starts, both on the stroke, in mm"
+                )
+            )
         if not 0.5e-3 <= self.step_m <= 5.0e-3:
-            raise UnusableInputError("the step of a sweep is 0.5 to 5 mm")
+            raise UnusableInputError(Message("sweep.step", "the step of a sweep must be 0.5 to 5 mm"))
         if (self.to_m - self.from_m) / self.step_m > _MOST_POSITIONS:
-            raise UnusableInputError(f"a sweep has at most {_MOST_POSITIONS} positions: widen the step")
+            raise UnusableInputError(
+                Message(
+                    "sweep.positions",
+                    "a sweep may have at most {limit} positions: widen the step",
+                    limit=_MOST_POSITIONS,
+                )
+            )
         if not 1.0 <= self.seconds <= 20.0:
-            raise UnusableInputError("each test of a sweep lasts 1 to 20 s")
+            raise UnusableInputError(Message("sweep.seconds", "each test of a sweep must last 1 to 20 s"))
         if not 1 <= self.repeats <= 100:
-            raise UnusableInputError("a sweep is repeated 1 to 100 times")
+            raise UnusableInputError(Message("sweep.repeats", "the number of repeats of a sweep must be 1 to 100"))
         if not LEAST_SWING_M <= self.swing_m <= 5.0e-3:
-            raise UnusableInputError(f"the swing of a sweep is {1e3 * LEAST_SWING_M:g} to 5 mm")
+            raise UnusableInputError(
+                Message("sweep.swing", "the swing of a sweep must be {least:g} to 5 mm", least=1e3 * LEAST_SWING_M)
+            )
 
     @property
     def positions_m(self) -> tuple[float, ...]:
-        """Where the probe is to stand, rising."""
+        """Positions of the probe, rising, m."""
         count = 1 + round((self.to_m - self.from_m) / self.step_m - 1e-6)
         places = self.from_m + self.step_m * np.arange(count)
         return tuple(float(place) for place in places[places <= self.to_m + 1e-9])
 
 
 class Sweep:
-    """A sweep on one instrument into one session.
+    """A sweep on one instrument, recorded into one session.
 
-    ``remarks`` say what was left out, and why; ``has_stage`` is true until the instrument said that it has none.
-    ``stage_m`` is where the stage was brought and left, None where it was not moved or is back in mid-stroke.
+    ``remarks`` lists the positions that were left out, with the reason. ``has_stage`` is true until the instrument
+    reports that it has no stage. ``stage_m`` is the position of the stage; None where it was not moved or is back in
+    mid-stroke.
     """
 
     def __init__(
@@ -113,39 +129,39 @@ class Sweep:
         self._cancelled = cancelled
         self.has_stage = True
         self.stage_m: float | None = None
-        # By how much the weight of the coil lengthens the spring; put right at the first position.
+        # Extension of the spring by the weight of the coil; corrected at the first position.
         self._sag_m = self._device.moving_mass_kg * GRAVITY_M_S2 / self._device.calibration_spring_n_per_m
         self._seen = (np.inf, -np.inf)
 
     def run(self) -> None:
-        """Measure at all positions, upwards and, in the next repeat, downwards again.
+        """Measure at all positions, upwards and, in the next repeat, downwards.
 
-        A motorised stage then goes back to where the probe stands in mid-stroke, after a failure as well. It does not
-        where somebody stopped the sweep: nothing moves then any more, and ``stage_m`` says where it was left.
+        A motorised stage then returns to mid-stroke, also after a failure. After a cancellation nothing moves, and
+        ``stage_m`` is the position of the stage.
 
         Raises:
-            UnusableInputError: there is no motorised stage, and nobody to move the spring.
-            CancelledError, LimitError, InstrumentError, JournalError: the coil is released; what was recorded is kept.
+            UnusableInputError: there is neither a motorised stage nor a person to move the spring.
+            CancelledError, LimitError, InstrumentError, JournalError: the coil is released; completed tests are kept.
         """
         try:
             self._run()
         except CancelledError:
             raise
         except Exception:
-            with contextlib.suppress(TissueIDError):  # what went wrong first is what counts
+            with contextlib.suppress(TissueIDError):  # the first error is raised
                 self._go_back()
             raise
         self._go_back()
 
     def _go_back(self) -> None:
-        """Bring the stage, where there is one and it was moved, to mid-stroke."""
+        """Move the stage to mid-stroke if it was moved."""
         if self.stage_m is None:
             return
         middle_m = float(np.clip(0.5 * self._device.stroke_m - self._sag_m, 0.0, self._device.stroke_m))
-        find_orientation(self._instrument)  # reads on: the soft end of the run before is over by then
+        find_orientation(self._instrument)  # reads on until the release ramp of the previous run is over
         if self._instrument.move_stage(middle_m):
             self.stage_m = None
-            self._instrument.poll(0.0)  # what came while the stage was moving
+            self._instrument.poll(0.0)  # discard the samples from while the stage was moving
 
     def _run(self) -> None:
         places = self._plan.positions_m
@@ -157,13 +173,20 @@ class Sweep:
                 self._progress((done + 1) / total)
 
     def _measure(self, place_m: float, done: int, repeat: int, total: int) -> None:
-        """One position, or a remark on why not."""
-        at = f"{1e3 * place_m:.1f} mm"
+        """Measure at one position, or add a remark on why it was left out."""
+        at = Quantity(1e3 * place_m, "mm", 1)
         self._seen = (np.inf, -np.inf)
         stage_m = self._go_to(place_m)
         rest_m = mean(at_rest(self._instrument, _REST_S, cancelled=self._cancelled), "position")
         if room(rest_m, self._plan.limits) < LEAST_SWING_M:
-            self.remarks.append(f"{at} was left out: the probe stood at {1e3 * rest_m:.1f} mm, too near an end")
+            self._leave_out(
+                at,
+                Message(
+                    "sweep.too_near",
+                    "the probe stood at {position}, too near an end of the stroke",
+                    position=Quantity(1e3 * rest_m, "mm", 1),
+                ),
+            )
             return
 
         def shown(share: float, item: Progress) -> None:
@@ -179,15 +202,15 @@ class Sweep:
                 self._cancelled,
             )
         except UnusableInputError as error:
-            self.remarks.append(f"{at} was left out: {error}")
+            self._leave_out(at, error.message)
             return
         except (LimitError, FirmwareFaultError) as error:
             self._end_was_hit(error)
-            self.remarks.append(f"{at} was left out: the gentle test came to an end of the stroke")
+            self._leave_out(at, Message("sweep.gentle_end", "the gentle test reached an end of the stroke"))
             return
         swing = min(self._plan.swing_m, room(about_m, self._plan.limits))
         if swing < LEAST_SWING_M:
-            self.remarks.append(f"{at} was left out: there is too little room for a swing")
+            self._leave_out(at, Message("sweep.no_room", "there is too little room for a swing"))
             return
         rate, seed = self._device.sample_rate_hz, self._plan.seed + done
         unit = noise(1.0, self._plan.seconds, seed, rate)
@@ -214,11 +237,16 @@ class Sweep:
                 self._end_was_hit(error)
                 continue
             return
-        self.remarks.append(f"{at} was left out: the probe came to an end of its stroke, and at half the force again")
+        self._leave_out(
+            at, Message("sweep.end_twice", "the probe reached an end of its stroke, and again with half the force")
+        )
+
+    def _leave_out(self, at: Quantity, why: str) -> None:
+        self.remarks.append(Message("sweep.left_out", "{position} was left out: {reason}", position=at, reason=why))
 
     def _go_to(self, place_m: float) -> float | None:
-        """Have the probe stand at a place; returns where the stage is, None where a person moved the spring."""
-        self._orientation()  # reads on: the soft end of the run before is over by then
+        """Bring the probe to a position; return that of the stage, None where a person moved the spring."""
+        self._orientation()  # reads on until the release ramp of the previous run is over
         if not self.has_stage:
             self._ask(place_m)
             return None
@@ -229,7 +257,7 @@ class Sweep:
                 self._ask(place_m)
                 return None
             self.stage_m = stage_m
-            self._instrument.poll(0.0)  # what came while the stage was moving
+            self._instrument.poll(0.0)  # discard the samples from while the stage was moving
             stands = mean(at_rest(self._instrument, _REST_S, cancelled=self._cancelled), "position")
             if abs(stands - place_m) <= _NEAR_M or abs(stands - stage_m) > _MOST_SAG_M:
                 break
@@ -237,20 +265,26 @@ class Sweep:
         return stage_m
 
     def _ask(self, place_m: float) -> None:
-        """A person moves the spring.
+        """Ask a person to move the spring.
 
         Raises:
-            UnusableInputError: nobody is there.
+            UnusableInputError: no person is present.
         """
         if self._bring is None:
-            raise UnusableInputError(NOBODY)
+            raise UnusableInputError(
+                Message(
+                    "sweep.no_person",
+                    "this instrument has no motorised stage, so a person has to move the calibration spring from "
+                    "position to position: run the command in a terminal, where it says when and where to",
+                )
+            )
         self._bring(place_m)
 
     def _orientation(self) -> Orientation:
         return find_orientation(self._instrument, self._cancelled)
 
     def _watch(self, item: Progress) -> None:
-        """Remember how far the probe went in this run."""
+        """Update the range of positions of this run."""
         position = item.samples["position"]
         position = position[np.isfinite(position)]
         if position.size:
@@ -258,10 +292,10 @@ class Sweep:
             self._seen = min(low, float(position.min())), max(high, float(position.max()))
 
     def _end_was_hit(self, error: LimitError | FirmwareFaultError) -> None:
-        """Go on after a run that an end of the stroke ended.
+        """Clear the fault of a run that ended at an end of the stroke.
 
         Raises:
-            LimitError, FirmwareFaultError: it was something else.
+            LimitError, FirmwareFaultError: the run ended for another reason.
         """
         low, high = self._seen
         limits = self._plan.limits
@@ -275,12 +309,14 @@ class Sweep:
 
 
 def sweep_tests(session: Session) -> list[SweepTest]:
-    """The tests of a sweep that a session holds.
+    """Return the completed tests of a sweep in a session.
 
     Raises:
-        UnusableInputError: there is none that came to its end.
+        UnusableInputError: there is none.
     """
     found = [SweepTest.of_session(test) for test in session.tests if test.kind == KIND and test.status == "completed"]
     if not found:
-        raise UnusableInputError("the session holds no test on the calibration spring that came to its end")
+        raise UnusableInputError(
+            Message("sweep.no_test", "the session contains no completed test on the calibration spring")
+        )
     return found

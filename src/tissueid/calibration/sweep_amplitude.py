@@ -1,4 +1,4 @@
-"""How hard a sweep may shake the spring at a position: from a gentle test there to the greatest swing that has room."""
+"""Amplitude of a sweep at a position, from the prediction of a gentle test there."""
 
 from __future__ import annotations
 
@@ -7,34 +7,36 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.playing import Phase, Progress, play
-from tissueid.acquisition.waiting import meanwhile
+from tissueid.acquisition.background_work import run_while_polling
+from tissueid.acquisition.playback import Phase, Progress, play
 from tissueid.calibration.spring_points import MEMORY_S, RATE_HZ, held_record
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.identification.engines.lms import Lms
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.instrument import SAMPLE, Instrument, Limits
+from tissueid.messages import Message
 from tissueid.stimuli import Stimulus
 from tissueid.stimuli.kinds.noise import Noise
 
 GENTLE_V = 3.0
-"""Greatest voltage of the gentle test: it swings the spring by some tenths of a millimetre."""
+"""Largest voltage of the gentle test, V: a swing of some tenths of a millimetre."""
 GENTLE_S = 1.0
+"""Duration of the gentle test, s."""
 REST_S = 0.1
-"""No voltage before the gentle test: the device begins every run softly, and that is over by then."""
+"""Time at 0 V before the gentle test, s: longer than the soft start of the device."""
 END_MARGIN_M = 0.5e-3
-"""How far from the limits of the stroke the swing is kept: what a linear forecast may be off by."""
+"""Distance of the swing from the limits of the stroke, m: the error of a linear prediction."""
 LEAST_SWING_M = 0.3e-3
-"""A position without so much room to both sides is not measured."""
+"""Least swing to either side of a position that is measured, m."""
 CAUTION = 0.9
-"""Share of the room, of the force limit and of the amplifier's range that is used."""
-_LEAST_ANSWER = 0.5
-"""Variance that a linear model of the gentle test must account for, relative, or nothing can be forecast."""
+"""Share of the room, of the force limit and of the amplifier range that is used."""
+_LEAST_VAF = 0.5
+"""Least variance accounted for by a linear model of the gentle test, relative."""
 
 
 def noise(volts: float, seconds: float, seed: int, sample_rate_hz: float) -> Stimulus:
-    """Gaussian noise to 200 Hz about no voltage, ``volts`` at most."""
+    """Return Gaussian noise to 200 Hz with zero mean and at most ``volts``."""
     ends = {"voltage_min_v": -volts, "voltage_max_v": volts}
     return Noise(**ends, seconds=seconds, seed=seed, sample_rate=sample_rate_hz).build()
 
@@ -46,10 +48,10 @@ def gentle_answer(
     progress: Callable[[Progress], None],
     cancelled: Callable[[], bool],
 ) -> tuple[float, SecondOrderFit]:
-    """About which position the probe shakes, m, and how its position answers a voltage, from a gentle test.
+    """Run a gentle test; return the mean position, m, and a second-order model from voltage to position.
 
     Raises:
-        UnusableInputError: it does not answer: the spring is not fixed, or something holds the coil.
+        UnusableInputError: the probe does not respond: the spring is not fixed, or something holds the coil.
         CancelledError, LimitError, InstrumentError: the coil is released.
     """
     rate = instrument.device.sample_rate_hz
@@ -67,10 +69,13 @@ def gentle_answer(
     place = samples["index"].astype(np.int64) - run.first_index
     volts[place], position[place] = samples["voltage"], samples["position"]
     record = held_record(volts[quiet:], position[quiet:], rate, "V")
-    model = meanwhile(instrument, lambda: Lms(memory=MEMORY_S, hold="zero-order").fit(record), cancelled)
-    if not model.second_order.vaf_percent >= 100.0 * _LEAST_ANSWER:
+    model = run_while_polling(instrument, lambda: Lms(memory=MEMORY_S, hold="zero-order").fit(record), cancelled)
+    if not model.second_order.vaf_percent >= 100.0 * _LEAST_VAF:
         raise UnusableInputError(
-            "the probe does not follow the coil: see that the spring is fixed to the probe and runs free"
+            Message(
+                "sweep.no_response",
+                "the probe does not follow the coil: check that the spring is fixed to the probe and moves freely",
+            )
         )
     return float(np.nanmean(position)), model.second_order
 
@@ -78,7 +83,7 @@ def gentle_answer(
 def strength(
     answer: SecondOrderFit, stimulus: Stimulus, room_m: float, device: DeviceDescription, limits: Limits
 ) -> float:
-    """By how much a stimulus of one volt is to be multiplied so that it swings the probe by ``room_m`` at most."""
+    """Return the factor, V, for a stimulus of one volt with which the probe swings by at most ``room_m``."""
     every = max(1, round(stimulus.sample_rate_hz / RATE_HZ))
     held = stimulus.values[: stimulus.values.size // every * every].reshape(-1, every).mean(axis=1)
     peak = float(np.max(np.abs(answer.simulate(held))))
@@ -89,5 +94,5 @@ def strength(
 
 
 def room(position_m: float, limits: Limits) -> float:
-    """How far the probe may swing to either side of a position, m; negative where it stands too near an end."""
+    """Return the largest swing to either side of a position, m; negative too near an end of the stroke."""
     return min(position_m - limits.min_position_m, limits.max_position_m - position_m) - END_MARGIN_M

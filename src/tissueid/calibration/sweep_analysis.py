@@ -1,4 +1,4 @@
-"""From the tests of a sweep to what is kept of it: the table by position, the force constant, the linear region."""
+"""Analysis of a sweep: table by position, force constant along the stroke, linear region, problems."""
 
 from __future__ import annotations
 
@@ -12,22 +12,28 @@ from tissueid.calibration.file import Calibration, Quantity, utc_date
 from tissueid.calibration.findings import quantity
 from tissueid.calibration.flux import FluxFit, fit_flux
 from tissueid.calibration.force_balance import BalanceFit, fit_balance
-from tissueid.calibration.force_profile import ForceConstant, LinearRegion, combined, linear_region
-from tissueid.calibration.plausible import IMPLAUSIBLE, implausible
-from tissueid.calibration.scales import ELECTRICAL_STD, Agreement, compare
+from tissueid.calibration.force_constant_profile import ForceConstant, LinearRegion, combined, linear_region
+from tissueid.calibration.plausibility import IMPLAUSIBLE, implausible
+from tissueid.calibration.scale_agreement import ELECTRICAL_STD, Agreement, compare
 from tissueid.calibration.spline_basis import LEAST_SPACING_M, SplineBasis
 from tissueid.calibration.spring_points import SpringPoint, identify_point
 from tissueid.calibration.sweep_test import SweepTest
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.messages import Quantity as ShownQuantity
 from tissueid.records import Estimate
 
 LEAST_POSITIONS = 5
+"""Least number of positions of a sweep."""
 LEAST_WIDTH_M = 0.010
-"""A linear region that is narrower than this is not one to test tissue in."""
+"""Least width of a linear region that tests on tissue can use, m."""
 SPRING_LOSS_N_S_PER_M = 0.1
-"""Damping that a steel spring may have of its own; it cannot be told from the bearing's."""
+"""Possible damping of a steel spring, N s/m, which cannot be separated from that of the bearing."""
 _APART_M = 5e-4
+"""Least distance of two positions, m; nearer tests are repeats at one position."""
+_NAMES = {"model": marked("model"), "serial_number": marked("serial number")}
 _POSITIVE = (
     "coil_resistance_ohm",
     "coil_inductance_h",
@@ -36,28 +42,28 @@ _POSITIVE = (
     "bearing_damping_n_s_per_m",
     "stroke_m",
 )
-"""Figures of a device that the sweep's own are held against."""
+"""Figures of a device to which those of the sweep are compared."""
 
 
 @dataclass(frozen=True)
 class SweptSpring(Spring):
-    """The calibration spring with its mass, of which a third moves with the coil."""
+    """The calibration spring with its mass, a third of which moves with the coil."""
 
     mass_kg: float = 0.018
     mass_std_kg: float = 0.003
 
     @property
     def moving_kg(self) -> Estimate:
-        """What it adds to the moving mass."""
+        """Share of the spring in the moving mass, kg."""
         return Estimate(self.mass_kg / 3.0, self.mass_std_kg / 3.0)
 
 
 @dataclass(frozen=True, eq=False)
 class SweepResult:
-    """All that a sweep says.
+    """Result of a sweep.
 
-    ``points`` are in the order of their positions. ``moving_mass_kg`` is without the spring's share; ``repeats`` has,
-    where the sweep was repeated, what each run by itself gives, of those that are enough by themselves.
+    ``points`` are in the order of their positions. ``moving_mass_kg`` excludes the share of the spring. ``repeats`` has
+    the result of each repeat alone, where that is sufficient for an analysis.
     """
 
     device: DeviceDescription
@@ -76,17 +82,17 @@ class SweepResult:
 
     @property
     def passed(self) -> bool:
-        """Whether it may be put in force."""
+        """Whether the sweep may be used."""
         return not self.problems
 
     @property
     def runs(self) -> tuple[int, ...]:
-        """Which repeats it is made of, counted from 1."""
+        """Numbers of the repeats, counted from 1."""
         return tuple(sorted({1 + point.sweep for point in self.points}))
 
     @property
     def positions_m(self) -> list[float]:
-        """Where it was measured."""
+        """Measured positions, m."""
         return [point.position_m for point in self.points]
 
 
@@ -98,27 +104,39 @@ def analyse_sweep(
     electrical_std: float = ELECTRICAL_STD,
     remarks: Sequence[str] = (),
 ) -> SweepResult:
-    """Analyse the tests of a sweep, or of several of the same.
+    """Analyse the tests of a sweep and its repeats.
 
-    ``electrical_std`` is the relative deviation of the scale of voltage over position; ``remarks`` are what happened
-    on the way, such as a position that was left out.
-
-    A repeat that is too little by itself counts with the others, and is said among the remarks.
+    Args:
+        tests: at all positions, of all repeats.
+        device: that was swept.
+        spring: calibration spring; that of the device by default.
+        electrical_std: relative standard deviation of the scale of voltage over position.
+        remarks: on the measurement, such as positions that were left out. Repeats that are insufficient for an analysis
+            of their own are added.
 
     Raises:
-        UnusableInputError: too few positions, or they do not reach over the middle half of the stroke; tests at
-            different rates; a device that says what cannot be; or tests that do not tell what the coil is.
+        UnusableInputError: too few positions, or not over the middle half of the stroke; different sample rates; an
+            impossible figure of the device; or tests that do not determine the coil.
     """
     _check(device)
     if len(rates := sorted({test.sample_rate_hz for test in tests})) > 1:
         raise UnusableInputError(
-            f"the tests were recorded at {rates[0]:g} to {rates[-1]:g} samples a second: a sweep has one rate"
+            Message(
+                "sweep.rates",
+                "the tests were recorded at different sample rates, {lowest:g} to {highest:g} Hz: a sweep needs one "
+                "rate",
+                lowest=rates[0],
+                highest=rates[-1],
+            )
         )
     try:
         return _analysed(tests, device, spring, electrical_std, remarks)
     except np.linalg.LinAlgError as error:
         raise UnusableInputError(
-            "the tests do not tell what the coil is: see that the spring runs free, and repeat the sweep"
+            Message(
+                "sweep.undetermined",
+                "the tests do not determine the coil: check that the spring moves freely, and repeat the sweep",
+            )
         ) from error
 
 
@@ -134,8 +152,14 @@ def _analysed(
     places = _places(tests)
     if len(places) < LEAST_POSITIONS:
         raise UnusableInputError(
-            f"a sweep needs {LEAST_POSITIONS} positions or more, and {len(places)} could be measured: see what kept "
-            "the others from it, and repeat the sweep"
+            Message(
+                "sweep.too_few",
+                "a sweep needs at least {least} positions, but {count} could be measured: read the notes on the "
+                "others, "
+                "and repeat the sweep",
+                least=LEAST_POSITIONS,
+                count=len(places),
+            )
         )
     spacing = max(LEAST_SPACING_M, float(np.median(np.diff(places))))
     basis = SplineBasis.covering([test.position for test in tests], spacing)
@@ -147,7 +171,7 @@ def _analysed(
     profile = combined(flux, balance, electrical_std, spring.relative_std)
     region = linear_region(profile, points, device.stroke_m)
     agreement = compare(flux, balance, points, device, electrical_std, spring.relative_std)
-    # The balance holds for a spring of exactly that stiffness; what is known better moves mass and damping alike.
+    # The balance is for a spring of exactly that stiffness; the combined force constant rescales mass and damping.
     within = np.linspace(region.min_m.value, region.max_m.value, 101)
     share = float(np.mean(profile.at(within)) / np.mean(basis.values(within) @ balance.coefficients))
     scale_std = (region.plateau_n_per_a.std or 0.0) / abs(region.plateau_n_per_a.value)
@@ -173,45 +197,57 @@ def _analysed(
 
 
 def _check(device: DeviceDescription) -> None:
-    """Refuse a device that a sweep cannot be held against, or whose calibration could not be kept.
+    """Raise for a device to which a sweep cannot be compared, or whose calibration could not be stored.
 
     Raises:
-        UnusableInputError: says what is wrong with it.
+        UnusableInputError: names the wrong figure.
     """
     for name in ("model", "serial_number"):
         text = getattr(device, name)
         if not (0 < len(text) <= 200 and text.isprintable()):
             raise UnusableInputError(
-                f"the instrument's {name.replace('_', ' ')} is {text[:40]!r}: it must be a line of 1 to 200 characters"
+                Message(
+                    "sweep.device_name",
+                    "the {name} of the instrument is '{text}': it must be a line of 1 to 200 characters",
+                    name=_NAMES[name],
+                    text=text[:40],
+                )
             )
     for what in (device, _nominal(device)):
         for name in _POSITIVE:
             value = getattr(what, name)
             if not (np.isfinite(value) and value > 0.0):
-                raise UnusableInputError(f"the instrument says that its {name} is {value:g}: that cannot be")
+                raise UnusableInputError(
+                    Message(
+                        "sweep.device_figure",
+                        "by the description of the instrument its {name} is {value:g}, which is impossible",
+                        name=name,
+                        value=value,
+                    )
+                )
 
 
 def _nominal(device: DeviceDescription) -> DeviceDescription:
-    """What the device says of itself, where calibrated figures were laid over it."""
+    """Return the device with its nominal figures in place of calibrated ones."""
 
-    def told(name: str) -> float:
+    def nominal(name: str) -> float:
         value = device.calibration.get(f"nominal_{name}", getattr(device, name))
         return float(value) if isinstance(value, float | int) else float("nan")
 
     return replace(
         device,
-        coil_resistance_ohm=told("coil_resistance_ohm"),
-        coil_inductance_h=told("coil_inductance_h"),
-        force_constant_n_per_a=told("force_constant_n_per_a"),
-        moving_mass_kg=told("moving_mass_kg"),
-        bearing_damping_n_s_per_m=told("bearing_damping_n_s_per_m"),
+        coil_resistance_ohm=nominal("coil_resistance_ohm"),
+        coil_inductance_h=nominal("coil_inductance_h"),
+        force_constant_n_per_a=nominal("force_constant_n_per_a"),
+        moving_mass_kg=nominal("moving_mass_kg"),
+        bearing_damping_n_s_per_m=nominal("bearing_damping_n_s_per_m"),
     )
 
 
 def _repeats(
     tests: Sequence[SweepTest], device: DeviceDescription, spring: SweptSpring, electrical_std: float
 ) -> tuple[tuple[SweepResult, ...], tuple[str, ...]]:
-    """What each of several runs gives by itself, and why others give nothing."""
+    """Return the result of each repeat alone, and remarks on those that are insufficient."""
     results, weak = [], []
     runs = sorted({test.sweep for test in tests})
     for run in runs if len(runs) > 1 else ():
@@ -219,12 +255,20 @@ def _repeats(
             own = [test for test in tests if test.sweep == run]
             results.append(analyse_sweep(own, device, spring, electrical_std=electrical_std))
         except UnusableInputError as error:
-            weak.append(f"run {run + 1} is too little by itself, and counts with the others only: {error}")
+            weak.append(
+                Message(
+                    "sweep.weak_run",
+                    "repeat {run} is insufficient for an analysis of its own and only counts together with the others: "
+                    "{reason}",
+                    run=run + 1,
+                    reason=error.message,
+                )
+            )
     return tuple(results), tuple(weak)
 
 
 def quantities_of(result: SweepResult) -> dict[str, Quantity]:
-    """The single figures of a sweep, as its calibration keeps them."""
+    """Return the quantities of the calibration of a sweep."""
     region, agreement = result.region, result.agreement
     resistances = np.array([found.value for found in result.flux.resistance_ohm])
     found = {
@@ -245,7 +289,7 @@ def quantities_of(result: SweepResult) -> dict[str, Quantity]:
 
 
 def _places(tests: Sequence[SweepTest]) -> list[float]:
-    """Mean positions, rising, those of repeats once."""
+    """Return the mean positions of tests in rising order, m; repeats at one position count once."""
     places: list[float] = []
     for test in tests:
         if not places or test.mean_position_m - places[-1] > _APART_M:
@@ -259,43 +303,69 @@ def _scaled(found: Estimate, share: float, relative_std: float) -> Estimate:
 
 
 def _problems(result: SweepResult) -> tuple[str, ...]:
-    """Why it must not be put in force, in words."""
-    problems = []
+    """Return the reasons against using the sweep."""
+    problems: list[str] = []
     nominal = _nominal(result.device).force_constant_n_per_a
     plateau = result.region.plateau_n_per_a.value
     if abs(plateau / nominal - 1.0) > IMPLAUSIBLE:
         problems.append(
-            f"the force constant is {plateau:.2f} N/A and should be near {nominal:.2f} N/A: check the spring's "
-            "stiffness and the channels' scales"
+            Message(
+                "sweep.force_constant",
+                "the force constant is {value:.2f} N/A but should be near {nominal:.2f} N/A: check the stiffness of "
+                "the "
+                "spring and the scales of the channels",
+                value=plateau,
+                nominal=nominal,
+            )
         )
     if result.region.width_m < LEAST_WIDTH_M:
         problems.append(
-            f"the force constant keeps to its plateau over {1e3 * result.region.width_m:.1f} mm only; "
-            f"{1e3 * LEAST_WIDTH_M:.0f} mm are needed"
+            Message(
+                "sweep.narrow",
+                "the linear region is only {width} wide; at least {least} are needed",
+                width=ShownQuantity(1e3 * result.region.width_m, "mm", 1),
+                least=ShownQuantity(1e3 * LEAST_WIDTH_M, "mm"),
+            )
         )
     share = result.agreement.resistance.value
     if abs(share - 1.0) > IMPLAUSIBLE:
         expected = result.device.coil_resistance_ohm
         problems.append(
-            f"the resistance is {share * expected:.1f} ohm and should be near {expected:.1f} ohm: check the coil and "
-            "the scales of current and voltage"
+            Message(
+                "sweep.resistance",
+                "the resistance is {value:.1f} Ω but should be near {nominal:.1f} Ω: check the coil and the scales of "
+                "current and voltage",
+                value=share * expected,
+                nominal=expected,
+            )
         )
     stage = result.agreement.stage
     if stage is not None and abs(stage.value - 1.0) > IMPLAUSIBLE:
         problems.append(
-            f"for each millimetre that the stage moves, the position reads {stage.value:.2f} mm: see that stage and "
-            "sensor go the same way round, and check their scales"
+            Message(
+                "sweep.stage",
+                "the position changes by {reading:.2f} mm per millimetre of stage travel: check the directions and "
+                "scales "
+                "of stage and sensor",
+                reading=stage.value,
+            )
         )
     if result.agreement.cause is not None:
         problems.append(result.agreement.words)
     others = {name: found for name, found in quantities_of(result).items() if name != "force_constant_n_per_a"}
     if strange := implausible(_draft(result.device, others), _nominal(result.device)):
-        problems.append(f"{strange}: check the spring, its mass and what the instrument says of itself")
+        problems.append(
+            Message(
+                "sweep.implausible",
+                "{reason}: check the spring, its mass and the description of the instrument",
+                reason=strange,
+            )
+        )
     return tuple(problems)
 
 
 def _draft(device: DeviceDescription, quantities: dict[str, Quantity]) -> Calibration:
-    """A calibration of nothing but figures, to be asked for their plausibility."""
+    """Return a calibration that consists of quantities alone, for the check of their plausibility."""
     return Calibration(
         kind="sweep",
         model=device.model,

@@ -1,4 +1,4 @@
-"""A sweep as the calibration that is kept of it."""
+"""Calibration file of a sweep."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import numpy as np
 from pydantic import ValidationError
 
 from tissueid import __version__
-from tissueid.calibration.file import Calibration, utc_date
+from tissueid.calibration.file import Calibration, stored_messages, utc_date
 from tissueid.calibration.findings import column
-from tissueid.calibration.force_profile import ForceConstant
+from tissueid.calibration.force_constant_profile import ForceConstant
+from tissueid.calibration.labels import stored_text
 from tissueid.calibration.sweep_analysis import SweepResult, quantities_of
 from tissueid.errors import UnusableInputError
-from tissueid.options import reason
+from tissueid.messages import Message
+from tissueid.option_errors import validation_reason
 from tissueid.records import Estimate
 
 GRID_M = 0.5e-3
-"""Spacing of the force constant in the file: a straight line between two of its points is off by less than 0.1 %."""
+"""Spacing of the force constant in the file, m: linear interpolation is accurate to 0.1 %."""
 
 
 def as_calibration(
@@ -28,13 +30,19 @@ def as_calibration(
     valid_days: int = 90,
     now: datetime | None = None,
 ) -> Calibration:
-    """The calibration that a sweep makes; ``conditions`` are how it was made.
+    """Return the calibration of a sweep.
+
+    Args:
+        result: of the analysis.
+        conditions: further conditions of the measurement, by name.
+        valid_days: validity, days.
+        now: date of the calibration.
 
     Raises:
-        UnusableInputError: something about it, such as a condition, cannot be kept; says what.
+        UnusableInputError: a field, such as a condition, does not fit into a calibration file; names it.
     """
     device = result.device
-    notes = (*(() if result.agreement.cause else (result.agreement.words,)), *result.remarks)
+    notes = (*(() if result.agreement.cause else (result.agreement.words,)), *result.remarks)[:50]
     made = {
         "spring_stiffness_n_per_m": result.spring.stiffness_n_per_m,
         "spring_relative_uncertainty": result.spring.relative_std,
@@ -43,7 +51,7 @@ def as_calibration(
         "positions": float(len(result.points)),
         "repeats": float(len(result.runs)),
         **(conditions or {}),
-        **{f"note_{number}": note[:500] for number, note in enumerate(notes[:50], start=1)},
+        **{f"note_{number}": stored_text(note) for number, note in enumerate(notes, start=1)},
     }
     try:
         return Calibration(
@@ -56,14 +64,22 @@ def as_calibration(
             software=f"tissueid {__version__}",
             conditions=made,
             verdict="passed" if result.passed else "failed",
-            problems=tuple(problem[:500] for problem in result.problems),
+            problems=tuple(map(stored_text, result.problems)),
             quantities=quantities_of(result),
             tables=_tables(result),
+            messages=stored_messages((*result.problems, *notes)),
         )
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"][:2])
-        raise UnusableInputError(f"the sweep cannot be kept: {where[:80]!r}: {reason(error)[:200]}") from error
+        raise UnusableInputError(
+            Message(
+                "sweep.not_stored",
+                "the sweep cannot be stored: field '{field}': {reason}",
+                field=where[:80],
+                reason=validation_reason(error),
+            )
+        ) from error
 
 
 def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
@@ -127,7 +143,7 @@ def _tables(result: SweepResult) -> dict[str, dict[str, tuple[float, ...]]]:
 
 
 def _responses(result: SweepResult) -> dict[str, tuple[float, ...]]:
-    """Measured compliances of the first sweep, one below the other."""
+    """Return the measured compliances of the first sweep as one table."""
     first = min(point.sweep for point in result.points)
     points = [point for point in result.points if point.sweep == first]
     return {

@@ -1,4 +1,4 @@
-"""One test of a sweep: what was recorded while the coil shook the calibration spring about one position."""
+"""One test of a sweep: readings while the coil shook the calibration spring about one position."""
 
 from __future__ import annotations
 
@@ -7,28 +7,32 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.calibration.labels import CHANNELS
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.sessions import Test
 
 Array = NDArray[np.float64]
 
 LEAST_S, MOST_S = 0.5, 60.0
+"""Shortest and longest test, s."""
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1000.0, 20_000.0
-"""Samples a second: fewer do not show what coil and filter do, more only fill the memory."""
+"""Sample rates, Hz: lower ones do not resolve coil and filter, higher ones only need more memory."""
 _LARGEST = {"voltage": 1e3, "current": 1e2, "position": 0.2}
-"""Sizes beyond this, V, A and m, no instrument measures."""
+"""Largest readings that an instrument gives, V, A and m."""
 _MOST_SWEEPS = 100
+"""Largest number of repeats of a sweep."""
 
 
 @dataclass(frozen=True, eq=False)
 class SweepTest:
     """Readings (n,) of voltage, V, current, A, and position, m; NaN where a sample was not received.
 
-    ``stage_m`` is where a motorised stage had put the fixture, NaN where a person did; ``rest_m`` where the probe then
-    stood with the coil free; ``sweep`` counts the repeats of the whole sweep from 0. Infinity is taken for NaN.
+    ``stage_m`` is the position of a motorised stage, NaN without one; ``rest_m`` that of the probe there with the coil
+    free; ``sweep`` counts the repeats of the whole sweep from 0. Infinity is taken for NaN.
 
     Raises:
-        UnusableInputError: readings that no instrument gives, that do not change, or of which most are lacking.
+        UnusableInputError: readings that are impossible, constant or mostly missing.
     """
 
     voltage: Array
@@ -42,44 +46,70 @@ class SweepTest:
     def __post_init__(self) -> None:
         if not LOWEST_RATE_HZ <= self.sample_rate_hz <= HIGHEST_RATE_HZ:
             raise UnusableInputError(
-                f"a sweep is recorded at {LOWEST_RATE_HZ:g} to {HIGHEST_RATE_HZ:g} samples a second, "
-                f"not at {self.sample_rate_hz:g}"
+                Message(
+                    "sweep.sample_rate",
+                    "the sample rate of a sweep must be {lowest:g} to {highest:g} Hz, not {rate:g} Hz",
+                    lowest=LOWEST_RATE_HZ,
+                    highest=HIGHEST_RATE_HZ,
+                    rate=self.sample_rate_hz,
+                )
             )
         for name, largest in _LARGEST.items():
             values = np.asarray(getattr(self, name), dtype=np.float64)
             values = np.where(np.isinf(values), np.nan, values)
             if values.shape != (self.position.size,):
-                raise UnusableInputError("voltage, current and position of a test differ in length")
+                raise UnusableInputError(
+                    Message("sweep.lengths", "voltage, current and position of a test differ in length")
+                )
             size = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
             if size > largest:
-                raise UnusableInputError(f"the {name} goes to {size:.3g}: no instrument measures that, check the units")
+                raise UnusableInputError(
+                    Message(
+                        "sweep.too_large",
+                        "the {channel} reaches {value:.3g}, which no instrument measures: check the units",
+                        channel=CHANNELS[name],
+                        value=size,
+                    )
+                )
             object.__setattr__(self, name, values)
         if not LEAST_S <= self.position.size / self.sample_rate_hz <= MOST_S:
             raise UnusableInputError(
-                f"a test of a sweep lasts {LEAST_S:g} to {MOST_S:g} s, "
-                f"not {self.position.size / self.sample_rate_hz:.3g} s"
+                Message(
+                    "sweep.length",
+                    "a test of a sweep must last {least:g} to {most:g} s, not {seconds:.3g} s",
+                    least=LEAST_S,
+                    most=MOST_S,
+                    seconds=self.position.size / self.sample_rate_hz,
+                )
             )
         received = np.isfinite(self.voltage + self.current + self.position)
         if np.mean(received) < 0.5:
-            raise UnusableInputError("most samples of a test were lost; check the link and repeat the sweep")
+            raise UnusableInputError(
+                Message("sweep.lost", "most samples of a test were lost: check the cable and repeat the sweep")
+            )
         for name in _LARGEST:
             if not np.ptp(getattr(self, name)[received]) > 0.0:
-                raise UnusableInputError(f"the {name} does not change in a test: nothing can be learned from it")
+                raise UnusableInputError(
+                    Message("sweep.constant", "the {channel} does not change during a test", channel=CHANNELS[name])
+                )
 
     @classmethod
     def of_session(cls, test: Test) -> SweepTest:
-        """The test as a session keeps it, its preload cut off.
+        """Return a test of a session without its preload.
 
         Raises:
-            UnusableInputError: it lacks a signal, or holds what no sweep leaves; says of which test.
+            UnusableInputError: a signal is missing or impossible; names the test.
         """
         preload = test.preload_s * test.sample_rate_hz
         first = round(min(preload, test.samples)) if preload > 0.0 else 0
         if missing := [name for name in _LARGEST if name not in test.signals]:
-            raise UnusableInputError(f"test {test.number} has no {missing[0]}: a sweep needs it")
+            raise _of_test(
+                test,
+                Message("sweep.no_channel", "it has no {channel}, which a sweep needs", channel=CHANNELS[missing[0]]),
+            )
         stage, sweep = test.notes.get("stage_m"), test.notes.get("sweep", 0.0)
         if not (isinstance(sweep, float | int) and 0 <= sweep < _MOST_SWEEPS and sweep == int(sweep)):
-            raise UnusableInputError(f"test {test.number} says that it is of sweep {sweep}: that is none")
+            raise _of_test(test, Message("sweep.number", "its number of the sweep, {sweep}, is not valid", sweep=sweep))
         try:
             return cls(
                 **{name: test.signals[name][first:] for name in _LARGEST},
@@ -89,14 +119,18 @@ class SweepTest:
                 sweep=int(sweep),
             )
         except UnusableInputError as error:
-            raise UnusableInputError(f"test {test.number}: {error}") from error
+            raise _of_test(test, error.message) from error
 
     @property
     def mean_position_m(self) -> float:
-        """About which it shook."""
+        """Mean position, m."""
         return float(np.nanmean(self.position))
 
     @property
     def swing_m(self) -> float:
-        """Root mean square of the position about its mean."""
+        """Root mean square of the position about its mean, m."""
         return float(np.nanstd(self.position))
+
+
+def _of_test(test: Test, why: str) -> UnusableInputError:
+    return UnusableInputError(Message("sweep.test", "test {number}: {reason}", number=test.number, reason=why))

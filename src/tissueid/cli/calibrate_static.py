@@ -1,4 +1,4 @@
-"""``tissueid calibrate static``: the static calibration of an instrument, on its own or with a person's hands."""
+"""``tissueid calibrate static``: static calibration of an instrument, automatic or with a person."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from rich.markup import escape
 
 from tissueid.calibration import StaticCalibration, StaticPlan, calibrate_static, keep_calibration
 from tissueid.calibration.coil import Spring
-from tissueid.calibration.procedure import STEPS, Ask
-from tissueid.calibration.words import readable, verdict_of
-from tissueid.cli.calibrate_verdict import check_passed, check_place, place_of, print_place
-from tissueid.cli.logged import end_noted, logged, noted
+from tissueid.calibration.labels import headline_of, readable
+from tissueid.calibration.static_procedure import STEPS, Ask
+from tissueid.cli.audit_records import audit_failure, audit_note, audit_record
+from tissueid.cli.calibrate_output import check_passed, check_place, place_of, print_place
 from tissueid.cli.output import (
     check_different,
     check_json,
     check_new,
     check_output,
     console,
-    people_read,
+    human_output,
     progress_bars,
     table,
     write_json,
@@ -34,7 +34,7 @@ _DEFAULT = DeviceDescription()
 
 @dataclass(frozen=True, kw_only=True)
 class StaticOptions:
-    """What the command line asks for, in the units that people type."""
+    """Options of the command, in the units of the command line."""
 
     steps: str | None = None
     spring_n_per_m: float | None = None
@@ -49,10 +49,10 @@ class StaticOptions:
     valid_days: int = 90
 
     def plan(self, device: DeviceDescription) -> StaticPlan:
-        """What is to be done on a device.
+        """Return the plan of the calibration for a device.
 
         Raises:
-            UnusableInputError: says which option cannot be used.
+            UnusableInputError: an option cannot be used.
         """
         stiffness = self.spring_n_per_m if self.spring_n_per_m is not None else device.calibration_spring_n_per_m
         relative = device.calibration_relative_uncertainty
@@ -60,9 +60,7 @@ class StaticOptions:
             relative = 0.01 * self.spring_percent
         steps = STEPS if self.steps is None else tuple(step.strip() for step in self.steps.split(",") if step.strip())
         if self.in_place and (self.weights_g or self.gauges_mm or self.orientations > 1):
-            raise UnusableInputError(
-                "--in-place asks nobody for anything: it does not go with --weight, --gauge and --orientations"
-            )
+            raise UnusableInputError("--in-place runs without a person: leave out --weight, --gauge and --orientations")
         return StaticPlan(
             steps=steps,
             spring=Spring(stiffness, relative),
@@ -78,12 +76,12 @@ class StaticOptions:
 
 
 def run_static(url: str, out: Path | None, report: Path | None, json_file: Path | None, options: StaticOptions) -> None:
-    """Calibrate, keep it, and tell it. A failed calibration is kept as well, beside one that passed.
+    """Calibrate, save the calibration and print it. A failed calibration is saved too, in its own file.
 
     Raises:
-        UnusableInputError: what is asked cannot be done, or the calibration failed.
+        UnusableInputError: an option cannot be used, or the calibration failed.
     """
-    options.plan(_DEFAULT)  # what is wrong with the options is said before anything moves
+    options.plan(_DEFAULT)  # checks the options before anything moves
     check_different(out, report, json_file)
     check_place(out)
     check_output(report, ("<!DOCTYPE html",))
@@ -91,11 +89,11 @@ def run_static(url: str, out: Path | None, report: Path | None, json_file: Path 
     check_json(json_file)
     ask = _asker()
     if ask is None and (options.weights_g or options.orientations > 1):
-        raise UnusableInputError("--weight and --orientations need a person on a terminal: nobody is there")
+        raise UnusableInputError("--weight and --orientations need a person at a terminal, and there is no terminal")
     instrument = open_instrument(url)
     try:
-        head = logged("technician", "calibration.begun", subject=instrument.device.serial_number, new="static")
-        ended = end_noted("technician", "calibration", subject=instrument.device.serial_number)
+        head = audit_record("technician", "calibration.begun", subject=instrument.device.serial_number, new="static")
+        ended = audit_failure("technician", "calibration", subject=instrument.device.serial_number)
         with progress_bars() as show, ended:
             found = calibrate_static(instrument, options.plan(instrument.device), ask=ask, progress=show)
     finally:
@@ -105,7 +103,7 @@ def run_static(url: str, out: Path | None, report: Path | None, json_file: Path 
     )
     out = place_of(out, calibration.serial_number, "static")
     kept = keep_calibration(out, calibration)
-    noted(
+    audit_note(
         "technician",
         "calibration.made",
         subject=calibration.serial_number,
@@ -115,14 +113,14 @@ def run_static(url: str, out: Path | None, report: Path | None, json_file: Path 
         from tissueid.reports.calibration_static import static_report
 
         static_report(calibration).write(report)
-    _tell(found, kept, json_file)
+    _print_result(found, kept, json_file)
     if json_file is not None:
         write_json(json_file, answer(found, kept))
     check_passed(calibration, out, kept)
 
 
 def answer(found: StaticCalibration, out: Path) -> dict[str, object]:
-    """What scripts read: all figures in SI units, the verdict, and how long it took."""
+    """Return the result for JSON: all values in SI units, the verdict, and the duration."""
     calibration = found.calibration
     return {
         "file": str(out),
@@ -133,6 +131,7 @@ def answer(found: StaticCalibration, out: Path) -> dict[str, object]:
         "verdict": calibration.verdict,
         "problems": list(calibration.problems),
         "notes": list(found.notes),
+        "messages": list(calibration.messages),
         "quantities": {name: quantity.model_dump() for name, quantity in calibration.quantities.items()},
         "tables": calibration.tables,
         "seconds": found.seconds,
@@ -140,30 +139,30 @@ def answer(found: StaticCalibration, out: Path) -> dict[str, object]:
 
 
 def _asker() -> Ask | None:
-    """Somebody at the terminal who is told what to do; None where there is no terminal."""
+    """Return a function that asks the person at the terminal to do something; None if there is no terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
 
     def ask(words: str) -> None:
         console.print(f"[bold]{escape(words)}[/bold] Then press Enter.")
         if not sys.stdin.readline():
-            raise UnusableInputError("nobody is at the terminal any more; nothing was kept")
+            raise UnusableInputError("the terminal was closed; nothing was saved")
 
     return ask
 
 
-def _tell(found: StaticCalibration, out: Path, json_file: Path | None) -> None:
-    people = people_read(json_file)
-    if not people.is_terminal:
-        people.width = 120
+def _print_result(found: StaticCalibration, out: Path, json_file: Path | None) -> None:
+    console = human_output(json_file)
+    if not console.is_terminal:
+        console.width = 120
     calibration = found.calibration
     rows = table(f"Static calibration of {calibration.serial_number}", "quantity", "value", "unit")
     for name, quantity in calibration.quantities.items():
         rows.add_row(*readable(name, quantity))
-    people.print(rows)
-    people.print(f"The calibration {verdict_of(calibration)}", markup=False)
+    console.print(rows)
+    console.print(headline_of(calibration), markup=False)
     for problem in calibration.problems:
-        people.print(f"- {problem}", markup=False, soft_wrap=True)
+        console.print(f"- {problem}", markup=False, soft_wrap=True)
     for note in found.notes:
-        people.print(f"note: {note}", markup=False, soft_wrap=True)
-    print_place(people, out)
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
+    print_place(console, out)

@@ -1,4 +1,4 @@
-"""``tissueid calibrate sweep``: the dynamic sweep, on its own where the device has a stage, else with a person."""
+"""``tissueid calibrate sweep``: dynamic sweep, automatic with a stage, otherwise with a person."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ from rich.text import Text
 
 from tissueid.acquisition import SessionRecorder
 from tissueid.calibration import Calibration, keep_calibration
-from tissueid.calibration.in_force import go_by_static, static_conditions
-from tissueid.calibration.moved_by_hand import Standing, wait_until_there
+from tissueid.calibration.active import go_by_static, static_conditions
+from tissueid.calibration.labels import headline_of, notes_of
+from tissueid.calibration.manual_positioning import Standing, wait_until_there
 from tissueid.calibration.sweep import Bring, Sweep, SweepPlan, sweep_tests
 from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analyse_sweep
 from tissueid.calibration.sweep_file import as_calibration
-from tissueid.calibration.words import notes_of, verdict_of
-from tissueid.cli.calibrate_verdict import check_passed, check_place, place_of, print_place
-from tissueid.cli.logged import end_noted, logged, noted, trail
+from tissueid.cli.audit_records import audit_failure, audit_note, audit_record, audit_trail
+from tissueid.cli.calibrate_output import check_passed, check_place, place_of, print_place
 from tissueid.cli.output import (
     check_different,
     check_json,
     check_new,
     check_output,
     console,
-    people_read,
+    human_output,
     progress_bars,
     table,
     write_json,
 )
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, plus_minus
 from tissueid.instrument import Instrument, open_instrument
 from tissueid.records import Estimate
 from tissueid.sessions import Session, read_session
-from tissueid.wording import fixed, plus_minus
 
 _FIRST_YEAR = 2000
-"""No session is older than this."""
+"""Earliest plausible year of a session."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions:
-    """What the command line asks for, in the units that people type."""
+    """Options of the command, in the units of the command line."""
 
     first_mm: float = 2.0
     last_mm: float = 30.0
@@ -67,10 +67,10 @@ class SweepOptions:
     valid_days: int = 90
 
     def plan(self) -> SweepPlan:
-        """Where and how long.
+        """Return the plan of the sweep.
 
         Raises:
-            UnusableInputError: says what cannot be.
+            UnusableInputError: an option cannot be used.
         """
         return SweepPlan(
             from_m=1e-3 * self.first_mm,
@@ -83,36 +83,36 @@ class SweepOptions:
         )
 
     def spring(self, device: DeviceDescription) -> SweptSpring:
-        """The spring, which is the device's own unless it is said.
+        """Return the calibration spring; default: the values of the device.
 
         Raises:
-            UnusableInputError: no spring is like that.
+            UnusableInputError: a value is out of bounds.
         """
         stiffness = device.calibration_spring_n_per_m if self.spring_n_per_m is None else self.spring_n_per_m
         relative = (
             device.calibration_relative_uncertainty if self.spring_percent is None else 1e-2 * self.spring_percent
         )
-        if not 10.0 <= stiffness <= 1e5 or not 0.0 <= relative < 0.5:
-            raise UnusableInputError("a spring has 10 to 100000 N/m, known to better than 50 %")
+        spring = SweptSpring(stiffness, relative, 1e-3 * self.spring_g)
+        spring.check()
         if not 0.0 <= self.spring_g <= 200.0:
-            raise UnusableInputError("the mass of the spring is 0 to 200 g")
-        return SweptSpring(stiffness, relative, 1e-3 * self.spring_g)
+            raise UnusableInputError("the mass of the spring must be 0 to 200 g")
+        return spring
 
 
 def run_sweep(
     url: str | None, out: Path | None, report: Path | None, json_file: Path | None, options: SweepOptions
 ) -> None:
-    """Sweep, or take a sweep that was kept; analyse it, keep the calibration, and tell it.
+    """Run a sweep or read a saved one, analyse it, save the calibration and print it.
 
     Raises:
-        UnusableInputError: what is asked cannot be done, or the calibration failed.
+        UnusableInputError: an option cannot be used, or the calibration failed.
     """
     plan = options.plan()
-    options.spring(DeviceDescription())  # what is wrong with the options is said before anything moves
+    options.spring(DeviceDescription())  # checks the options before anything moves
     if (url is None) == (options.kept is None):
-        raise UnusableInputError("name the instrument with --device, or a sweep that was kept with --kept; not both")
+        raise UnusableInputError("give either --device, or --kept for a saved sweep")
     if options.kept is not None and options.session is not None:
-        raise UnusableInputError("--session keeps what is recorded now; it does not go with --kept")
+        raise UnusableInputError("--session saves a new recording: leave it out with --kept")
     check_different(out, report, json_file, options.session, options.kept)
     check_place(out)
     check_output(report, ("<!DOCTYPE html",))
@@ -145,7 +145,7 @@ def run_sweep(
     )
     out = place_of(out, calibration.serial_number, "sweep")
     place = keep_calibration(out, calibration)
-    noted(
+    audit_note(
         "technician",
         "calibration.made",
         subject=calibration.serial_number,
@@ -155,7 +155,7 @@ def run_sweep(
         from tissueid.reports.calibration import sweep_report
 
         sweep_report(calibration).write(report)
-    _tell(result, calibration, place, options.session, json_file)
+    _print_result(result, calibration, place, options.session, json_file)
     if json_file is not None:
         seconds = {"seconds": time.perf_counter() - begin, "measuring_seconds": measured - begin}
         write_json(json_file, answer(calibration, place) | seconds)
@@ -163,26 +163,24 @@ def run_sweep(
 
 
 def _made(session: Session) -> datetime:
-    """When a session was recorded; a time without its zone is UTC, as sessions have it.
+    """Return when a session was recorded; a time without zone is UTC.
 
     Raises:
-        UnusableInputError: it does not say, or says what cannot be.
+        UnusableInputError: the session has no date, or an implausible one.
     """
     try:
         made = datetime.fromisoformat(session.created)
         made = made.replace(tzinfo=UTC) if made.tzinfo is None else made.astimezone(UTC)
     except (ValueError, OverflowError) as error:
-        raise UnusableInputError(
-            f"the session says that it was made {session.created[:40]!r}: that is no time"
-        ) from error
+        raise UnusableInputError(f"the date of the session is not valid: {session.created[:40]!r}") from error
     if made.year < _FIRST_YEAR:
-        raise UnusableInputError(f"the session says that it was made in {made.year}: there was no such instrument then")
+        raise UnusableInputError(f"the date of the session is not plausible: {made.year}")
     return made
 
 
 @contextmanager
 def _session_file(wanted: Path | None) -> Iterator[Path]:
-    """Where the tests of a sweep go: to a file that is kept, or to one that lasts as long as the sweep."""
+    """Yield the session file of a sweep: ``wanted``, or a temporary file."""
     if wanted is not None:
         yield wanted
         return
@@ -193,13 +191,13 @@ def _session_file(wanted: Path | None) -> Iterator[Path]:
 def _recorded(
     url: str, plan: SweepPlan, options: SweepOptions, path: Path
 ) -> tuple[Session, str, tuple[str, ...], dict[str, float | str]]:
-    """The session of a sweep, the head of the audit log at its beginning, what was left out, and how it was made."""
+    """Run a sweep. Return its session, the head of the audit log, remarks, and conditions."""
     instrument = open_instrument(url)
     try:
         conditions = go_by_static(instrument, options.folder)
-        head = logged("technician", "calibration.begun", subject=instrument.device.serial_number, new="sweep")
-        recorder = SessionRecorder(path, instrument.device, trail=trail("technician"))
-        ended = end_noted("technician", "calibration", subject=instrument.device.serial_number)
+        head = audit_record("technician", "calibration.begun", subject=instrument.device.serial_number, new="sweep")
+        recorder = SessionRecorder(path, instrument.device, trail=audit_trail("technician"))
+        ended = audit_failure("technician", "calibration", subject=instrument.device.serial_number)
         with progress_bars() as show, ended:
             sweep = Sweep(
                 instrument,
@@ -213,13 +211,13 @@ def _recorded(
             except BaseException as error:
                 if sweep.stage_m is not None:
                     console.print(
-                        f"the stage stays at {1e3 * sweep.stage_m:.1f} mm: bring it back to mid-stroke before a test",
+                        f"the stage stays at {1e3 * sweep.stage_m:.1f} mm: move it to mid-stroke before a test",
                         markup=False,
                         soft_wrap=True,
                     )
                 if recorder.finish_or_discard(error) is not None and options.session is not None:
                     console.print(
-                        f"what was measured is kept: {path}; analyse it with --kept", markup=False, soft_wrap=True
+                        f"the recording is saved in {path}: analyse it by --kept", markup=False, soft_wrap=True
                     )
                 raise
         session = recorder.finish()
@@ -236,14 +234,14 @@ def _recorded(
 
 
 def _person(instrument: Instrument) -> Bring | None:
-    """Somebody at the terminal who moves the spring and sees where the probe stands; None without a terminal."""
+    """Return a function that asks the person at the terminal to move the spring; None if there is no terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return None
 
     def bring(place_m: float) -> None:
         console.print(
-            f"[bold]Move the spring so that the probe stands at {1e3 * place_m:.1f} mm, and let go.[/bold] "
-            "It goes on by itself when the probe stands still there."
+            f"[bold]Move the spring until the probe is at {1e3 * place_m:.1f} mm, then let go.[/bold] "
+            "The sweep continues when the probe is at rest there."
         )
         with Live(Text(""), console=console, transient=True) as live:
             wait_until_there(instrument, place_m, lambda standing: live.update(_standing(standing, place_m)))
@@ -258,7 +256,7 @@ def _standing(standing: Standing, place_m: float) -> Text:
 
 
 def answer(calibration: Calibration, out: Path) -> dict[str, object]:
-    """What scripts read: all figures in SI units, the table by position, the verdict."""
+    """Return the result for JSON: all values in SI units, the table by position, the verdict."""
     return {
         "file": str(out),
         "kind": calibration.kind,
@@ -268,16 +266,17 @@ def answer(calibration: Calibration, out: Path) -> dict[str, object]:
         "verdict": calibration.verdict,
         "problems": list(calibration.problems),
         "notes": list(notes_of(calibration)),
+        "messages": list(calibration.messages),
         "quantities": {name: found.model_dump() for name, found in calibration.quantities.items()},
         "tables": {name: columns for name, columns in calibration.tables.items() if name != "response"},
     }
 
 
-def _tell(
+def _print_result(
     result: SweepResult, calibration: Calibration, out: Path, session: Path | None, json_file: Path | None
 ) -> None:
-    people = people_read(json_file)
-    columns = ("position (mm)", "VAF (%)", "M (g)", "B (N·s/m)", "K (N/m)", "k (N/A)")
+    console = human_output(json_file)
+    columns = ("position (mm)", "VAF (%)", "M (g)", "B (N·s/m)", "K (N/m)", "k (N per A)")
     rows = table(f"Dynamic sweep of {calibration.serial_number}", *columns)
     profile = result.force_constant
     for point in result.points:
@@ -291,7 +290,7 @@ def _tell(
             fixed(point.stiffness_n_per_m.value, 0),
             plus_minus(Estimate(float(profile.at(at)[0]), float(profile.std_at(at)[0]))),
         )
-    people.print(rows)
+    console.print(rows)
     region = result.region
     ends = [
         f"{1e3 * end.value:.2f} mm{' or less' if open_end and first else ' or more' if open_end else ''}"
@@ -300,18 +299,18 @@ def _tell(
             (region.max_m, region.open_above, False),
         )
     ]
-    people.print(
+    console.print(
         f"linear from {ends[0]} to {ends[1]} (* is outside), "
-        f"force constant k {plus_minus(region.plateau_n_per_a)} N/A, "
+        f"force constant k {plus_minus(region.plateau_n_per_a)} N per A, "
         f"moving mass {plus_minus(result.moving_mass_kg, 1e3)} g",
         markup=False,
         soft_wrap=True,
     )
-    people.print(f"The calibration {verdict_of(calibration)}", markup=False)
+    console.print(headline_of(calibration), markup=False)
     for problem in calibration.problems:
-        people.print(f"- {problem}", markup=False, soft_wrap=True)
+        console.print(f"- {problem}", markup=False, soft_wrap=True)
     for note in notes_of(calibration):
-        people.print(f"note: {note}", markup=False, soft_wrap=True)
-    print_place(people, out)
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
+    print_place(console, out)
     if session is not None:
-        people.print(f"session: {session}", markup=False, soft_wrap=True)
+        console.print(f"session: {session}", markup=False, soft_wrap=True)

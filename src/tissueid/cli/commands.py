@@ -1,4 +1,4 @@
-"""The commands and their options; what each does stands in a module of its own."""
+"""Commands and their options; each command is implemented in its own module."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import typer
 
 from tissueid import __version__
 from tissueid.cli.audit import audit
+from tissueid.cli.audit_records import set_role
 from tissueid.cli.calibrate import calibrate
 from tissueid.cli.gap import gap
-from tissueid.cli.interchange import export_command, import_command
-from tissueid.cli.logged import take_role
-from tissueid.cli.twins import twin
+from tissueid.cli.import_export import export_command, import_command
+from tissueid.cli.twin_commands import twin
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -28,7 +28,7 @@ app.add_typer(twin, name="twin")
 app.command("import")(import_command)
 app.command("export")(export_command)
 
-JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the answer as JSON; - prints it")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
 DeviceUrl = Annotated[
     str,
     typer.Option(
@@ -36,21 +36,24 @@ DeviceUrl = Annotated[
     ),
 ]
 Engine = Annotated[
-    str | None, typer.Option("--engine", metavar="NAME", help="needed: such as lms or wiener; without it lists all")
+    str | None,
+    typer.Option("--engine", metavar="NAME", help="required, such as lms or wiener; without it, lists all engines"),
 ]
-OneTest = Annotated[int | None, typer.Option("--test", metavar="N", help="test to fit; the first stochastic one")]
+OneTest = Annotated[
+    int | None, typer.Option("--test", metavar="N", help="test to fit; default: the first stochastic test")
+]
 MoreTests = Annotated[
-    list[int] | None, typer.Option("--also", metavar="N", help="another test to fit together with it; may be repeated")
+    list[int] | None, typer.Option("--also", metavar="N", help="another test to fit jointly; may be repeated")
 ]
 Validate = Annotated[
-    int | None, typer.Option(metavar="N", help="test to validate on; otherwise the last quarter is held out")
+    int | None, typer.Option(metavar="N", help="test for validation; default: the last quarter of the test is held out")
 ]
 Input = Annotated[str, typer.Option("--input", metavar="SIGNAL", help="input signal")]
 Output = Annotated[str, typer.Option("--output", metavar="SIGNAL", help="output signal")]
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         typer.echo(f"tissueid {__version__}")
         raise typer.Exit
 
@@ -65,9 +68,9 @@ def open_window(
         str | None, typer.Option(metavar="ROLE", help="clinician, researcher or technician, for the audit log")
     ] = None,
 ) -> int:
-    """Without a command: open the application."""
+    """Open the application if no command is given."""
     if role is not None:
-        take_role(role)
+        set_role(role)
     if context.invoked_subcommand is not None:
         return 0
     from tissueid.cli.window import open_application
@@ -82,9 +85,9 @@ def demo(
     preset: Annotated[str, typer.Option(help="tissue; see 'tissueid-firmware-sim --list'")] = "left-posterior-forearm",
     json_file: JsonFile = None,
 ) -> None:
-    """Run one guided test on a simulated forearm; needs no hardware.
+    """Run one guided test on a simulated forearm, without hardware.
 
-    From the cable to the report.
+    Includes recording, identification and report.
     """
     from tissueid.cli.demo import run_demo
 
@@ -93,10 +96,10 @@ def demo(
 
 @app.command()
 def devices(
-    probe: Annotated[bool, typer.Option("--probe/--no-probe", help="shake hands with each")] = True,
+    probe: Annotated[bool, typer.Option("--probe/--no-probe", help="connect to each instrument")] = True,
     json_file: JsonFile = None,
 ) -> None:
-    """List the instruments that can be reached, simulated ones too."""
+    """List connected and simulated instruments."""
     from tissueid.cli.devices import list_devices
 
     list_devices(probe, json_file)
@@ -105,75 +108,78 @@ def devices(
 @app.command("test")
 def run_test(
     device: DeviceUrl,
-    site: Annotated[str, typer.Option(metavar="TEXT", help="where on the body, or which material")],
-    out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="session file to make; never overwritten")],
+    site: Annotated[str, typer.Option(metavar="TEXT", help="site on the body, or material")],
+    out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="new session file; never overwritten")],
     stimulus: Annotated[
-        str | None, typer.Option(metavar="NAME", help="noise by default; 'tissueid stimulus' lists them")
+        str | None, typer.Option(metavar="NAME", help="default: noise; 'tissueid stimulus' lists all")
     ] = None,
     option: Annotated[
-        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the stimulus")
+        list[str] | None,
+        typer.Option("--option", metavar="NAME=VALUE", help="another option of the stimulus; may be repeated"),
     ] = None,
     stimulus_file: Annotated[
-        Path | None, typer.Option("--stimulus-file", metavar="FILE", help="plays what 'tissueid stimulus' saved")
+        Path | None, typer.Option("--stimulus-file", metavar="FILE", help="stimulus saved by 'tissueid stimulus'")
     ] = None,
     distribution: Annotated[
-        str | None, typer.Option(help="distribution of the stimulus: of noise gaussian, or uniform and others")
+        str | None, typer.Option(help="distribution of amplitudes, such as gaussian (noise) or uniform")
     ] = None,
     min_force: Annotated[
-        float | None, typer.Option(metavar="NEWTON", help="lower end of the force range; of noise 0.5")
+        float | None, typer.Option(metavar="NEWTON", help="lower end of the force range; noise: 0.5")
     ] = None,
     max_force: Annotated[
-        float | None, typer.Option(metavar="NEWTON", help="upper end of the force range; of noise 10.5")
+        float | None, typer.Option(metavar="NEWTON", help="upper end of the force range; noise: 10.5")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="length; of noise 4. 0.5 s of preload come first")
+        float | None, typer.Option(metavar="SECONDS", help="length after 0.5 s of preload; noise: 4")
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, max=2**31 - 1, help="seed of the stimulus")] = None,
     depth_range: Annotated[
         str | None,
-        typer.Option("--depth-range", metavar="MM:MM", help="depths to spread over, from the surface, such as 1:4"),
+        typer.Option("--depth-range", metavar="MM:MM", help="intended depths below the surface, such as 1:4"),
     ] = None,
     multistep: Annotated[
         int | None,
         typer.Option(
-            min=1, max=20, metavar="N", help="up to N tests, each designed from those before for an even depth"
+            min=1, max=20, metavar="N", help="up to N tests, each designed from the previous ones for a uniform depth"
         ),
     ] = None,
     target: Annotated[
         float | None,
-        typer.Option(min=0.0, max=1.0, help="with --multistep: distance from even that is enough; 0.05 without"),
+        typer.Option(min=0.0, max=1.0, help="with --multistep: distance from uniform at which to stop; default: 0.05"),
     ] = None,
     stop_when: Annotated[
         list[str] | None,
         typer.Option(
-            "--stop-when", metavar="NAME=SHARE", help="ends when known so well, such as stiffness=0.02; may be repeated"
+            "--stop-when",
+            metavar="NAME=SHARE",
+            help="stop at this relative uncertainty, such as stiffness=0.02",
         ),
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="prints the parameters as they converge")] = False,
-    repeats: Annotated[int, typer.Option(min=1, max=100, help="how often the same test is run")] = 1,
+    live: Annotated[bool, typer.Option("--live", help="print the parameters as they converge")] = False,
+    repeats: Annotated[int, typer.Option(min=1, max=100, help="number of runs of the test")] = 1,
     rest: Annotated[
-        float, typer.Option(min=0, max=600, metavar="SECONDS", help="between repeats: lets the coil cool")
+        float, typer.Option(min=0, max=600, metavar="SECONDS", help="pause between repeats, to cool the coil")
     ] = 0.0,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
-    subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="never a name")] = "anonymous",
+    subject: Annotated[str, typer.Option(metavar="PSEUDONYM", help="pseudonym, never a name")] = "anonymous",
     configuration: Annotated[
         str, typer.Option(metavar="NAME", help="indentation, extension or surface")
     ] = "indentation",
-    probe: Annotated[str | None, typer.Option(metavar="NAME", help="the tip; a wrong one lists all")] = None,
+    probe: Annotated[str | None, typer.Option(metavar="NAME", help="probe tip; an unknown name lists all")] = None,
     external_spring: Annotated[
         float,
-        typer.Option("--external-spring", metavar="N/M", help="stiffness beside the tissue, subtracted; for surface"),
+        typer.Option(
+            "--external-spring", metavar="N/M", help="stiffness parallel to the tissue, subtracted; for surface"
+        ),
     ] = 0.0,
     calibrations: Annotated[
         Path | None, typer.Option("--calibrations", metavar="DIR", help="folder of calibrations; see 'calibrate list'")
     ] = None,
-    calibration: Annotated[bool, typer.Option(help="put the newest calibration in force")] = True,
-    kind: Annotated[
-        str | None, typer.Option(metavar="NAME", help="spring or free_air, where the probe meets no tissue")
-    ] = None,
+    calibration: Annotated[bool, typer.Option(help="use the newest calibration")] = True,
+    kind: Annotated[str | None, typer.Option(metavar="NAME", help="spring or free_air: a test without tissue")] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Run a guided test: place, preload, stimulus, release."""
+    """Run a guided test: placement, preload, stimulus, release."""
     from tissueid.cli.stimulus_options import CommonOptions
     from tissueid.cli.test import run_tests
     from tissueid.cli.test_plan import TestPlan, millimetres
@@ -211,12 +217,12 @@ def run_test(
 @app.command()
 def quality(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    test: Annotated[int | None, typer.Option("--test", metavar="N", help="one test; all without it")] = None,
+    test: Annotated[int | None, typer.Option("--test", metavar="N", help="one test; default: all")] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Judge the tests of a saved session anew: can they be believed?
+    """Check the quality of the tests of a saved session.
 
-    And what to do about those that cannot.
+    The output says which tests to repeat, and why.
     """
     from tissueid.cli.quality import run_quality
 
@@ -226,37 +232,48 @@ def quality(
 @app.command()
 def stimulus(
     what: Annotated[
-        str | None, typer.Argument(metavar="KIND|FILE", help="a kind, or a saved stimulus; without it, lists the kinds")
+        str | None, typer.Argument(metavar="KIND|FILE", help="a kind or a saved stimulus; default: list the kinds")
     ] = None,
     option: Annotated[
-        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the kind")
+        list[str] | None,
+        typer.Option("--option", metavar="NAME=VALUE", help="another option of the kind; may be repeated"),
     ] = None,
-    list_options: Annotated[bool, typer.Option("--options", help="list what the kind takes, with bounds")] = False,
+    list_options: Annotated[
+        bool, typer.Option("--options", help="list the options of the kind with their bounds")
+    ] = False,
     min_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="lower end of the force range")] = None,
     max_force: Annotated[float | None, typer.Option(metavar="NEWTON", help="upper end of the force range")] = None,
-    min_volts: Annotated[float | None, typer.Option(metavar="VOLT", help="lower end: designs the voltage")] = None,
-    max_volts: Annotated[float | None, typer.Option(metavar="VOLT", help="upper end: designs the voltage")] = None,
-    seconds: Annotated[float | None, typer.Option(metavar="SECONDS", help="length, without a preload")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="the same seed, the same samples")] = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="saves it, to be played by 'test'")] = None,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="its samples as text")] = None,
+    min_volts: Annotated[
+        float | None, typer.Option(metavar="VOLT", help="lower end of the voltage range, in place of force")
+    ] = None,
+    max_volts: Annotated[
+        float | None, typer.Option(metavar="VOLT", help="upper end of the voltage range, in place of force")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(metavar="SECONDS", help="length without preload")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=2**63 - 1, help="seed; the same seed gives the same samples")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="save the stimulus for 'tissueid test'")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="write the samples as CSV")] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="its figures: .html, .pdf, .png or .svg")
+        Path | None, typer.Option("--plot", metavar="FILE", help="write the figures as .html, .pdf, .png or .svg")
     ] = None,
     device: Annotated[
         str | None,
-        typer.Option("--device", metavar="URL", help="what is to play it; the desktop research device without"),
+        typer.Option("--device", metavar="URL", help="instrument that plays it; default: the desktop device"),
     ] = None,
     limits: Annotated[str, typer.Option(help="clinical (12 N) or research (15 N)")] = "clinical",
     json_file: JsonFile = None,
 ) -> None:
     """Design a stimulus, or check a saved one.
 
-    What it is, what it does to the coil, and its figures.
+    Prints its properties and the load on the coil, and writes its figures.
     """
     from tissueid.cli.stimulus import run_stimulus
     from tissueid.cli.stimulus_options import CommonOptions
-    from tissueid.cli.stimulus_targets import Targets
+    from tissueid.cli.stimulus_output import Targets
 
     common = CommonOptions(
         min_force=min_force,
@@ -281,13 +298,14 @@ def identify(
     output_name: Output = "position",
     memory: Annotated[float | None, typer.Option(metavar="SECONDS", help="memory length")] = None,
     option: Annotated[
-        list[str] | None, typer.Option("--option", metavar="NAME=VALUE", help="any other option of the engine")
+        list[str] | None,
+        typer.Option("--option", metavar="NAME=VALUE", help="another option of the engine; may be repeated"),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
     """Fit one engine to one saved test, and validate it.
 
-    It is validated on data that was not fitted.
+    The validation uses held-out data.
     """
     from tissueid.cli.identify import run_identify
 
@@ -295,9 +313,20 @@ def identify(
 
 
 @app.command()
+def engines(
+    engine: Annotated[str | None, typer.Argument(metavar="[ENGINE]", help="engine whose options are listed")] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """List the identification engines, or the options of one."""
+    from tissueid.cli.engines import list_engines
+
+    list_engines(engine, json_file)
+
+
+@app.command()
 def compare(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    engines: Annotated[str | None, typer.Option(metavar="A,B,...", help="engines to compare; all by default")] = None,
+    engines: Annotated[str | None, typer.Option(metavar="A,B,...", help="engines to compare; default: all")] = None,
     test: OneTest = None,
     also: MoreTests = None,
     validate: Validate = None,
@@ -307,20 +336,19 @@ def compare(
         float | None, typer.Option(metavar="SECONDS", help="memory length of all engines that have one")
     ] = None,
     option: Annotated[
-        list[str] | None, typer.Option("--option", metavar="ENGINE.NAME=VALUE", help="any option of one engine")
+        list[str] | None,
+        typer.Option("--option", metavar="ENGINE.NAME=VALUE", help="option of one engine; may be repeated"),
     ] = None,
-    sweep: Annotated[
-        bool, typer.Option("--memory-sweep", help="scores against memory for all engines that have one; slow")
-    ] = False,
+    sweep: Annotated[bool, typer.Option("--memory-sweep", help="also compute scores against memory; slow")] = False,
     json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="HTML page to make")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="write the report, one HTML page")] = None,
     figures: Annotated[
-        Path | None, typer.Option("--figures", metavar="DIR", help="folder for every figure as SVG and PNG")
+        Path | None, typer.Option("--figures", metavar="DIR", help="folder for all figures as SVG and PNG")
     ] = None,
 ) -> None:
-    """Fit every engine to one saved test, scores side by side.
+    """Fit all engines to one saved test and compare their scores.
 
-    And which description the test supports.
+    Recommends the description that the test supports.
     """
     from tissueid.cli.compare import run_compare
 
@@ -343,15 +371,16 @@ def compare(
 
 @app.command()
 def recover(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="the session that was to be, or its journal")],
+    path: Annotated[Path, typer.Argument(metavar="PATH", help="name of the unfinished session, or its journal")],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="SESSION", help="where it goes; beside the journal by default")
+        Path | None,
+        typer.Option("--out", metavar="SESSION", help="session file to write; default: next to the journal"),
     ] = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Finish a session whose host died.
+    """Recover a session after a crash.
 
-    Everything that had reached the disk is kept.
+    All data that had reached the disk is kept.
     """
     from tissueid.cli.recover import run_recover
 
@@ -361,16 +390,16 @@ def recover(
 @app.command()
 def report(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="HTML page to make")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="HTML page to write")],
     test: OneTest = None,
     engines: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="engines to report; lms, spectral and wiener by default")
+        str | None, typer.Option(metavar="A,B,...", help="engines to report; default: lms,spectral,wiener")
     ] = None,
-    pdf: Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="and, in short, a PDF to print")] = None,
+    pdf: Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="also write a short PDF")] = None,
 ) -> None:
-    """Make the report of one saved test, an HTML page.
+    """Write the report of one saved test as an HTML page.
 
-    The page is self-contained; a PDF is made where one is asked for.
+    The page is self-contained. --pdf adds a short PDF.
     """
     from tissueid.cli.report import run_report
 

@@ -1,4 +1,4 @@
-"""``tissueid compare``."""
+"""``tissueid compare``: fit all engines to a test and compare them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,29 @@ from rich.console import Console
 from rich.table import Table
 
 from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
-from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
+from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.cli.identify import identify_answer, parse_options
-from tissueid.cli.output import check_json, check_output, check_report, people_read, progress_bars, table, write_json
-from tissueid.cli.quality import doubted
+from tissueid.cli.output import (
+    check_json,
+    check_output,
+    check_report,
+    human_output,
+    message_json,
+    progress_bars,
+    table,
+    write_json,
+)
+from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, grouped
 from tissueid.identification.recommendation import Recommendation
+from tissueid.messages import MISSING
 from tissueid.sessions import Session, read_session
-from tissueid.wording import MISSING, fixed, grouped
 
 _MOST_NAMES = 4
+"""File names that are listed of pictures that belong to other comparisons."""
 _UNBOUND_WIDTH = 120
-"""Characters in a line where it is not a terminal that reads."""
+"""Width of the output in characters if it does not go to a terminal."""
 
 
 def run_compare(
@@ -56,58 +67,58 @@ def run_compare(
     try:
         ceiling = known_ceiling(session, parts)
     except UnusableInputError as error:
-        ceiling, no_ceiling = None, f"What repeats allow is not known: {error}."
+        ceiling, no_ceiling = None, f"The limit set by repeats is not known: {error}."
     with progress_bars() as show:
         found = compare(chosen, parts, ceiling=ceiling, sweep=sweep, progress=show)
         drawn = _draw(session, found, out, figures, show)
-    _tell(found, no_ceiling, people_read(json_file))
-    warned = list(doubted(session, found.split.tests))
+    _print_result(found, no_ceiling, human_output(json_file))
+    warned = list(repeat_warnings(session, found.split.tests))
     for line in warned:
-        people_read(json_file).print(line, markup=False)
-    if told := _distortion(session, found):
-        people_read(json_file).print(told, markup=False)
+        human_output(json_file).print(line, markup=False)
+    if line := _distortion(session, found):
+        human_output(json_file).print(line, markup=False)
     if json_file is not None:
         write_json(json_file, compare_answer(found) | {"quality_warnings": warned})
     if out is not None:
-        people_read(json_file).print(f"report: {out}", markup=False)
+        human_output(json_file).print(f"report: {out}", markup=False)
     if figures is not None:
-        people_read(json_file).print(f"figures: {figures}", markup=False)
-        if left := _left_over(figures, drawn):
-            people_read(json_file).print(left, markup=False)
+        human_output(json_file).print(f"figures: {figures}", markup=False)
+        if left := _unrelated_pictures(figures, drawn):
+            human_output(json_file).print(left, markup=False)
 
 
-def _left_over(folder: Path, drawn: Sequence[Path]) -> str:
-    """Pictures in the folder that are not of this comparison, in a line; nothing that was there is ever removed."""
+def _unrelated_pictures(folder: Path, drawn: Sequence[Path]) -> str:
+    """Return which pictures in the folder are not of this comparison as a sentence; no file is ever removed."""
     written = {path.name for path in drawn}
     others = sorted(path.name for path in folder.iterdir() if path.suffix in (".svg", ".png"))
     others = [name for name in others if name not in written]
     if not others:
         return ""
     names = ", ".join(others[:_MOST_NAMES]) + (", …" if len(others) > _MOST_NAMES else "")
-    return f"not of this comparison, and left as found: {grouped(len(others))} other pictures in that folder: {names}"
+    return f"{grouped(len(others))} other pictures in that folder are not of this comparison: {names}"
 
 
 def _distortion(session: Session, found: EngineComparison) -> str:
-    """Noise and distortion of a multisine in a line; empty for any other stimulus."""
+    """Return noise and distortion of a multisine as a sentence; "" for any other stimulus."""
     test = session.test(found.split.tests[0])
     if not is_multisine(test.stimulus):
         return ""
     record = found.split.record
     try:
-        said = levels_in_words(distortion_of(test.record(record.input_name, record.output_name), test.stimulus))
+        said = described_levels(distortion_of(test.record(record.input_name, record.output_name), test.stimulus))
     except UnusableInputError as error:
         return f"Noise and distortion of the multisine are not known: {error}."
-    return f"Noise, even and odd nonlinearity of the multisine's output, relative to it: {said}." if said else ""
+    return f"Noise, even and odd distortion of the multisine relative to the output: {said}." if said else ""
 
 
 def _check_writable(folder: Path | None) -> None:
-    """Refuse, before any work, a folder that nothing can be written to.
+    """Check, before any work, that a folder is writable.
 
     Raises:
-        UnusableInputError: it is there, and not for us to write.
+        UnusableInputError: the folder exists and is not writable.
     """
     if folder is not None and folder.is_dir() and not os.access(folder, os.W_OK):
-        raise UnusableInputError(f"nothing can be written to {folder}")
+        raise UnusableInputError(f"the folder {folder} is not writable")
 
 
 def _draw(
@@ -117,7 +128,7 @@ def _draw(
     figures: Path | None,
     show: Callable[[str, float], None],
 ) -> tuple[Path, ...]:
-    """Draw what was asked for; returns the files of the figures.
+    """Write the requested page and figures, and return the files of the figures.
 
     Raises:
         UnusableInputError: the page or a figure cannot be written.
@@ -138,7 +149,7 @@ def _draw(
 
 
 def compare_answer(found: EngineComparison) -> dict[str, Any]:
-    """The answer as JSON holds it: under ``engines`` what ``identify`` answers, and why an engine was refused."""
+    """Return the result for JSON: ``engines`` has the keys of ``identify``, and why an engine was refused."""
     return {
         "test": found.split.tests[0],
         "tests": list(found.split.tests),
@@ -154,12 +165,13 @@ def compare_answer(found: EngineComparison) -> dict[str, Any]:
 def _entry_answer(entry: Entry) -> dict[str, Any]:
     about = {"engine": entry.engine, "family": str(entry.family), "interpretability": entry.family.interpretability}
     if entry.scored is None:
-        return about | {"refused": entry.refused}
+        return about | {"refused": entry.refused, "refused_message": message_json(entry.refused)}
     return (
         identify_answer(entry.scored.analysis)
         | about
         | {
             "refused": None,
+            "refused_message": None,
             "effective_parameters": entry.scored.parameters,
             "n_samples_compared": entry.scored.n_fitted,
             "shares_samples": not entry.scored.own_samples,
@@ -177,37 +189,37 @@ def _sweep_answer(row: SweepRow) -> dict[str, Any]:
 
 
 def _by_engine(options: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """ENGINE.NAME=VALUE, sorted by engine.
+    """Return options given as ENGINE.NAME=VALUE by engine.
 
     Raises:
-        UnusableInputError: an option that does not say which engine it is for.
+        UnusableInputError: an option names no engine.
     """
     sorted_out: dict[str, dict[str, Any]] = {}
     for name, value in parse_options(options).items():
         engine, dot, option = name.partition(".")
         if not dot or not option:
-            raise UnusableInputError(f"an option of one engine is ENGINE.NAME=VALUE, not {name!r}")
+            raise UnusableInputError(f"an option must be ENGINE.NAME=VALUE, got {name!r}")
         sorted_out.setdefault(engine, {})[option] = value
     return sorted_out
 
 
-def _tell(found: EngineComparison, no_ceiling: str, out: Console) -> None:
+def _print_result(found: EngineComparison, no_ceiling: str, out: Console) -> None:
     if not out.is_terminal:
         out.width = _UNBOUND_WIDTH
     notes: dict[str, int] = {}
     out.print(_score_table(found, notes))
     shared = max((e.scored.n_fitted for e in found.entries if e.scored and not e.scored.own_samples), default=0)
     out.print(
-        f"held out: {found.split.validated_on}. VAF is of free runs, which see the input alone; told: with the "
-        f"measured output as the schedule. VAF and AICc are over the {grouped(shared)} fitted samples that all share.",
+        f"held out: {found.split.validated_on}. VAF is of free runs, which use the input alone; scheduled: by the "
+        f"measured output. VAF and AICc are over the {grouped(shared)} fitted samples that all engines share.",
         markup=False,
         style="dim",
     )
     if found.ceiling is not None:
         best = fixed(found.ceiling.vaf_percent.value, 2)
         out.print(
-            f"No model can do better than {best} % on unseen samples: "
-            f"that is how far {found.ceiling.repeats} repeats agree."
+            f"No model can exceed {best} % on held-out samples: "
+            f"this is the agreement of {found.ceiling.repeats} repeats."
         )
         for line in found.ceiling.left_out:
             out.print(f"  {line[:1].upper()}{line[1:]}.", markup=False)
@@ -223,10 +235,10 @@ def _tell(found: EngineComparison, no_ceiling: str, out: Console) -> None:
 
 
 def _score_table(found: EngineComparison, notes: dict[str, int]) -> Table:
-    """Fig. 8.1 and Table 8.1 for this record; ``notes`` collects what is told by number below it."""
+    """Return the table of scores (Fig. 8.1, Table 8.1); ``notes`` collects its notes by number."""
     scheduled = any(a.model.report.vaf_scheduled_percent is not None for a in found.analyses.values())
     tests = ", ".join(map(str, found.split.tests))
-    columns = ["engine", "fitted\nVAF %", "held out\nVAF %", *["told\nVAF %"] * scheduled]
+    columns = ["engine", "fitted\nVAF %", "held out\nVAF %", *["scheduled\nVAF %"] * scheduled]
     columns += ["of the\nceiling"] * (found.ceiling is not None)
     columns += ["AICc", "para-\nmeters", "sec-\nonds", "inter-\npretable", "notes"]
     rows = table(f"Engines on test{'s' * (len(found.split.tests) > 1)} {tests}", *columns)
@@ -254,12 +266,12 @@ def _notes(entry: Entry) -> Iterator[str]:
     if entry.scored is None:
         return
     if entry.scored.own_samples:
-        yield "scored on samples of its own, as it needs more of the record than the others: not comparable"
+        yield "scored on its own samples, because it needs more of the record than the others: not comparable"
     yield from entry.scored.analysis.model.report.warnings
 
 
 def _sweep_table(sweep: Sequence[SweepRow]) -> Table:
-    rows = table("Against memory", "engine", "memory s", "fitted VAF %", "held out VAF %", "AICc", "parameters")
+    rows = table("Scores against memory", "engine", "memory s", "fitted VAF %", "held out VAF %", "AICc", "parameters")
     for row in sweep:
         if row.analysis is None:
             cells = [MISSING] * 4
@@ -273,10 +285,10 @@ def _sweep_table(sweep: Sequence[SweepRow]) -> Table:
 
 def _recommendation_lines(found: Recommendation) -> Iterator[str]:
     headline, *rest = found.sentences
-    yield f"Judged on {found.judged_on}:"
+    yield f"Judged on: {found.judged_on}"
     yield headline
     yield from (f"  {sentence}" for sentence in rest)
-    for title, sentences in (("doubts", found.doubts), ("to know more", found.experiments)):
+    for title, sentences in (("doubts", found.doubts), ("suggested tests", found.experiments)):
         if sentences:
             yield f"{title}:"
             yield from (f"  {sentence}" for sentence in sentences)

@@ -1,4 +1,4 @@
-"""``tissueid demo``: the main job, end to end, with a simulated instrument at the other end of a real cable."""
+"""``tissueid demo``: a complete test with simulated firmware over a real serial link."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from rich.console import Console
 from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import find_surface
 from tissueid.analysis import Analysis, analyse_all
+from tissueid.atomic_write import private_folder
 from tissueid.calibration import ElectricalCheck, check_coil
-from tissueid.children import run, start
+from tissueid.child_process import run, start
+from tissueid.cli.audit_records import audit_note
 from tissueid.cli.identify import identify_answer, readable
-from tissueid.cli.logged import noted
-from tissueid.cli.output import check_json, people_read, progress_bars, table, write_json
+from tissueid.cli.output import check_json, human_output, progress_bars, table, write_json
 from tissueid.cli.test import show_progress
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument import CLINICAL, Instrument, open_instrument
@@ -31,23 +32,22 @@ from tissueid.reports import Comparison, ComparisonRow, write_report
 from tissueid.sessions import Session, Subject
 from tissueid.stimuli.base import guided
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.whole_file import private_folder
 
 LARGE_N = (-5.0, 11.8)
-"""Force range of the main test. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
+"""Force range of the main test, N. Below zero the coil pulls and the probe lifts off at times (thesis Fig. 3.8)."""
 LARGE_CLIPPED = 0.0455
-"""Share of samples held at the ends of that range: what a Gaussian has beyond two standard deviations."""
+"""Share of samples clipped to that range: the share of a Gaussian beyond two standard deviations."""
 SMALL_N = 0.75
-"""Half the force range of the small-amplitude test, about the main test's mean load (thesis 3.4)."""
+"""Half the force range of the small-amplitude test, N, about the mean load of the main test (thesis 3.4)."""
 OUTPUTS = ("session.h5", "results.json", "report.html")
 _COMPARED = {"mass_kg": "kg", "damping_n_s_per_m": "N s/m", "stiffness_n_per_m": "N/m"}
 
 
 def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
-    """Everything from the cable to the report. The three files appear together at the end, or not at all."""
+    """Run the demo. The three output files appear together at the end, or not at all."""
     _check_target(out)
     check_json(json_file)
-    noted("researcher", "demo.begun", subject="DEMO", new={"preset": preset, "seed": seed})
+    audit_note("researcher", "demo.begun", subject="DEMO", new={"preset": preset, "seed": seed})
     with tempfile.TemporaryDirectory(dir=out, prefix=".demo-") as folder, progress_bars() as show:
         work = Path(folder)
         show("starting the simulated instrument", 0.0)
@@ -71,16 +71,16 @@ def run_demo(out: Path, seed: int, preset: str, json_file: Path | None) -> None:
         for name in OUTPUTS:
             (work / name).replace(out / name)
         show("writing the report", 1.0)
-    _tell(out, analyses[1], comparison, people_read(json_file))
+    _print_result(out, analyses[1], comparison, human_output(json_file))
     if json_file is not None:
         write_json(json_file, results)
 
 
 def _check_target(out: Path) -> None:
-    """Make the folder; refuse to write over a session that no demo made.
+    """Make the folder, and check that only results of an earlier demo are overwritten.
 
     Raises:
-        UnusableInputError: something of the user's is in the way.
+        UnusableInputError: the folder contains other results.
     """
     if out.exists() and not out.is_dir():
         raise UnusableInputError(f"{out} is not a folder")
@@ -91,16 +91,16 @@ def _check_target(out: Path) -> None:
     with contextlib.suppress(OSError, ValueError, AttributeError):
         made_by = json.loads((out / OUTPUTS[1]).read_text(encoding="utf-8")).get("made_by")
     if made_by != "tissueid demo":
-        raise UnusableInputError(f"{out} holds results that the demo did not make; choose another folder")
+        raise UnusableInputError(f"{out} contains results that are not of a demo; choose another folder")
 
 
 @contextmanager
 def firmware_process(preset: str, seed: int) -> Iterator[str]:
-    """The simulated firmware as a process of its own; gives the URL of its end of the cable.
+    """Run the simulated firmware in its own process; yield the URL of its serial port.
 
     Raises:
-        UnusableInputError: no such preset.
-        InstrumentError: it did not start.
+        UnusableInputError: the preset is unknown.
+        InstrumentError: the process did not start.
     """
     command = ("-m", "firmware_sim", "--preset", preset, "--seed", str(seed))
     with tempfile.TemporaryFile("w+") as complaints:
@@ -124,7 +124,7 @@ def firmware_process(preset: str, seed: int) -> Iterator[str]:
 
 
 def _measure(instrument: Instrument, path: Path, seed: int, preset: str, show: Any) -> tuple[Session, ElectricalCheck]:
-    """Coil check, placing, the main test, and a small-amplitude test about the same mean load."""
+    """Check the coil, place the probe, run the main test and a small-amplitude test about the same mean load."""
     check = check_coil(instrument, progress=lambda fraction: show("checking the coil", fraction))
     device = replace(instrument.device, calibration=check.as_calibration())
     surface = find_surface(instrument, progress=show_progress(show, "placing the probe"))
@@ -145,7 +145,7 @@ def _measure(instrument: Instrument, path: Path, seed: int, preset: str, show: A
 
 
 def _compare(session: Session, analyses: dict[int, dict[str, Analysis]], preset: str) -> Comparison:
-    """The small test's estimates beside what the plant says of itself at that depth, and the large test's."""
+    """Return the estimates of both tests and the known values of the plant at the depth of the small test."""
     position = float(np.nanmean(session.test(2).record().output))
     command = ("-m", "firmware_sim", "--preset", preset, "--local-values", repr(position))
     truth = json.loads(run(*command, capture_output=True, text=True, check=True).stdout)
@@ -181,7 +181,7 @@ def _results(
     }
 
 
-def _tell(out: Path, main: dict[str, Analysis], comparison: Comparison, console: Console) -> None:
+def _print_result(out: Path, main: dict[str, Analysis], comparison: Comparison, console: Console) -> None:
     rows = table("Main test", "engine", "VAF fitted %", "VAF held out %", "seconds")
     for engine, analysis in main.items():
         report = analysis.model.report
@@ -189,8 +189,8 @@ def _tell(out: Path, main: dict[str, Analysis], comparison: Comparison, console:
             engine, f"{report.vaf_percent:.1f}", f"{report.vaf_validation_percent:.1f}", f"{report.seconds:.2f}"
         )
     console.print(rows)
-    title = f"Small-amplitude test at {comparison.position_m * 1e3:.2f} mm, against the plant's own local values"
-    rows = table(title, "quantity", "estimate", "plant", "error %", "main test's average", "unit")
+    title = f"Small-amplitude test at {comparison.position_m * 1e3:.2f} mm, against the local values of the plant"
+    rows = table(title, "quantity", "estimate", "plant", "error %", "main test", "unit")
     for row in comparison.rows:
         label, small, unit = readable(row.quantity, row.small)
         _, plant, _ = readable(row.quantity, Estimate(row.truth))

@@ -1,21 +1,21 @@
-"""``tissueid devices``."""
+"""``tissueid devices``: list instruments."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
 
-from tissueid.cli.output import check_json, people_read, table, write_json
+from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.instrument import find_instruments
 
-_ANSWERS = {True: "yes", False: "no", None: "not asked"}
+_ANSWERS = {True: "yes", False: "no", None: "not probed"}
 
 
 def list_devices(probe: bool, json_file: Path | None) -> None:
-    """Print what was found, and why what did not answer did not."""
+    """Print the instruments that were found, and why some did not answer."""
     check_json(json_file)
     found = find_instruments(probe=probe)
-    out = people_read(json_file)
+    out = human_output(json_file)
     rows = table("Instruments", "device", "what", "answers")
     for column in rows.columns:
         column.justify = "left"

@@ -1,17 +1,20 @@
-"""What ``tissueid gap accept`` does: a diagnosis, or a person, puts effects into a twin that is saved."""
+"""``tissueid gap accept``: save a twin with the effects of a diagnosis or with given effects."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tissueid.cli.logged import noted
-from tissueid.cli.output import check_different, check_json, progress_bars
-from tissueid.cli.twin_tables import tell
-from tissueid.gap import crew
+from tissueid.cli.audit_records import audit_note
+from tissueid.cli.output import check_different, check_json, console, human_output, progress_bars
+from tissueid.cli.twin_output import print_twin
+from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.gap import Diagnosis, executor
 from tissueid.gap.accepting import accept_named, accepted
-from tissueid.gap.search import Progress
-from tissueid.instrument.twin_file import check_twin_writable, read_twin, write_twin
+from tissueid.gap.search import SearchProgress
+from tissueid.gap.statement import members_of, percent
+from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.sessions import read_session
 
 
@@ -25,11 +28,16 @@ def run_accept(
     check: str,
     workers: int | None,
     json_file: Path | None,
+    *,
+    yes: bool = False,
 ) -> None:
-    """Save the twin that a diagnosis, or a person, comes down to.
+    """Save the twin with the effects of a diagnosis, or with those that are named.
+
+    At a terminal the user is asked which members of a combination to accept, except with ``yes``.
 
     Raises:
         UnusableInputError: the session, the twin, an effect or an option cannot be used, or there is nothing to accept.
+        CancelledError: interrupted, or no member was chosen; nothing was written.
     """
     from tissueid.cli.gap_diagnosis import interruptible, numbers_of, run_diagnose
 
@@ -38,21 +46,61 @@ def run_accept(
     check_twin_writable(out)
     saved = None if before is None else read_twin(before)
     called = name or (saved.name if saved is not None else out.stem)
-    with interruptible(), progress_bars() as show:
+
+    def fitted(names: Sequence[str]) -> TwinFile:
+        chosen = numbers_of("--fit", fit), numbers_of("--check", check)
+        with progress_bars() as show, executor(workers) as pool:
+            return accept_named(session, names, called, saved, pool, _shown(show), *chosen)
+
+    with interruptible():
         if effects:
-            chosen = numbers_of("--fit", fit), numbers_of("--check", check)
-            with crew(workers) as people:
-                content = accept_named(session, effects, called, saved, people, _shown(show), *chosen)
+            content = fitted(effects)
         else:
             read = read_session(session)
-            found = run_diagnose(read, fit, check, workers, show, twin=saved)
+            with progress_bars() as show:
+                found = run_diagnose(read, fit, check, workers, show, twin=saved)
             content = accepted(found, called, read.session_id, saved)
+            for line in _odds(found):
+                human_output(json_file).print(line, markup=False)
+            wanted = found.combination if yes else _chosen(found.combination)
+            if wanted != found.combination:
+                content = fitted(wanted)
         write_twin(out, content)
     made = {"file": out.name, "name": content.name, "version": content.version}
     made |= {"effects": [item.name for item in content.effects]}
-    noted("researcher", "twin.accepted", subject=content.source.session_id, new=made)
-    tell(out, content, json_file)
+    audit_note("researcher", "twin.accepted", subject=content.source.session_id, new=made)
+    print_twin(out, content, json_file)
 
 
-def _shown(show: Callable[[str, float], None]) -> Callable[[Progress], None]:
+def _odds(found: Diagnosis) -> list[str]:
+    """Return a line for each member of the combination: its probability, and the close rivals with theirs."""
+    lines = []
+    for number, member in enumerate(members_of(found), 1):
+        rivals = ", ".join(f"{name} {percent(share)} %" for name, share in member.rivals)
+        share = "unknown" if member.probability != member.probability else f"{percent(member.probability)} %"
+        lines.append(f"{number}. {member.effect}: probability {share}{f'; rivals: {rivals}' if rivals else ''}")
+    return lines
+
+
+def _chosen(members: tuple[str, ...]) -> tuple[str, ...]:
+    """Ask at the terminal which members of a combination to accept; all of them if there is no terminal.
+
+    Raises:
+        UnusableInputError: the answer names something else.
+        CancelledError: the input ended.
+    """
+    if len(members) < 2 or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return members
+    console.print("Which effects should the twin have? Numbers separated by commas; Enter selects all.")
+    line = sys.stdin.readline()
+    if not line:
+        raise CancelledError("cancelled; nothing was written")
+    numbers = line.replace(",", " ").split()
+    if not all(number.isdecimal() and 1 <= int(number) <= len(members) for number in numbers):
+        raise UnusableInputError(f"choose numbers from 1 to {len(members)}, not {line.strip()!r}; nothing was written")
+    wanted = {int(number) for number in numbers} or set(range(1, len(members) + 1))
+    return tuple(member for place, member in enumerate(members, 1) if place in wanted)
+
+
+def _shown(show: Callable[[str, float], None]) -> Callable[[SearchProgress], None]:
     return lambda step: show(step.what, step.done / max(step.total, 1))

@@ -1,4 +1,4 @@
-"""``tissueid gap blind-check``: the diagnosis scored on scenarios whose labels are sealed."""
+"""``tissueid gap blind-check``: score the diagnosis on scenarios with sealed labels."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tissueid.children import run
+from tissueid.atomic_write import private_folder
+from tissueid.child_process import run
 from tissueid.cli.output import (
     check_different,
     check_json,
     check_output,
-    people_read,
+    human_output,
     progress_bars,
     table,
     write_json,
 )
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.gap import crew
-from tissueid.gap.blind_check import BlindCheck, answers, nothing_out, opened
-from tissueid.gap.kept_answers import FOLDER, Begun, begin, begun_in
+from tissueid.gap import executor
+from tissueid.gap.answer_store import FOLDER, CheckInProgress, begin_check, check_in_progress
+from tissueid.gap.blind_check import BlindCheck, answers, full_library, with_labels
+from tissueid.gap.blind_scoring import FULL, SINGLE, Answered, Score, score_of
 from tissueid.gap.scenarios import scenario_names, seal, unseal
-from tissueid.gap.sealed import FULL, SINGLE, Answered, Score, score_of
-from tissueid.whole_file import private_folder
-from tissueid.wording import MISSING
+from tissueid.messages import MISSING
 
 LABORATORY = "firmware_sim.laboratory"
 MOST_SECONDS = 3600.0
+"""Time limit of the simulated laboratory."""
 _N, _SEED, _FULL_SHARE = 40, 1, 0.3
 _CONTROLS = ("permuted_labels_top1", "always_friction_top1", "in_sample_top1")
-"""Names of the controls in the JSON, in the order of the score's."""
+"""JSON keys of the controls, in the order of the score."""
 
 
 @dataclass(frozen=True)
 class BlindPlan:
-    """What the command line asks for; None where it says nothing."""
+    """Options of the command; None where not given."""
 
     n: int | None
     seed: int | None
@@ -54,18 +55,18 @@ class BlindPlan:
 
 
 def run_blind_check(plan: BlindPlan) -> None:
-    """Draw, record, seal, diagnose, unseal and score; or go on with a check that was interrupted.
+    """Draw, record, seal, diagnose, unseal and score scenarios; or continue an interrupted check.
 
     Raises:
-        UnusableInputError: the simulated laboratory cannot be run, there is no check to go on with, or its labels were
+        UnusableInputError: the simulated laboratory cannot be run, there is no check to continue, or its labels were
             altered while sealed.
-        CancelledError: it was interrupted.
+        CancelledError: the check was interrupted.
     """
     check_json(plan.json_file)
     check_output(plan.out, ("<!",))
     check_different(plan.json_file, plan.out)
     if plan.resume and plan.keep is None:
-        raise UnusableInputError("--resume goes on in the folder of --keep: name it")
+        raise UnusableInputError("--resume needs the folder of the interrupted check: add --keep DIR")
     try:
         if plan.keep is not None:
             _check(plan, plan.keep)
@@ -79,24 +80,24 @@ def run_blind_check(plan: BlindPlan) -> None:
 def _interrupted(keep: Path | None) -> str:
     if keep is None or not (keep / FOLDER).is_dir():
         return "cancelled; nothing was written"
-    return f"cancelled; the answers so far are kept in {keep}: the same command with --resume goes on"
+    return f"cancelled; the answers so far are kept in {keep}: continue by the same command with --resume"
 
 
-def _begin(plan: BlindPlan, folder: Path) -> Begun:
-    """The check that is to be done: recorded and sealed, or as it was left.
+def _begin(plan: BlindPlan, folder: Path) -> CheckInProgress:
+    """Record and seal a new check, or read an interrupted one.
 
     Raises:
-        UnusableInputError: it cannot be recorded, or what was left is not what the options ask for.
+        UnusableInputError: the check cannot be recorded, or the interrupted one has other options.
     """
     if not plan.resume:
         n = _N if plan.n is None else plan.n
         seed = _SEED if plan.seed is None else plan.seed
         share = _FULL_SHARE if plan.full_share is None else plan.full_share
         _record(folder, n, seed, share)
-        begun = Begun(n, seed, share, seal(folder))
-        begin(folder, begun)
+        begun = CheckInProgress(n, seed, share, seal(folder))
+        begin_check(folder, begun)
         return begun
-    begun = begun_in(folder)
+    begun = check_in_progress(folder)
     for name, asked, held in (
         ("--n", plan.n, begun.n),
         ("--seed", plan.seed, begun.seed),
@@ -108,25 +109,25 @@ def _begin(plan: BlindPlan, folder: Path) -> Begun:
     return begun
 
 
-def _check_seal(folder: Path, begun: Begun) -> None:
+def _check_seal(folder: Path, begun: CheckInProgress) -> None:
     if seal(folder) != begun.seal:
-        raise UnusableInputError("the labels were altered while they were sealed: nothing is scored")
+        raise UnusableInputError("the labels were altered while sealed: the check is not scored")
 
 
 def _check(plan: BlindPlan, folder: Path) -> None:
-    console = people_read(plan.json_file)
+    console = human_output(plan.json_file)
     begun = _begin(plan, folder)
-    what = "taken up again" if plan.resume else "recorded"
+    what = "resumed" if plan.resume else "recorded"
     console.print(f"{begun.n} scenarios {what}; SHA-256 of their labels: {begun.seal}", markup=False)
     names = scenario_names(folder)
     keep = plan.keep is not None
-    with progress_bars() as show, crew(plan.workers) as people:
-        found = answers(folder, names, people, _counter(show, "diagnosing", len(names)), nothing_out, keep)
+    with progress_bars() as show, executor(plan.workers) as pool:
+        found = answers(folder, names, pool, _counter(show, "diagnosing", len(names)), full_library, keep)
         _check_seal(folder, begun)
         labels = unseal(folder)
         if labels.keys() != set(names):
-            raise UnusableInputError(f"{folder} holds other scenarios than its labels: nothing is scored")
-        cases = opened(found, labels)
+            raise UnusableInputError(f"the scenarios in {folder} do not match its labels: the check is not scored")
+        cases = with_labels(found, labels)
         again: list[Answered] = []
         if plan.take_out:
             known = {
@@ -134,12 +135,12 @@ def _check(plan: BlindPlan, folder: Path) -> None:
                 for case in cases
                 if len(case.label.effects) == 1 and case.label.listed[0] and case.survives
             }
-            count = _counter(show, "true effect taken out", len(known))
-            one_out = answers(folder, list(known), people, count, known.__getitem__, keep)
-            again = opened(one_out, labels)
+            count = _counter(show, "without the true effect", len(known))
+            one_out = answers(folder, list(known), pool, count, known.__getitem__, keep)
+            again = with_labels(one_out, labels)
     check = BlindCheck(begun.seal, begun.n, begun.seed, dict(_scores(cases, again)))
     for title, count_of, score in check.scores.values():
-        _tell(console, title, count_of, score)
+        _print_result(console, title, count_of, score)
     if plan.out is not None:
         from tissueid.reports.gap_blind import write_blind_report
 
@@ -162,7 +163,7 @@ def _scores(cases: Sequence[Answered], again: Sequence[Answered]) -> Iterator[tu
             yield key, (title, len(chosen), score)
 
 
-def _tell(console: Console, title: str, count: int, score: Score) -> None:
+def _print_result(console: Console, title: str, count: int, score: Score) -> None:
     console.print(score_table(f"{title}: {count} scenarios", score))
     controls = ", ".join(
         f"{item.what} {item.value:.0%}" if item.value == item.value else f"{item.what} {MISSING}"
@@ -170,7 +171,7 @@ def _tell(console: Console, title: str, count: int, score: Score) -> None:
     )
     console.print(f"  controls, top-1: {controls}", markup=False)
     for failure in score.failures:
-        console.print(f"  not as it was: {failure}", markup=False)
+        console.print(f"  failure: {failure}", markup=False)
 
 
 def _record(folder: Path, n: int, seed: int, full_share: float) -> None:
@@ -182,8 +183,8 @@ def _record(folder: Path, n: int, seed: int, full_share: float) -> None:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UnusableInputError(f"the simulated laboratory cannot be run: {error}") from error
     if done.returncode != 0:
-        last = (done.stderr.strip().splitlines() or ["no word"])[-1]
-        raise UnusableInputError(f"the simulated laboratory gave up: {last}")
+        last = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise UnusableInputError(f"the simulated laboratory failed: {last}")
 
 
 def _counter(show: Any, what: str, total: int) -> Any:
@@ -199,8 +200,8 @@ def _counter(show: Any, what: str, total: int) -> Any:
 
 
 def score_table(title: str, score: Score) -> Table:
-    """What was asked and what was measured."""
-    rows = table(title, "", "Asked", "Measured", "95 % (Wilson)", "Cases", "")
+    """Return the table of targets and measured values."""
+    rows = table(title, "", "Target", "Measured", "95 % (Wilson)", "Cases", "")
     for rate in score.rates:
         low, high = rate.interval
         rows.add_row(
@@ -222,7 +223,7 @@ def _kept(kept: bool | None) -> str:
 
 
 def score_answer(score: Score) -> dict[str, Any]:
-    """A score as JSON holds it."""
+    """Return a score for JSON."""
     return {
         "rates": [
             {

@@ -1,4 +1,4 @@
-"""What ``tissueid gap diagnose`` and ``batch`` do, and how they say it."""
+"""``tissueid gap diagnose`` and ``batch``."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from tissueid.cli.output import (
     check_json,
     check_output,
     check_report,
-    people_read,
+    human_output,
     progress_bars,
     table,
     write_json,
 )
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.gap import Diagnosis, as_answer, crew, diagnose, observe
+from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
 from tissueid.gap.accepting import accepted
-from tissueid.gap.named import believing
-from tissueid.gap.search import Progress
-from tissueid.gap.statement import headline_of, listed, members_of, percent
-from tissueid.gap.workers import Alone
+from tissueid.gap.search import SearchProgress
+from tissueid.gap.statement import headline_of, members_of, ordered_candidates, percent
+from tissueid.gap.twin_export import with_prior_twin
+from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
+from tissueid.messages import MISSING
 from tissueid.sessions import Session, read_session
 from tissueid.twin.effect import STAGE_NAMES
-from tissueid.wording import MISSING
 
 
 def diagnose_session(
@@ -43,11 +43,11 @@ def diagnose_session(
     workers: int | None,
     json_file: Path | None,
 ) -> None:
-    """Diagnose a session and leave what was asked for.
+    """Diagnose a session, print the result and write the requested files.
 
     Raises:
         UnusableInputError: the session, the twin or an option cannot be used.
-        CancelledError: it was interrupted; nothing was written.
+        CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
     check_output(out, ("<!",))
@@ -63,10 +63,10 @@ def diagnose_session(
             from tissueid.reports.gap import Origin, write_gap_report
 
             write_gap_report(found, out, origin=Origin(read, session))
-    console = people_read(json_file)
-    for line in in_words(found):
+    console = human_output(json_file)
+    for line in summary_lines(found):
         console.print(line, markup=False)
-    if listed(found):
+    if ordered_candidates(found):
         console.print(ranking_table(found))
     if json_file is not None:
         write_json(json_file, as_answer(found))
@@ -79,18 +79,18 @@ def diagnose_session(
 
 
 def diagnose_folder(folder: Path, json_file: Path, workers: int | None) -> None:
-    """Diagnose every session of a folder; a file that cannot be used is answered by the reason.
+    """Diagnose every session of a folder; for a file that cannot be used, the result is the reason.
 
     Raises:
         UnusableInputError: there are no session files.
-        CancelledError: it was interrupted; nothing was written.
+        CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
     files = sorted(folder.glob("*.h5"))
     if not files:
         raise UnusableInputError(f"there are no session files in {folder}")
-    console = people_read(json_file)
-    with interruptible(), progress_bars() as show, crew(workers) as people:
+    console = human_output(json_file)
+    with interruptible(), progress_bars() as show, executor(workers) as pool:
         count = 0
 
         def done(path: Path) -> None:
@@ -99,7 +99,7 @@ def diagnose_folder(folder: Path, json_file: Path, workers: int | None) -> None:
             show("sessions", count / len(files))
 
         show("sessions", 0.0)
-        answered = people.do(_of_file, files, lambda: False, done)
+        answered = pool.do(_of_file, files, lambda: False, done)
     for path, (line, _) in zip(files, answered, strict=True):
         console.print(f"{path.name}: {line}", markup=False, soft_wrap=True)
     answers = {path.name: answer for path, (_, answer) in zip(files, answered, strict=True)}
@@ -107,9 +107,9 @@ def diagnose_folder(folder: Path, json_file: Path, workers: int | None) -> None:
 
 
 def _of_file(path: Path) -> tuple[str, dict[str, Any]]:
-    # One session in one process: many sessions are done sooner so than each by all.
+    # One process per session is faster than all processes on one session after another.
     try:
-        found = diagnose(observe(read_session(path)), Alone())
+        found = diagnose(prepare(read_session(path)), SerialExecutor())
     except UnusableInputError as error:
         return str(error), {"error": str(error)}
     return _short(found), as_answer(found)
@@ -123,38 +123,38 @@ def run_diagnose(
     show: Callable[[str, float], None],
     twin: TwinFile | None = None,
 ) -> Diagnosis:
-    """Diagnose one session, showing progress; ``twin`` is a saved one to begin with.
+    """Diagnose one session and show progress; ``twin`` is a saved twin to start from.
 
     Raises:
         UnusableInputError: the session cannot be used.
     """
-    observed = observe(session, numbers_of("--fit", fit), numbers_of("--check", check))
+    observed = prepare(session, numbers_of("--fit", fit), numbers_of("--check", check))
     known: tuple[str, ...] = ()
     if twin is not None:
-        observed, known = believing(observed, twin.twin), twin.twin.effects
-    with crew(workers) as people:
-        return diagnose(observed, people, known=known, progress=lambda step: show(*_bar(step)))
+        observed, known = with_prior_twin(observed, twin.twin), twin.twin.effects
+    with executor(workers) as pool:
+        return diagnose(observed, pool, known=known, progress=lambda step: show(*_bar(step)))
 
 
-def _bar(step: Progress) -> tuple[str, float]:
+def _bar(step: SearchProgress) -> tuple[str, float]:
     return step.what, step.done / max(step.total, 1)
 
 
 def numbers_of(option: str, text: str) -> tuple[int, ...]:
-    """Numbers of tests with commas between them.
+    """Return test numbers from a text separated by commas.
 
     Raises:
-        UnusableInputError: they are none; names the option.
+        UnusableInputError: the text is something else.
     """
     try:
         return tuple(int(part) for part in text.split(",") if part.strip())
     except ValueError:
-        raise UnusableInputError(f"{option} takes numbers of tests with commas between them, not {text!r}") from None
+        raise UnusableInputError(f"{option} must be test numbers separated by commas, got {text!r}") from None
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """An interrupt from the keyboard ends the work in one line."""
+    """Convert an interrupt from the keyboard to a ``CancelledError``."""
     try:
         yield
     except KeyboardInterrupt:
@@ -173,22 +173,20 @@ def _short(found: Diagnosis) -> str:
     )
 
 
-def in_words(found: Diagnosis) -> list[str]:
-    """The diagnosis in a few lines."""
+def summary_lines(found: Diagnosis) -> list[str]:
+    """Return the diagnosis as a few lines."""
     figures = found.gap
     lines = [f"{headline_of(found)[0]}."]
-    lines.append(f"Gap on held-out data: {figures.before:.2%} before; what noise alone leaves is {figures.floor:.2%}.")
+    lines.append(f"Gap on held-out data: {figures.before:.2%}; noise floor {figures.floor:.2%}.")
     if found.combination:
         lines.append(
             f"With {' and '.join(found.combination)}: {figures.after:.2%}, {figures.closed:.0%} of the gap closed "
             f"({_interval(figures.closed_ci)})."
         )
     if np.isfinite(found.ceiling):
-        lines.append(
-            f"Ceiling: {found.ceiling:.0%}, what a flexible regression closes, or a candidate if that is more."
-        )
+        lines.append(f"Ceiling: {found.ceiling:.0%}, closed by a flexible regression or by the best candidate.")
     if found.at_fault:
-        lines.append(f"It lies in the stage: {' and '.join(STAGE_NAMES[stage] for stage in found.at_fault)}.")
+        lines.append(f"Stage at fault: {' and '.join(STAGE_NAMES[stage] for stage in found.at_fault)}.")
     if found.next_experiment is not None:
         lines.append(f"Next: {found.next_experiment.kind}. {found.next_experiment.why}")
         if found.next_experiment.command_line:
@@ -206,11 +204,11 @@ def _share(of: float) -> str:
 
 
 def ranking_table(found: Diagnosis) -> Table:
-    """The candidates, best first."""
-    rows = table("Candidates", "Effect", "Stage", "Probable", "Closed", "Cannot be told from")
+    """Return the table of candidates, best first."""
+    rows = table("Candidates", "Effect", "Stage", "Probability", "Closed", "Indistinguishable from")
     for column in rows.columns[:4]:
         column.no_wrap = True
-    for item in listed(found):
+    for item in ordered_candidates(found):
         interval = _interval(item.closed_ci)
         rows.add_row(
             item.effect,

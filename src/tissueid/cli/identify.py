@@ -1,4 +1,4 @@
-"""``tissueid identify``."""
+"""``tissueid identify``: fit one engine to a test and validate it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rich.console import Console
 from rich.table import Table
 
 from tissueid.analysis import Analysis, analyse
-from tissueid.cli.output import check_json, people_read, table, write_json
-from tissueid.cli.quality import doubted
+from tissueid.cli.output import check_json, human_output, messages_json, table, write_json
+from tissueid.cli.quality import repeat_warnings
 from tissueid.configuration import travel_word
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import display_unit, fixed, label_and_unit, plus_minus
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import engine_names
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
-from tissueid.wording import fixed, named_unit, people_unit, plus_minus
 
 _MOST_DEPTHS = 16
-"""Rows of the table against depth; a finer profile is thinned for people, not in the JSON."""
+"""Largest number of rows of the table against depth; the JSON contains all."""
 
 
 def run_identify(
@@ -40,18 +40,18 @@ def run_identify(
     options: Sequence[str],
     json_file: Path | None,
 ) -> None:
-    """Fit, validate, print, and write the JSON of the contract.
+    """Fit and validate one engine, print the result and write the JSON.
 
     Raises:
-        UnusableInputError: no engine is named, or the session, an option or the target cannot be used.
+        UnusableInputError: no engine is named, or the session, an option or the output file cannot be used.
     """
     if engine is None:
-        raise UnusableInputError(f"name an engine: --engine with one of {', '.join(engine_names())}")
+        raise UnusableInputError(f"--engine is required: one of {', '.join(engine_names())}")
     check_json(json_file)
     chosen = parse_options(options)
     if memory is not None:
         if "memory" in chosen:
-            raise UnusableInputError("the memory is given twice")
+            raise UnusableInputError("the memory is given twice, by --memory and by --option")
         chosen["memory"] = memory
     session = read_session(path)
     analysis = analyse(
@@ -65,11 +65,11 @@ def run_identify(
         output_name=output_name,
     )
     tests = _residual_tests(analysis)
-    out = people_read(json_file)
+    out = human_output(json_file)
     print_analysis(analysis, out)
     for finding in () if tests is None else tests.findings:
         out.print(f"on {analysis.validated_on}, {finding}", markup=False)
-    warned = list(doubted(session, analysis.tests))
+    warned = list(repeat_warnings(session, analysis.tests))
     for line in warned:
         out.print(line, markup=False)
     if json_file is not None:
@@ -79,7 +79,7 @@ def run_identify(
 
 
 def _residual_tests(analysis: Analysis) -> ResidualTests | None:
-    """What the held-out residual still holds; None where too little is held out to tell."""
+    """Return the tests of the held-out residual; None if too little is held out."""
     try:
         return residual_tests(analysis.model, analysis.held_out_record, analysis.held_out)
     except UnusableInputError:
@@ -90,11 +90,16 @@ def _tests_answer(tests: ResidualTests | None) -> dict[str, Any] | None:
     if tests is None:
         return None
     p_values = {t.name: {"p_value": t.p_value, "adjusted_p_value": t.adjusted_p_value} for t in tests.tests}
-    return {"n_samples": tests.n_samples, "tests": p_values, "findings": list(tests.findings)}
+    return {
+        "n_samples": tests.n_samples,
+        "tests": p_values,
+        "findings": list(tests.findings),
+        "finding_messages": messages_json(tests.findings),
+    }
 
 
 def identify_answer(analysis: Analysis) -> dict[str, Any]:
-    """The contract's keys, which tests were fitted and which part validated, and what is known against depth."""
+    """Return the result for JSON: report, fitted tests, validation part, and parameters against depth."""
     profile = analysis.depth_profile()
     return analysis.model.report.as_dict() | {
         "test": analysis.test,
@@ -106,18 +111,16 @@ def identify_answer(analysis: Analysis) -> dict[str, Any]:
 
 
 def parse_options(options: Sequence[str]) -> dict[str, Any]:
-    """NAME=VALUE pairs; a value is JSON where it reads as such (numbers, true, a list with or without its brackets).
-
-    What does not read as JSON is text.
+    """Parse NAME=VALUE pairs. A value is JSON (a number, true, a list with or without brackets) or otherwise text.
 
     Raises:
-        UnusableInputError: a pair without an equals sign.
+        UnusableInputError: a pair has no equals sign or no name.
     """
     parsed: dict[str, Any] = {}
     for pair in options:
         name, equals, value = pair.partition("=")
         if not equals or not name:
-            raise UnusableInputError(f"an option is NAME=VALUE, not {pair!r}")
+            raise UnusableInputError(f"an option must be NAME=VALUE, got {pair!r}")
         parsed[name] = value
         for reading in (value, f"[{value}]") if "," in value else (value,):
             with contextlib.suppress(ValueError):
@@ -127,14 +130,14 @@ def parse_options(options: Sequence[str]) -> dict[str, Any]:
 
 
 def readable(name: str, found: Estimate) -> tuple[str, str, str]:
-    """A parameter as people read it: label, value with its deviation, unit."""
-    label, si_unit = named_unit(name)
-    unit, scale = people_unit(si_unit)
+    """Return label, value with its deviation, and display unit of a parameter."""
+    label, si_unit = label_and_unit(name)
+    unit, scale = display_unit(si_unit)
     return label, plus_minus(found, scale), unit
 
 
 def print_analysis(analysis: Analysis, out: Console) -> None:
-    """One engine's answer: a table, what it found, mass, damping and stiffness against depth, and what to doubt."""
+    """Print the result of one engine: scores, parameters, depth profile, findings and warnings."""
     report = analysis.model.report
     tests = ", ".join(map(str, analysis.tests))
     rows = table(f"{report.engine} on test{'s' * (len(analysis.tests) > 1)} {tests}", "quantity", "value", "unit")
@@ -145,8 +148,8 @@ def print_analysis(analysis: Analysis, out: Console) -> None:
         style = "red" if report.predicts_nothing else ""
         rows.add_row(f"VAF on {analysis.validated_on}", fixed(report.vaf_validation_percent, 2), "%", style=style)
     if report.vaf_scheduled_percent is not None:
-        told = f"the same, told the measured {analysis.record.output_name}"
-        rows.add_row(told, fixed(report.vaf_scheduled_percent, 2), "%")
+        label = f"the same, scheduled by measured {analysis.record.output_name}"
+        rows.add_row(label, fixed(report.vaf_scheduled_percent, 2), "%")
     if report.aicc is not None:
         rows.add_row("AICc", fixed(report.aicc, 0), "")
     for name, estimate in report.reportable_parameters.items():
@@ -164,7 +167,7 @@ def print_analysis(analysis: Analysis, out: Console) -> None:
 
 
 def depth_table(profile: DepthProfile, way: str = "depth") -> Table:
-    """Mass, damping and stiffness against depth, or what the ``way`` of the probe is called; in people's units."""
+    """Return the table of mass, damping and stiffness against depth, or against ``way``, in display units."""
     directed = bool(np.any(profile.direction))
     columns = ("position mm", *["direction"] * directed, "mass g", "damping N·s/m", "stiffness N/m", "samples")
     step = -(-len(profile) // _MOST_DEPTHS)

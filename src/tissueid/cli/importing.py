@@ -1,4 +1,4 @@
-"""What ``tissueid import`` and ``tissueid export`` do."""
+"""``tissueid import`` and ``tissueid export``."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tissueid.cli.logged import noted
-from tissueid.cli.output import check_different, check_json, people_read, progress_bars, table, write_json
+from tissueid.cli.audit_records import audit_note
+from tissueid.cli.output import (
+    check_different,
+    check_json,
+    human_output,
+    messages_json,
+    progress_bars,
+    table,
+    write_json,
+)
 from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean, number
 from tissueid.sessions import KINDS, Test, read_session
 from tissueid.sessions.imports import (
     Choices,
@@ -25,14 +34,13 @@ from tissueid.sessions.imports import (
     instrument_figures,
     parse_map,
 )
-from tissueid.wording import clean, number
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class ImportPlan:
-    """What is imported, and what is said about it. Options of tests stand once for all, or once for each."""
+    """Options of an import. Options of tests are given once for all tests, or once for each."""
 
     files: tuple[str, ...]
     out: Path
@@ -49,26 +57,26 @@ class ImportPlan:
     json_file: Path | None
 
     def choices(self) -> list[Choices]:
-        """The options of every test.
+        """Return the options of every test.
 
         Raises:
-            UnusableInputError: as many as fit no one, or values that cannot be.
+            UnusableInputError: their number is wrong, or a value is not valid.
         """
         for word, known in (
             *((k, KINDS) for k in self.kinds),
             *((c, tuple(CONFIGURATIONS)) for c in self.configurations),
         ):
             if word not in known:
-                raise UnusableInputError(f"there is no {word!r}; there are {', '.join(known)}")
+                raise UnusableInputError(f"{word!r} is not known: choose one of {', '.join(known)}")
         for text in (*self.sites, *self.instrument, self.subject or ""):
             if not text.isprintable():
-                raise UnusableInputError(f"{clean(text)!r} has characters that cannot be printed")
+                raise UnusableInputError(f"{clean(text)!r} contains characters that cannot be printed")
         for seconds in self.preloads_s:
             if not 0.0 <= seconds < math.inf:
-                raise UnusableInputError(f"--preload is 0 s or more, not {seconds:g}")
+                raise UnusableInputError(f"--preload must be 0 s or more, got {seconds:g}")
         for metres in self.surfaces_m:
             if not math.isfinite(metres):
-                raise UnusableInputError(f"--surface is a position in m, not {metres:g}")
+                raise UnusableInputError(f"--surface must be a position in m, got {metres:g}")
         columns = (
             self._each("--kind", self.kinds),
             self._each("--site", self.sites),
@@ -82,19 +90,19 @@ class ImportPlan:
         tests = len(self.files)
         if len(values) not in (0, 1, tests):
             raise UnusableInputError(
-                f"{option} is given {len(values)} times: once for all {tests} tests, or once for each"
+                f"{option} is given {len(values)} times: give it once, or once for each of the {tests} tests"
             )
         return [None] * tests if not values else [values[k if len(values) > 1 else 0] for k in range(tests)]
 
 
 def run_import(plan: ImportPlan) -> None:
-    """Read every file, check, write the session whole, and say what was taken and what is doubtful."""
+    """Read and check all files, write the session, and print a summary with warnings."""
     check_json(plan.json_file)
     check_different(plan.out, plan.json_file)
     check_new_session(plan.out)
     for option, rate in (("--rate", plan.rate_hz), ("--resample", plan.resample_hz)):
         if rate is not None and not 1e-6 <= rate <= 1e9:
-            raise UnusableInputError(f"{option} is a rate in Hz above 0, not {rate:g}")
+            raise UnusableInputError(f"{option} must be a rate in Hz above 0, got {rate:g}")
     wanted = parse_map(plan.mapping) if plan.mapping else None
     figures = instrument_figures(plan.instrument)
     choices = plan.choices()
@@ -111,21 +119,27 @@ def run_import(plan: ImportPlan) -> None:
             progress=progress,
         )
     session, imported, notices = made.session, made.tests, made.notices
-    noted(
+    audit_note(
         "researcher",
         "session.imported",
         subject=session.session_id,
         new={"tests": len(session.tests), "samples": sum(test.samples for test in session.tests)},
     )
     tests = [_answer(item, test) for item, test in zip(imported, session.tests, strict=True)]
-    _tell(plan, tests, notices)
+    _print_result(plan, tests, notices)
     if plan.json_file is not None:
-        answer = {"session": str(plan.out), "session_id": session.session_id, "tests": tests, "notices": list(notices)}
+        answer: dict[str, Any] = {
+            "session": str(plan.out),
+            "session_id": session.session_id,
+            "tests": tests,
+            "notices": list(notices),
+        }
+        answer["notice_messages"] = messages_json(notices)
         write_json(plan.json_file, answer)
 
 
 def _answer(item: Imported, test: Test) -> dict[str, Any]:
-    """What is said of one test, fit for JSON."""
+    """Return the summary of one test for JSON."""
     signals = {}
     for column in item.columns:
         values = test.signals[column.role]
@@ -149,11 +163,12 @@ def _answer(item: Imported, test: Test) -> dict[str, Any]:
         "sample_rate_hz": test.sample_rate_hz,
         "signals": signals,
         "notices": list(item.notices),
+        "notice_messages": messages_json(item.notices),
     }
 
 
-def _tell(plan: ImportPlan, tests: Sequence[dict[str, Any]], notices: Sequence[str]) -> None:
-    out = people_read(plan.json_file)
+def _print_result(plan: ImportPlan, tests: Sequence[dict[str, Any]], notices: Sequence[str]) -> None:
+    out = human_output(plan.json_file)
     if not out.is_terminal:
         out.width = 120
     rows = table(
@@ -174,17 +189,17 @@ def _tell(plan: ImportPlan, tests: Sequence[dict[str, Any]], notices: Sequence[s
 
 
 def run_export(path: Path, folder: Path, kind: str, json_file: Path | None) -> None:
-    """Write the files, and say which."""
+    """Export a session and print the names of the files."""
     check_json(json_file)
     check_different(folder, json_file)
     session = read_session(path)
     with progress_bars() as progress:
         files = export_session(session, folder, kind, lambda share: progress("exporting", share))
-    noted(
+    audit_note(
         "researcher", "session.exported", subject=session.session_id, new={"tests": len(session.tests), "format": kind}
     )
-    out = people_read(json_file)
-    out.print(f"{folder} holds {len(session.tests)} test(s), each with its attributes in JSON:", markup=False)
+    out = human_output(json_file)
+    out.print(f"{folder} contains {len(session.tests)} test(s), each with its attributes in JSON:", markup=False)
     for test, name in zip(session.tests, files[::2], strict=True):
         out.print(f"  {name}: {test.kind}, {test.samples} samples", markup=False)
     if json_file is not None:

@@ -1,4 +1,4 @@
-"""What commands print: tables and progress for people on standard error, JSON for scripts."""
+"""Output of commands: tables and progress for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,20 +16,21 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean
+from tissueid.messages import Message
 from tissueid.sessions import Session
-from tissueid.whole_file import open_regular, whole_file
-from tissueid.wording import clean
 
 _SPACES = frozenset("\n\u00a0\u202f")
-"""Characters that are not printable by name, but that tables and numbers are set with."""
+"""Characters that are not printable by Unicode category, but are used in tables and numbers."""
 
 
 class PlainConsole(Console):
-    """A console that prints texts without control characters: names from files must not steer a terminal."""
+    """A console that removes control characters: names from files must not control the terminal."""
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """As ``Console.print``; line ends stay."""
+        """Print as ``Console.print``; line ends are kept."""
         super().print(*(_lines_clean(item) if isinstance(item, str) else item for item in objects), **options)
 
 
@@ -41,21 +42,23 @@ def _lines_clean(text: str) -> str:
 
 console = PlainConsole(stderr=True, highlight=False)
 _BETWEEN_LINES_S = 3.0
+"""Interval of progress lines where standard error is not a terminal."""
 _LARGEST_REPORT = 200_000_000
+"""Number of bytes of a report that are searched for the id of its session."""
 
 
-def people_read(json_file: Path | None) -> Console:
-    """Where tables go: standard output, unless that is kept for JSON."""
+def human_output(json_file: Path | None) -> Console:
+    """Return the console for people: standard output, or standard error if JSON goes to standard output."""
     return console if str(json_file) == "-" else PlainConsole(highlight=False)
 
 
 def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
-    """Refuse, before any work, a file that cannot be written or that holds something else.
+    """Check, before any work, that a file can be written and that nothing else is overwritten.
 
-    ``begins`` are the first characters, or bytes, of the kind of file that may be written anew.
+    ``begins`` are the first characters, or bytes, of files that may be overwritten.
 
     Raises:
-        UnusableInputError: no such folder, a folder itself, or a file that is not of that kind.
+        UnusableInputError: the folder is missing, the target is a folder, or it is a file of another kind.
     """
     if target is None or str(target) == "-":
         return
@@ -68,53 +71,63 @@ def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
             head = file.read(512).lstrip()
         known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
         if head and not head.startswith(known):
-            raise UnusableInputError(f"{target} is there already and holds something else; it is not written over")
+            raise UnusableInputError(f"{target} already exists and has other content; it is not overwritten")
 
 
 def check_report(target: Path | None, session: Session) -> None:
-    """Refuse a report file that is there already and is not of this session: a person may have kept it.
+    """Check that a report does not overwrite the report of another session.
 
-    The report of the same session may be written again.
+    The report of the same session may be overwritten.
 
     Raises:
-        UnusableInputError: it is the report of something else.
+        UnusableInputError: the file is not a report of this session.
     """
     if target is None or not target.is_file() or target.stat().st_size == 0:
         return
     with target.open("rb") as file:
         if session.session_id and session.session_id.encode() in file.read(_LARGEST_REPORT):
             return
-    raise UnusableInputError(f"{target} is there already and is the report of something else: name another file")
+    raise UnusableInputError(f"{target} already exists and is not a report of this session: choose another file name")
 
 
 def check_new(target: Path | None) -> None:
-    """Refuse, before any work, a report of what is measured now that would replace an earlier one.
+    """Check, before any work, that the report of a measurement does not overwrite an earlier one.
 
     Raises:
-        UnusableInputError: a file of that name is there already.
+        UnusableInputError: the file already exists.
     """
     if target is not None and target.is_file() and target.stat().st_size > 0:
-        raise UnusableInputError(f"{target} is there already: name another file, or move it away")
+        raise UnusableInputError(f"{target} already exists: choose another file name, or move the file")
 
 
 def check_different(*targets: Path | None) -> None:
-    """Refuse, before any work, one file that is named for two things.
+    """Check, before any work, that no file is named for two outputs.
 
     Raises:
-        UnusableInputError: names it.
+        UnusableInputError: two outputs have the same file.
     """
     named = [target.resolve() for target in targets if target is not None and str(target) != "-"]
     if twice := [target for number, target in enumerate(named) if target in named[:number]]:
-        raise UnusableInputError(f"{twice[0]} is named for two things: each needs a file of its own")
+        raise UnusableInputError(f"{twice[0]} is named for two outputs: each needs its own file")
 
 
 def check_json(target: Path | None) -> None:
-    """As ``check_output``, for an answer in JSON."""
+    """Check the target of JSON output as ``check_output`` does."""
     check_output(target, ("{", "["))
 
 
+def message_json(text: str | None) -> dict[str, Any] | None:
+    """Return code, template and values of a text for JSON; None if it has no code."""
+    return text.as_dict() if isinstance(text, Message) else None
+
+
+def messages_json(texts: Iterable[str]) -> list[dict[str, Any] | None]:
+    """Return code, template and values of several texts for JSON."""
+    return [message_json(text) for text in texts]
+
+
 def write_json(target: Path, value: Any) -> None:
-    """Write JSON whole or not at all; ``-`` is standard output. NaN becomes null.
+    """Write JSON atomically; ``-`` is standard output. NaN becomes null.
 
     Raises:
         UnusableInputError: the file cannot be written.
@@ -125,20 +138,20 @@ def write_json(target: Path, value: Any) -> None:
         try:
             getattr(sys.stdout, "deliver", sys.stdout.flush)()
         except OSError as error:
-            raise UnusableInputError(f"cannot write the answer to standard output: {error.strerror}") from error
+            raise UnusableInputError(f"cannot write JSON to standard output: {error.strerror}") from error
         return
     check_json(target)
     write_text(target, text)
 
 
 def write_text(target: Path, text: str) -> None:
-    """Write a text file whole or not at all.
+    """Write a text file atomically.
 
     Raises:
         UnusableInputError: the file cannot be written.
     """
     try:
-        with whole_file(target) as partial:
+        with atomic_file(target) as partial:
             partial.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UnusableInputError(f"cannot write {target}: {error.strerror}") from error
@@ -158,9 +171,9 @@ def _finite(value: Any) -> Any:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, float], None]]:
-    """Bars by name: call with a description and how much of it is done, 0 to 1.
+    """Yield a function that shows a progress bar: call it with a description and a fraction from 0 to 1.
 
-    Where standard error is no terminal there is a line in their place every few seconds, written out at once.
+    If standard error is not a terminal, it prints a line every few seconds instead.
     """
     if not console.is_terminal:
         yield _lines()
@@ -194,15 +207,15 @@ def _lines() -> Callable[[str, float], None]:
 
 
 class PlainTable(Table):
-    """A table whose texts are shown as they are, but for control characters: names may look like markup."""
+    """A table that shows texts literally, without control characters and markup."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row, nothing in it taken for markup or for commands to the terminal."""
+        """Add a row of literal texts."""
         super().add_row(*(escape(_lines_clean(cell)) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
 def table(title: str, *columns: str) -> PlainTable:
-    """An empty table in the house style: first column left, the others right."""
+    """Return an empty table: first column left-aligned, the others right-aligned."""
     result = PlainTable(
         title=escape(_lines_clean(title)),
         title_justify="left",

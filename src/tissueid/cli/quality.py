@@ -1,4 +1,4 @@
-"""``tissueid quality``, and what other commands say of a test's quality."""
+"""``tissueid quality``, and quality findings for other commands."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from tissueid.acquisition.quality import Quality, judge_session, quality_of
-from tissueid.cli.output import check_json, people_read, table, write_json
+from tissueid.cli.output import check_json, human_output, table, write_json
 from tissueid.sessions import Session, Test, read_session
 
 _MARKS = {"note": "note", "look": "look", "repeat": "REPEAT"}
 
 
 def run_quality(path: Path, number: int | None, json_file: Path | None) -> None:
-    """Judge the tests of a session as this software would today; the file is left as it is.
+    """Judge the tests of a session by the current rules; the file is not changed.
 
     Raises:
-        UnusableInputError: the file is not a session, or has no such test.
+        UnusableInputError: the file is not a session, or does not contain the test.
     """
     check_json(json_file)
     session = read_session(path)
     chosen = session.test(number).number if number is not None or not session.tests else None
     judged = [(test, found) for test, found in judge_session(session) if chosen in (None, test.number)]
-    out = people_read(json_file)
+    out = human_output(json_file)
     if not out.is_terminal:
         out.width = 120
     rows = table("Quality", "test", "site", "kind", "verdict", "when it was recorded")
@@ -52,22 +52,22 @@ def _answer(test: Test, found: Quality) -> dict[str, object]:
 
 
 def finding_lines(number: int, quality: Quality) -> Iterator[str]:
-    """The verdict on a test and its findings, one line each."""
+    """Yield the verdict on a test and its findings, one line each."""
     yield f"test {number}: {quality.headline}"
     for finding, line in zip(quality.findings, quality.lines, strict=True):
         yield f"  {_MARKS[finding.severity]}: {line}"
 
 
-def findings_lines(test: Test) -> Iterator[str]:
-    """What the gate said of a test when it ended; nothing of a test that was not judged."""
+def recorded_findings(test: Test) -> Iterator[str]:
+    """Return the findings that were recorded with a test; none if it was not judged."""
     quality = quality_of(test)
     return iter(()) if quality is None else finding_lines(test.number, quality)
 
 
-def doubted(session: Session, numbers: Iterable[int]) -> Iterator[str]:
-    """A warning for each of these tests that the gate wanted to be done again."""
+def repeat_warnings(session: Session, numbers: Iterable[int]) -> Iterator[str]:
+    """Yield a warning for each of these tests whose verdict was to repeat it."""
     for test in session.tests:
         quality = quality_of(test)
         if test.number in set(numbers) and quality is not None and quality.verdict == "repeat":
             worst = quality.findings[0]
-            yield f"warning: the quality gate asked to repeat test {test.number}: {worst.words}"
+            yield f"warning: the quality check advised to repeat test {test.number}: {worst.words}"

@@ -1,4 +1,4 @@
-"""``tissueid stimulus``: what there is to play, a stimulus designed and drawn, a saved one checked."""
+"""``tissueid stimulus``: list kinds, design a stimulus, or check a saved one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from tissueid.acquisition.choice import PRELOAD_S
+from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
 from tissueid.analysis.design import Design
-from tissueid.cli.output import people_read, progress_bars, write_json, write_text
+from tissueid.cli.output import human_output, message_json, progress_bars, write_json, write_text
 from tissueid.cli.stimulus_options import (
     CommonOptions,
     kinds_answer,
@@ -23,14 +23,14 @@ from tissueid.cli.stimulus_options import (
     options_table,
     specified,
 )
-from tissueid.cli.stimulus_targets import CSV_HEAD, Targets, draw, rows_table
+from tissueid.cli.stimulus_output import CSV_HEAD, Targets, draw, rows_table
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import PROFILES, Limits, open_instrument
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
-from tissueid.stimuli.appraisal import Appraisal, appraise
 from tissueid.stimuli.interchange import Interchanged, Progress
 from tissueid.stimuli.kinds.interchange import Interchange
+from tissueid.stimuli.stimulus_check import Appraisal, appraise
 
 
 def run_stimulus(
@@ -42,35 +42,35 @@ def run_stimulus(
     url: str | None,
     limits_name: str,
 ) -> None:
-    """List kinds or options, or design a stimulus or read a saved one; then judge, tell, and write what is asked."""
+    """List kinds or options; or design or read a stimulus, check it, print it and write the requested files."""
     if limits_name not in PROFILES:
-        raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {limits_name!r}")
+        raise UnusableInputError(f"--limits must be {' or '.join(PROFILES)}, got {limits_name!r}")
     targets.check()
-    people = people_read(targets.json)
-    if not people.is_terminal:
-        people.width = 120
+    out = human_output(targets.json)
+    if not out.is_terminal:
+        out.width = 120
     if what is None or list_options:
         _refuse_extras(common, options, targets)
-        _list(what, targets.json, people)
+        _list(what, targets.json, out)
         return
     limits = PROFILES[limits_name]
     if _is_file(what):
         if options or common.given():
-            raise UnusableInputError(f"{what} is a saved stimulus: its options are in it")
+            raise UnusableInputError(f"{what} is a saved stimulus and contains its options: leave out other options")
         chosen: Stimulus | StimulusKind = load_stimulus(Path(what))
     else:
         chosen = specified(what, common, options)
     if isinstance(chosen, FeedbackKind):
         from tissueid.cli.stimulus_feedback import show_feedback
 
-        show_feedback(chosen, url, limits, targets, people)
+        show_feedback(chosen, url, limits, targets, out)
     elif isinstance(chosen, Stimulus):
-        show_open_loop(chosen, None, _device(url), limits, targets, people)
+        show_open_loop(chosen, None, _device(url), limits, targets, out)
     elif isinstance(chosen, OpenLoopKind):
         device = _device(url)
-        show_open_loop(*designed(chosen), device, limits, targets, people)
+        show_open_loop(*designed(chosen), device, limits, targets, out)
     else:
-        raise UnusableInputError(f"the stimulus {what!r} can neither be built nor generated")
+        raise UnusableInputError(f"the stimulus {what!r} can be neither built nor generated")
 
 
 def _is_file(what: str) -> bool:
@@ -79,24 +79,24 @@ def _is_file(what: str) -> bool:
 
 def _refuse_extras(common: CommonOptions, options: Sequence[str], targets: Targets) -> None:
     if options or common.given() or targets.out or targets.csv or targets.plot:
-        raise UnusableInputError("say which stimulus; 'tissueid stimulus' lists them")
+        raise UnusableInputError("name a stimulus; 'tissueid stimulus' lists all")
 
 
-def _list(kind: str | None, json_file: Path | None, people: Console) -> None:
+def _list(kind: str | None, json_file: Path | None, out: Console) -> None:
     if kind is None:
-        people.print(kinds_table())
-        people.print("'tissueid stimulus KIND --options' lists the options of one.", style="dim")
+        out.print(kinds_table())
+        out.print("'tissueid stimulus KIND --options' lists the options of a kind.", style="dim")
         answer: Any = kinds_answer()
     else:
-        people.print(options_table(get_stimulus(kind)))
-        people.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
+        out.print(options_table(get_stimulus(kind)))
+        out.print("Lists are JSON, such as --option 'notches=[[45, 55]]'.", style="dim")
         answer = options_answer(get_stimulus(kind))
     if json_file is not None:
         write_json(json_file, answer)
 
 
 def _device(url: str | None) -> DeviceDescription:
-    """What is to play it: what a URL names, or the desktop device of the thesis."""
+    """Return the device of a URL, or the desktop device of the thesis."""
     if url is None:
         return DeviceDescription()
     instrument = open_instrument(url)
@@ -107,10 +107,10 @@ def _device(url: str | None) -> DeviceDescription:
 
 
 def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None]:
-    """Build a stimulus, with a bar that tells how far it has come, and the search that led to it if there was one.
+    """Build a stimulus with a progress bar; also return the interchange search if there was one.
 
     Raises:
-        UnusableInputError: it cannot be built.
+        UnusableInputError: the stimulus cannot be built.
     """
     specification.check_size()
     label = f"designing {specification.name}"
@@ -119,9 +119,9 @@ def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None
         if isinstance(specification, Interchange):
             first: list[Progress] = []
 
-            def follow(told: Progress) -> None:
-                first[:] = first or [told]
-                show(label, _share(first[0], told))
+            def follow(step: Progress) -> None:
+                first[:] = first or [step]
+                show(label, _share(first[0], step))
 
             search = specification.design(follow)
             built = specification.played(search)
@@ -131,12 +131,12 @@ def designed(specification: OpenLoopKind) -> tuple[Stimulus, Interchanged | None
     return built, search
 
 
-def _share(first: Progress, told: Progress) -> float:
-    """How much of a search is done: of the fall of the error, in decades, or of the swaps that it may try."""
-    tried = told.tried / told.max_trials
-    if not first.error > told.tolerance:
+def _share(first: Progress, step: Progress) -> float:
+    """Return the completed share of a search: of the decades of error, or of the allowed swaps."""
+    tried = step.tried / step.max_trials
+    if not first.error > step.tolerance:
         return tried
-    fallen = math.log(first.error / told.error) / math.log(first.error / told.tolerance)
+    fallen = math.log(first.error / step.error) / math.log(first.error / step.tolerance)
     return min(max(fallen, tried), 1.0)
 
 
@@ -146,12 +146,12 @@ def show_open_loop(
     device: DeviceDescription,
     limits: Limits,
     targets: Targets,
-    people: Console,
+    out: Console,
 ) -> None:
-    """Judge a stimulus, tell of it, and write what was asked for.
+    """Check a stimulus, print it and write the requested files.
 
     Raises:
-        LimitError: the instrument would refuse it.
+        LimitError: the instrument would refuse the stimulus.
     """
     found = appraise(
         stimulus,
@@ -165,9 +165,9 @@ def show_open_loop(
             said = concern.words.rstrip(".")
             raise LimitError(f"the instrument would refuse this stimulus: {said[:1].lower()}{said[1:]}")
     design = Design(stimulus, device, found, search)
-    people.print(rows_table(f"Stimulus {design.specification.name}", design.rows()))
+    out.print(rows_table(f"Stimulus {design.specification.name}", design.rows()))
     for concern in found.concerns:
-        people.print(f"{concern.severity}: {concern.words}", markup=False)
+        out.print(f"{concern.severity}: {concern.words}", markup=False)
     if targets.plot is not None:
         from tissueid.reports.stimulus_report import stimulus_report
 
@@ -176,13 +176,13 @@ def show_open_loop(
         write_text(targets.csv, _csv(stimulus, device))
     if targets.out is not None:
         save_stimulus(targets.out, stimulus)
-    targets.tell(people)
+    targets.print_files(out)
     if targets.json is not None:
         write_json(targets.json, _answer(stimulus, found) | design.answer())
 
 
 def _csv(stimulus: Stimulus, device: DeviceDescription) -> str:
-    """Time, value and command of every sample; numbers in full, so that they come back to the last bit."""
+    """Return time, value and command of every sample as CSV, with numbers at full precision."""
     command = to_voltage(stimulus.values, device, stimulus.unit)
     quantity = "force_n" if stimulus.unit == "N" else "voltage_v"
     text = io.StringIO()
@@ -218,5 +218,8 @@ def _answer(stimulus: Stimulus, found: Appraisal) -> dict[str, Any]:
         "heating_least_k": found.heating.least_k,
         "heating_most_k": found.heating.most_k,
         "heating_bound_k": found.heating.bound_k,
-        "concerns": [{"severity": concern.severity, "words": concern.words} for concern in found.concerns],
+        "concerns": [
+            {"severity": concern.severity, "words": concern.words, "message": message_json(concern.words)}
+            for concern in found.concerns
+        ],
     }

@@ -1,4 +1,4 @@
-"""``tissueid stimulus`` for kinds that are generated while a test runs: the loop is closed on a simulated tissue."""
+"""``tissueid stimulus`` for feedback stimuli: the loop is closed on a simulated tissue."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from tissueid.acquisition import GuidedTest, SessionRecorder, run_guided_test
 from tissueid.acquisition.guided import check_test
 from tissueid.acquisition.stimulus_file import save_stimulus
 from tissueid.cli.output import progress_bars, write_json
-from tissueid.cli.played import out_of_reach
-from tissueid.cli.stimulus_targets import Targets, draw, rows_table
+from tissueid.cli.stimulus_output import Targets, draw, rows_table
+from tissueid.cli.test_summary import out_of_reach
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, grouped
 from tissueid.instrument import Limits, open_instrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.reports.feedback_figures import FeedbackRun
@@ -24,40 +25,39 @@ from tissueid.reports.feedback_run import REPORT_NOTE, feedback_run
 from tissueid.reports.stimulus_report import feedback_report
 from tissueid.sessions import Test
 from tissueid.stimuli import FeedbackKind
-from tissueid.wording import fixed, grouped
 
 _TISSUE = f"{IN_PROCESS}baseline?seed=0"
 
 
-def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: Targets, people: Console) -> None:
-    """Run the stimulus on a simulated tissue, tell what came of it, and write what was asked for.
+def show_feedback(kind: FeedbackKind, url: str | None, limits: Limits, targets: Targets, out: Console) -> None:
+    """Run the stimulus on a simulated tissue, print the result and write the requested files.
 
     Raises:
-        UnusableInputError: a real instrument was named, or samples as text were asked for.
-        LimitError: it could ask for more than the instrument gives, or did.
+        UnusableInputError: a real instrument was named, or samples as text were requested.
+        LimitError: the stimulus could exceed the limits of the instrument, or did.
     """
     url = url or _TISSUE
     if not url.startswith(IN_PROCESS):
         raise UnusableInputError(
-            f"a stimulus that is generated while a test runs is designed on {IN_PROCESS}TISSUE; "
+            f"a feedback stimulus is designed on {IN_PROCESS}TISSUE; "
             f"'tissueid test --stimulus {kind.name}' plays it on an instrument"
         )
     if targets.csv is not None:
-        raise UnusableInputError(f"the stimulus {kind.name} has no samples before its test: leave out --csv")
+        raise UnusableInputError(f"the feedback stimulus {kind.name} has no samples before its test: leave out --csv")
     test = _simulated(kind, url, limits)
     run = feedback_run(test, url.removeprefix(IN_PROCESS))
-    people.print(rows_table(f"Stimulus {kind.name} on {url}", tuple(_rows(test, run))))
+    out.print(rows_table(f"Stimulus {kind.name} on {url}", tuple(_rows(test, run))))
     if targets.plot is not None:
         draw(targets.plot, feedback_report(kind, [run], tuple(_rows(test, run))))
     if targets.out is not None:
         save_stimulus(targets.out, kind)
-    targets.tell(people)
+    targets.print_files(out)
     if targets.json is not None:
         write_json(targets.json, _answer(kind, test, run, url))
 
 
 def _simulated(kind: FeedbackKind, url: str, limits: Limits) -> Test:
-    """One test as an instrument would run it, into a session that is thrown away."""
+    """Run one test into a temporary session."""
     instrument = open_instrument(url)
     guided = GuidedTest(kind, url, limits=limits)
     label = f"playing {kind.name}"
@@ -67,7 +67,7 @@ def _simulated(kind: FeedbackKind, url: str, limits: Limits) -> Test:
             recorder = SessionRecorder(Path(folder) / "designed.h5", instrument.device)
             try:
                 with progress_bars() as show:
-                    run_guided_test(instrument, guided, recorder, progress=lambda told: show(label, told.fraction))
+                    run_guided_test(instrument, guided, recorder, progress=lambda step: show(label, step.fraction))
             except BaseException:
                 recorder.finish_or_discard()
                 raise
@@ -81,11 +81,14 @@ def _rows(test: Test, run: FeedbackRun) -> Iterator[tuple[str, str]]:
     yield "Length", f"{fixed(force.size / run.sample_rate_hz, 2)} s"
     yield "Range of force", f"{fixed(float(force.min()), 2)} to {fixed(float(force.max()), 2)} N"
     yield "Range of depth", f"{fixed(1e3 * float(depth.min()), 2)} to {fixed(1e3 * float(depth.max()), 2)} mm"
-    yield "Depth asked for", f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm"
+    yield (
+        "Desired range of depth",
+        f"{fixed(1e3 * float(run.edges[0]), 2)} to {fixed(1e3 * float(run.edges[-1]), 2)} mm",
+    )
     if short := out_of_reach(test):
-        yield "Within reach", short
+        yield "Reachable depth", short
     yield "Distance of depth from the desired distribution", fixed(run.distance, 3)
-    yield "Computing time over that of the test", f"{fixed(100.0 * _note(test, 'generating_share'), 1)} %"
+    yield "Computing time relative to test time", f"{fixed(100.0 * _note(test, 'generating_share'), 1)} %"
     yield "Late blocks", grouped(_note(test, "late_blocks"))
 
 

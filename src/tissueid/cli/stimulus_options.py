@@ -1,4 +1,4 @@
-"""What ``tissueid stimulus`` tells of kinds and their options, and how options on the command line reach them."""
+"""Kinds and options of ``tissueid stimulus``: tables, JSON, and parsing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WORDS = {float: "number", int: "whole number", bool: "true or false", str: "tex
 
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions:
-    """Options that many kinds share and that have a name of their own on the command line; None where not given."""
+    """Options that many kinds share and that have their own names on the command line; None where not given."""
 
     min_force: float | None = None
     max_force: float | None = None
@@ -34,7 +34,7 @@ class CommonOptions:
     seed: int | None = None
 
     def given(self) -> dict[str, tuple[str, float | int]]:
-        """Field of the specification: name on the command line and value, of those that were given."""
+        """Return name on the command line and value of the given options, by field of the specification."""
         names = {
             "force_min_n": ("--min-force", self.min_force),
             "force_max_n": ("--max-force", self.max_force),
@@ -49,20 +49,20 @@ class CommonOptions:
 def specified(
     kind: str, common: CommonOptions, options: Sequence[str], defaults: Mapping[str, Any] | None = None
 ) -> StimulusKind:
-    """The specification of a kind from what the command line says; ``defaults`` stand in for what it does not say.
+    """Return the specification of a kind from the command line; ``defaults`` apply to options not given.
 
     Raises:
-        UnusableInputError: no such kind, an option that it does not have or that does not hold, or one given twice.
+        UnusableInputError: the kind or an option is unknown, a value is not valid, or an option is given twice.
     """
     declared = get_stimulus(kind)
     chosen = parse_options(options)
     force, volts = ({"force_min_n", "force_max_n"}, {"voltage_min_v", "voltage_max_v"})
     if force & common.given().keys() and volts & common.given().keys():
-        raise UnusableInputError("a stimulus is designed as force or as voltage: give the range in one of them")
+        raise UnusableInputError("give the range either as force or as voltage")
     for field, (name, value) in common.given().items():
         if field not in declared.model_fields:
             raise UnusableInputError(
-                f"the stimulus {kind} takes no {name}; 'tissueid stimulus {kind} --options' lists what it takes"
+                f"the stimulus {kind} has no option {name}; 'tissueid stimulus {kind} --options' lists its options"
             )
         if field in chosen:
             raise UnusableInputError(f"{field} is given twice, by {name} and by --option")
@@ -74,7 +74,7 @@ def specified(
 
 
 def kinds_answer() -> list[dict[str, Any]]:
-    """All kinds as JSON holds them: name, what they are, whether they are generated while a test runs, options."""
+    """Return all kinds for JSON: name, description, whether they are feedback stimuli, options."""
     return [
         {
             "kind": name,
@@ -87,20 +87,20 @@ def kinds_answer() -> list[dict[str, Any]]:
 
 
 def kinds_table() -> Table:
-    """All kinds with one line each."""
-    rows = table("Kinds of stimulus", "kind", "made", "what it is")
+    """Return the table of all kinds."""
+    rows = table("Kinds of stimulus", "kind", "generated", "description")
     for column in rows.columns[1:]:
         column.justify = "left"
     for name in stimulus_names():
         kind = get_stimulus(name)
-        when = "while the test runs" if issubclass(kind, FeedbackKind) else "before the test"
+        when = "during the test" if issubclass(kind, FeedbackKind) else "before the test"
         rows.add_row(name, when, summary(kind))
     return rows
 
 
 def options_table(kind: type[StimulusKind]) -> Table:
-    """The options of a kind: what each is, its bounds and its default."""
-    rows = table(f"Options of the stimulus {kind.name}", "option", "default", "may be", "what it is")
+    """Return the table of the options of a kind with bounds and defaults."""
+    rows = table(f"Options of the stimulus {kind.name}", "option", "default", "values", "description")
     for column in rows.columns[1:]:
         column.justify = "left"
     for name, field in kind.model_fields.items():
@@ -109,27 +109,27 @@ def options_table(kind: type[StimulusKind]) -> Table:
 
 
 def options_answer(kind: type[StimulusKind]) -> dict[str, Any]:
-    """The options of a kind as a JSON schema."""
+    """Return the options of a kind as a JSON schema."""
     return kind.model_json_schema()
 
 
 def summary(kind: type[StimulusKind]) -> str:
-    """First line of what a kind says of itself, without its sources."""
+    """Return the first line of the description of a kind, without sources."""
     lines = (kind.__doc__ or "").strip().splitlines()
     return _SOURCE.sub("", lines[0]).rstrip(".") if lines else ""
 
 
 def default_of(field: FieldInfo) -> str:
-    """The default of an option in words."""
+    """Return the default of an option as text."""
     if field.default is PydanticUndefined:
-        return "must be given"
+        return "required"
     if field.default is None or field.default == ():
         return "none"
     return f"{field.default:g}" if isinstance(field.default, float) else str(field.default).lower()
 
 
 def allowed(field: FieldInfo) -> str:
-    """What an option may be: its choices, or its type with bounds."""
+    """Return the choices of an option, or its type with bounds, as text."""
     choices, kinds = _choices(field.annotation)
     if choices:
         return ", ".join(choices)
@@ -152,7 +152,7 @@ def _short(value: float) -> str:
 
 
 def _choices(annotation: Any) -> tuple[list[str], list[str]]:
-    """Choices of a literal type, and the types in words of the others."""
+    """Return the choices of a literal type, and the names of other types."""
     origin = get_origin(annotation)
     if origin is Literal:
         return [str(choice) for choice in get_args(annotation)], []

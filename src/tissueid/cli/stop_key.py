@@ -1,4 +1,4 @@
-"""The stop key of a test at a terminal: Space, Enter, q or Escape releases the coil, besides Ctrl+C."""
+"""Stop keys of a test at a terminal: Space, Enter, q or Escape releases the coil, as does Ctrl+C."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from tissueid.errors import CancelledError
 
 BY_KEY = "stopped by key"
 STOPS = b" \r\n\x1bqQ"
-"""What the keys send. Keys such as the arrows send an Escape and more, and stop too."""
-HINT = "Space, Enter, q or Esc stops: the coil is released at once"
+"""Bytes of the stop keys. Arrow keys and the like begin with Escape and therefore stop too."""
+HINT = "Space, Enter, q or Esc stops the test and releases the coil at once"
 
 
 class StopKey:
-    """Whether somebody pressed it. Any thread may ask."""
+    """State of the stop key. All methods can be called from any thread."""
 
     def __init__(self) -> None:
         self._pressed = threading.Event()
 
     def press(self) -> None:
-        """Stop."""
+        """Record that a stop key was pressed."""
         self._pressed.set()
 
     def check(self) -> bool:
-        """False; for whoever asks whether a test is cancelled.
+        """Return False; used as the ``cancelled`` callback of a test.
 
         Raises:
-            CancelledError: the key was pressed.
+            CancelledError: a stop key was pressed.
         """
         if self._pressed.is_set():
             raise CancelledError(f"{BY_KEY}; the coil is released and what was recorded is kept")
@@ -41,11 +41,11 @@ class StopKey:
 
 @contextmanager
 def stop_key() -> Iterator[StopKey]:
-    """Watch the terminal's keys for as long as the context lasts; pass ``check`` on as ``cancelled``.
+    """Read the keys of the terminal while the context lasts; pass ``check`` as ``cancelled``.
 
-    The terminal is given back as it was. Where standard input is no terminal, or belongs to another program at the
-    moment (the command runs in the background), no key is read, and Ctrl+C and signals are all there is. What is typed
-    while it lasts, and was typed ahead, is thrown away: it was meant for the test, not for what comes after it.
+    The terminal settings are restored afterwards. If standard input is not a terminal, or belongs to another program
+    (the command runs in the background), no key is read; Ctrl+C and signals still work. Keys typed before and during
+    the test are discarded, because they are not meant for the next program.
     """
     key = StopKey()
     with contextlib.ExitStack() as stack:
@@ -61,7 +61,7 @@ def stop_key() -> Iterator[StopKey]:
 
 
 def _watch(read: Callable[[], bytes | None], key: StopKey, over: threading.Event) -> None:
-    """Read until a key stops, the terminal is gone, or it is over."""
+    """Read keys until a stop key is pressed, the terminal is closed, or the test is over."""
     while not over.is_set():
         typed = read()
         if typed is None:
@@ -71,15 +71,15 @@ def _watch(read: Callable[[], bytes | None], key: StopKey, over: threading.Event
             return
 
 
-_LOOK_S = 0.02
-"""How long a read waits for a key."""
+_POLL_S = 0.02
+"""Time that one read waits for a key."""
 
 if sys.platform == "win32":
     import msvcrt
     import time
 
     def _reader(stack: contextlib.ExitStack) -> Callable[[], bytes | None] | None:
-        """What reads the keys of the console; None where there is none."""
+        """Return a function that reads the keys of the console; None if there is no console."""
         del stack
         if sys.stdin is None or not sys.stdin.isatty():
             return None
@@ -88,7 +88,7 @@ if sys.platform == "win32":
 
         def read() -> bytes | None:
             if not msvcrt.kbhit():
-                time.sleep(_LOOK_S)
+                time.sleep(_POLL_S)
                 return b""
             return msvcrt.getch()
 
@@ -100,28 +100,28 @@ else:
     import tty
 
     def _reader(stack: contextlib.ExitStack) -> Callable[[], bytes | None] | None:
-        """What reads the terminal's keys, which it is set up for until the stack unwinds; None where there is none."""
+        """Set up the terminal until the stack unwinds; return a function that reads its keys, None if there is none."""
         try:
             terminal = sys.stdin.fileno()
             if not os.isatty(terminal) or os.tcgetpgrp(terminal) != os.getpgrp():
                 return None
             before = termios.tcgetattr(terminal)
-            tty.setcbreak(terminal, termios.TCSANOW)  # Ctrl+C stays what it is
+            tty.setcbreak(terminal, termios.TCSANOW)  # Ctrl+C still interrupts
             termios.tcflush(terminal, termios.TCIFLUSH)
         except (OSError, ValueError, AttributeError, termios.error):
-            return None  # closed, redirected or half gone
+            return None  # closed or redirected
 
-        def give_back() -> None:
+        def restore() -> None:
             with contextlib.suppress(OSError, termios.error):
-                # Not TCSAFLUSH, which waits for a terminal that takes no output.
+                # not TCSAFLUSH, which waits for a terminal that accepts no output
                 termios.tcsetattr(terminal, termios.TCSANOW, before)
                 termios.tcflush(terminal, termios.TCIFLUSH)
 
-        stack.callback(give_back)
+        stack.callback(restore)
 
         def read() -> bytes | None:
             try:
-                ready, _, _ = select.select([terminal], [], [], _LOOK_S)
+                ready, _, _ = select.select([terminal], [], [], _POLL_S)
                 return (os.read(terminal, 64) or None) if ready else b""
             except (OSError, ValueError):
                 return None

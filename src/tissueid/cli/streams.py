@@ -1,8 +1,7 @@
-"""Standard output and error that never hold up a test: a thread of its own does the writing.
+"""Standard output and error that never block a test: a separate thread writes them.
 
-A terminal that does not take output (Ctrl+S), or a program that does not read its pipe, would otherwise stop the loop
-that keeps the coil alive, or the writing of the session. A stream that is closed, or whose reader is gone, loses what
-is printed; it does not end the command.
+A terminal that accepts no output (Ctrl+S), or a program that does not read its pipe, would otherwise stop the control
+loop of the coil or the writing of the session. Output to a closed stream is lost; it does not end the command.
 """
 
 from __future__ import annotations
@@ -19,16 +18,16 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 MAX_ERROR = 256 * 1024
-"""Bytes of standard error that may wait; what comes then is dropped: it is progress."""
+"""Buffer of standard error in bytes; further output is dropped, because it is only progress."""
 MAX_OUTPUT = 4 * 1024 * 1024
-"""Bytes of standard output that may wait; then whoever prints waits: results come after everything is saved."""
-PATIENCE_S = 5.0
-"""How long the end of a command waits for a terminal that takes nothing, where no result waits for it."""
+"""Buffer of standard output in bytes; a full buffer blocks, which is safe: results are printed after saving."""
+FLUSH_TIMEOUT_S = 5.0
+"""Time that the end of a command waits for a terminal that accepts no output, if no result is pending."""
 _PIECE = 64 * 1024
 
 
 class _Writer:
-    """Writes what all streams were given, in their order."""
+    """Writes the output of all streams in order."""
 
     def __init__(self) -> None:
         self._change = threading.Condition()
@@ -51,7 +50,7 @@ class _Writer:
             self._change.notify_all()
 
     def drain(self, stream: Stream, timeout_s: float | None) -> None:
-        """Wait until all of a stream is written, or was lost."""
+        """Wait until the output of a stream is written or lost."""
         end = None if timeout_s is None else time.monotonic() + timeout_s
         with self._change:
             while stream.waiting and (end is None or time.monotonic() < end):
@@ -70,9 +69,9 @@ class _Writer:
 
 
 class Stream:
-    """One of the standard streams: as the original, but for ``write``, which never raises and does not wait.
+    """A standard stream whose ``write`` raises no errors and does not block.
 
-    ``results`` are standard output's: they are not dropped.
+    The output of a stream with ``results`` is not dropped.
     """
 
     def __init__(self, original: TextIO, writer: _Writer, *, results: bool, broken: OSError | None) -> None:
@@ -81,39 +80,39 @@ class Stream:
         self.results = results
         self.most = MAX_OUTPUT if results else MAX_ERROR
         self.broken = broken
-        """Why nothing is written any more."""
+        """The error after which nothing is written any more."""
         self.waiting = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._original, name)
 
     def write(self, text: str) -> int:
-        """Have a text written; it is lost where the stream is closed."""
+        """Queue a text for writing; it is lost if the stream is closed."""
         data = text.encode(self._original.encoding or "utf-8", "backslashreplace")
         for first in range(0, len(data), _PIECE):
             self._writer.put(self, data[first : first + _PIECE])
         return len(text)
 
     def writelines(self, lines: Any) -> None:
-        """Have texts written."""
+        """Queue several texts for writing."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Do nothing: all is written at once, or as soon as it can be."""
+        """Do nothing: the thread writes without delay."""
 
     def deliver(self, timeout_s: float | None = None) -> None:
-        """Wait until all that was written has left the program.
+        """Wait until all output has left the program.
 
         Raises:
-            OSError: it could not be.
+            OSError: the output could not be written.
         """
         self._writer.drain(self, timeout_s)
         if self.broken is not None:
             raise OSError(self.broken.errno, self.broken.strerror, "standard output")
 
     def write_through(self, data: bytes) -> None:
-        """Write now, in the thread that may wait."""
+        """Write in the writer thread, which may block."""
         try:
             raw = getattr(getattr(self._original, "buffer", None), "raw", None)
             if raw is None:
@@ -129,11 +128,11 @@ class Stream:
 
 @contextmanager
 def unblocked_streams() -> Iterator[Stream]:
-    """Put a thread between the program and its standard streams for as long as the context lasts; gives the output."""
+    """Replace the standard streams by non-blocking ones while the context lasts; yield standard output."""
     _occupy_closed()
     before = sys.stdout, sys.stderr
     writer = _Writer()
-    with open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - it is no file
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:  # noqa: PTH123 - the null device
         streams = [
             Stream(original or nowhere, writer, results=number == 0, broken=None if original else OSError(9, "closed"))
             for number, original in enumerate(before)
@@ -149,9 +148,9 @@ def unblocked_streams() -> Iterator[Stream]:
         finally:
             output, error = streams
             with contextlib.suppress(OSError):
-                output.deliver(PATIENCE_S if interrupted else None)
+                output.deliver(FLUSH_TIMEOUT_S if interrupted else None)
             with contextlib.suppress(OSError):
-                error.deliver(PATIENCE_S)
+                error.deliver(FLUSH_TIMEOUT_S)
             sys.stdout, sys.stderr = before
             for stream, original in zip(streams, before, strict=True):
                 if stream.broken is not None and original is not None:
@@ -159,7 +158,7 @@ def unblocked_streams() -> Iterator[Stream]:
 
 
 def _occupy_closed() -> None:
-    """Open the null device as each of the three standard files that is closed: no file of data may get its number."""
+    """Open the null device for each closed standard stream, so that no data file gets its file number."""
     with contextlib.suppress(OSError):
         for number in range(3):
             try:
@@ -170,7 +169,7 @@ def _occupy_closed() -> None:
 
 
 def _forget(original: TextIO) -> None:
-    """Have Python not complain at its end of a stream whose reader is gone."""
+    """Redirect a stream whose reader is gone, so that Python prints no error at exit."""
     with contextlib.suppress(OSError, ValueError, AttributeError, io.UnsupportedOperation):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, original.fileno())

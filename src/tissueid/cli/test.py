@@ -1,4 +1,4 @@
-"""``tissueid test``: place once, run one test or several into one session, and tell what came of them."""
+"""``tissueid test``: place the probe once and run one or several tests into one session."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ from tissueid.acquisition import (
     run_guided_test,
     run_multistep,
 )
-from tissueid.acquisition.choice import playable, playable_file, test_kind
+from tissueid.acquisition.background_work import run_while_polling
 from tissueid.acquisition.guided import check_test
-from tissueid.acquisition.placing import Placement, place, place_in_air
-from tissueid.acquisition.resting import foresee, rest, temperature_c
-from tissueid.acquisition.waiting import meanwhile
+from tissueid.acquisition.rest_periods import predict_heating, rest, temperature_c
+from tissueid.acquisition.stimulus_choice import playable, playable_file, test_kind
+from tissueid.acquisition.surface_detection import Placement, place, place_in_air
 from tissueid.calibration import calibrated, in_words, warnings_of
-from tissueid.cli.logged import tell, trail
-from tissueid.cli.output import console, people_read, progress_bars, write_json
-from tissueid.cli.played import answer_of, out_of_reach, tests_table
-from tissueid.cli.quality import findings_lines
+from tissueid.cli.audit_records import audit_trail, print_audit_problems
+from tissueid.cli.output import console, human_output, progress_bars, write_json
+from tissueid.cli.quality import recorded_findings
 from tissueid.cli.stimulus import designed
 from tissueid.cli.stimulus_options import specified
 from tissueid.cli.stop_key import stop_key
+from tissueid.cli.test_monitor import LiveMonitor
 from tissueid.cli.test_plan import TestPlan
-from tissueid.cli.watching import Watch
+from tissueid.cli.test_summary import answer_of, out_of_reach, tests_table
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.identification.online.stopping import StopRule
+from tissueid.identification.live.stopping import StopRule
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument, open_instrument
 from tissueid.sessions import Session, Subject
 from tissueid.stimuli import FeedbackKind, Stimulus
+from tissueid.stimuli.depth_uniform import DepthDesign
 from tissueid.stimuli.kinds.noise import Noise
-from tissueid.stimuli.redesign import DepthDesign
 
 _DEFAULTS = NoiseChoice()
-"""What the ordinary noise is without options; other kinds have defaults of their own."""
+"""Default options of the noise stimulus; other kinds have their own defaults."""
 _Runner = Callable[[SessionRecorder, Callable[[], bool]], tuple[Step, ...]]
-"""Runs all tests into a recorder until it is told to stop."""
+"""A function that runs all tests into a recorder until it is cancelled."""
 
 
 def show_progress(show: Callable[[str, float], None], label: str) -> Callable[[Progress], None]:
-    """Progress of a test as one bar."""
+    """Return a progress callback that shows a test as one bar."""
     return lambda progress: show(label, progress.fraction)
 
 
 def run_tests(plan: TestPlan) -> None:
-    """Place once, then run what is asked for, all into one session."""
+    """Place the probe once, then run all tests into one session."""
     plan.check()
     rule = StopRule.from_words(plan.stop_when) if plan.stop_when else None
     steps: tuple[Step, ...] = ()
@@ -68,9 +68,9 @@ def run_tests(plan: TestPlan) -> None:
             run = _multistep(plan, instrument, limits)
         else:
             run = _repeats(plan, instrument, limits, rule)
-        own = trail()
+        own = audit_trail()
         own.note("calibration.in_force", subject=instrument.device.serial_number, new=in_force.words)
-        recorder = meanwhile(
+        recorder = run_while_polling(
             instrument, lambda: SessionRecorder(plan.out, instrument.device, Subject(plan.subject), trail=own)
         )
         try:
@@ -78,21 +78,21 @@ def run_tests(plan: TestPlan) -> None:
                 steps = run(recorder, key.check)
         except BaseException as error:
             _keep(recorder, plan, error)
-            tell(own)
+            print_audit_problems(own)
             raise
         session = recorder.finish()
-        tell(own)
+        print_audit_problems(own)
     finally:
         instrument.close()
-    _tell(plan, session)
+    _print_result(plan, session)
     _answer(plan, session, steps)
 
 
 def _answer(plan: TestPlan, session: Session, steps: tuple[Step, ...] = ()) -> None:
-    """The answer as JSON, where it is asked for.
+    """Write the JSON output if it was requested.
 
     Raises:
-        UnusableInputError: it cannot be written.
+        UnusableInputError: the JSON cannot be written.
     """
     if plan.json_file is not None:
         tests = [answer_of(test, plan.depth_range_m, _step(steps, test.number)) for test in session.tests]
@@ -100,8 +100,8 @@ def _answer(plan: TestPlan, session: Session, steps: tuple[Step, ...] = ()) -> N
 
 
 def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopRule | None) -> _Runner:
-    """The same test as often as asked, checked and ready to be run."""
-    test = meanwhile(instrument, lambda: _prepared(plan, instrument.device, limits))
+    """Check a test and return a function that runs its repeats."""
+    test = run_while_polling(instrument, lambda: _prepared(plan, instrument.device, limits))
     preload_s = test.opening.preload_s
     if words := _too_warm(plan, instrument, test):
         console.print(f"warning: {words}", markup=False, soft_wrap=True)
@@ -113,7 +113,7 @@ def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopR
                 if repeat and plan.rest_s:
                     resting = f"rest before test {repeat + 1} of {plan.repeats}"
                     rest(instrument, plan.rest_s, progress=partial(show, resting), cancelled=cancelled)
-                with Watch(instrument, preload_s, rule, plan.live, plan.external_spring_n_per_m) as watch:
+                with LiveMonitor(instrument, preload_s, rule, plan.live, plan.external_spring_n_per_m) as monitor:
                     if placement is None:
                         placing = show_progress(show, "placing the probe")
                         placement = (
@@ -121,17 +121,17 @@ def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopR
                             if test.kind == "free_air"
                             else place(instrument, limits, progress=placing, cancelled=cancelled)
                         )
-                    # What a feedback stimulus played is played once: the next run answers what it measures itself.
+                    # A feedback stimulus depends on the measured depth: a second run is not a repeat.
                     same = repeat > 0 and isinstance(test.stimulus, Stimulus)
                     run_guided_test(
                         instrument,
                         replace(test, repeat_of=1 if same else None),
                         recorder,
                         surface_m=placement,
-                        progress=watch.beside(show_progress(show, f"test {repeat + 1} of {plan.repeats}")),
+                        progress=monitor.with_progress(show_progress(show, f"test {repeat + 1} of {plan.repeats}")),
                         cancelled=cancelled,
-                        enough=watch.enough,
-                        why=watch.why,
+                        enough=monitor.enough,
+                        why=monitor.why,
                     )
         return ()
 
@@ -139,9 +139,9 @@ def _repeats(plan: TestPlan, instrument: Instrument, limits: Limits, rule: StopR
 
 
 def _too_warm(plan: TestPlan, instrument: Instrument, test: GuidedTest) -> str:
-    """What the repeats make of the coil, in a line; empty where they leave it cool enough, or nobody knows.
+    """Return a warning if the repeats will heat the coil too much; "" otherwise, or if that is not known.
 
-    A simulation in this process has no coil, and of what a feedback stimulus will play nothing is known.
+    A simulation in this process has no coil, and the force of a feedback stimulus is not known in advance.
     """
     if isinstance(instrument, SimulatedInstrument) or not isinstance(test.stimulus, Stimulus):
         return ""
@@ -149,26 +149,26 @@ def _too_warm(plan: TestPlan, instrument: Instrument, test: GuidedTest) -> str:
     if math.isnan(begin_c):
         return ""
     command = check_test(test, instrument.device)
-    return foresee(
+    return predict_heating(
         command,
         instrument.nominal,
         repeats=plan.repeats,
         rest_s=plan.rest_s,
         begin_c=begin_c,
         limit_c=test.limits.max_temperature_c,
-    ).words
+    ).warning
 
 
 def _default_forces(plan: TestPlan, device: DeviceDescription, limits: Limits) -> dict[str, float]:
-    """The range of force that nobody gave, N; where the instrument cannot give all of it, less, and it is said."""
+    """Return the default range of force, N; print a message if the instrument limits it."""
     greatest = min(device.greatest_force_n, math.floor(10.0 * limits.max_force_n) / 10.0)
     forces = {"force_min_n": _DEFAULTS.min_force_n, "force_max_n": _DEFAULTS.max_force_n}
     own = any(option.partition("=")[0].strip() == "force_max_n" for option in plan.options)
     if greatest < _DEFAULTS.max_force_n and plan.common.max_force is None and not own:
         forces["force_max_n"] = greatest
         console.print(
-            f"the highest force is {greatest:g} N, not {_DEFAULTS.max_force_n:g}: this instrument gives no more "
-            "(--max-force chooses a lower one)",
+            f"the highest force is {greatest:g} N instead of {_DEFAULTS.max_force_n:g} N, the limit of this instrument "
+            "(--max-force sets a lower one)",
             markup=False,
             soft_wrap=True,
         )
@@ -176,10 +176,10 @@ def _default_forces(plan: TestPlan, device: DeviceDescription, limits: Limits) -
 
 
 def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> GuidedTest:
-    """The test, which could be played.
+    """Return the test after its limits were checked.
 
     Raises:
-        LimitError, UnusableInputError: it could not.
+        LimitError, UnusableInputError: the test cannot be played.
     """
     stimulus = _stimulus(plan, device, limits)
     kind = plan.kind or test_kind(stimulus)
@@ -189,7 +189,7 @@ def _prepared(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Guid
 
 
 def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> _Runner:
-    """The multistep test, checked and ready to be run."""
+    """Check a multistep test and return a function that runs it."""
     assert plan.multistep is not None
     assert plan.depth_range_m is not None
     given = {name: value for name, (_, value) in plan.common.given().items()}
@@ -229,10 +229,10 @@ def _multistep(plan: TestPlan, instrument: Instrument, limits: Limits) -> _Runne
 
 
 def _stimulus(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Stimulus | FeedbackKind:
-    """What is to be played, with its preload, or generated.
+    """Return the stimulus with its preload, or a feedback stimulus.
 
     Raises:
-        UnusableInputError: the options do not make one.
+        UnusableInputError: the options are not valid.
     """
     if plan.stimulus_file is not None:
         return playable_file(plan.stimulus_file)
@@ -241,7 +241,7 @@ def _stimulus(plan: TestPlan, device: DeviceDescription, limits: Limits) -> Stim
     if name == Noise.name:
         defaults |= _default_forces(plan, device, limits) | {"seconds": _DEFAULTS.seconds, "seed": _DEFAULTS.seed}
     specification = specified(name, plan.common, plan.all_options(), defaults)
-    if isinstance(specification, Noise):  # built in no time
+    if isinstance(specification, Noise):  # needs no progress bar
         return playable(specification)
     return playable(specification, lambda kind: designed(kind)[0])
 
@@ -251,41 +251,43 @@ def _step(steps: tuple[Step, ...], number: int) -> Step | None:
 
 
 def _keep(recorder: SessionRecorder, plan: TestPlan, error: BaseException) -> None:
-    """Whatever was recorded before it went wrong becomes a session; an empty one leaves nothing.
+    """Save the tests recorded before an error as a session; without tests, leave no file.
 
     Raises:
-        JournalError: the disk failed as well; it says both.
+        JournalError: the disk failed too; the message contains both errors.
     """
     try:
         session = recorder.finish_or_discard(error)
     except JournalError as trouble:
         recorder.abandon()
         if isinstance(error, JournalError):
-            return  # it says already what is kept, and where
+            return  # its message says what is kept and where
         raise JournalError(f"{error or 'interrupted'}; and {trouble}") from error
     if session is not None:
-        _tell(plan, session)
+        _print_result(plan, session)
         try:
             _answer(plan, session)
-        except UnusableInputError as trouble:  # why the test ended is said last, and counts for more
+        except UnusableInputError as trouble:  # the error of the test is more important and is printed last
             console.print(str(trouble), markup=False, soft_wrap=True)
 
 
-def _tell(plan: TestPlan, session: Session) -> None:
-    people = people_read(plan.json_file)
-    if not people.is_terminal:
-        people.width = 120
-    people.print(f"session: {plan.out}", markup=False)
-    people.print(f"instrument: {in_words(session.instrument)}", markup=False)
+def _print_result(plan: TestPlan, session: Session) -> None:
+    console = human_output(plan.json_file)
+    if not console.is_terminal:
+        console.width = 120
+    console.print(f"session: {plan.out}", markup=False)
+    console.print(f"instrument: {in_words(session.instrument)}", markup=False)
     for warning in warnings_of(session.instrument):
-        people.print(f"calibration: {warning}", markup=False)
-    people.print(tests_table(session.tests, plan.depth_range_m))
+        console.print(f"calibration: {warning}", markup=False)
+    console.print(tests_table(session.tests, plan.depth_range_m))
     for test in session.tests:
         if short := out_of_reach(test):
-            people.print(f"test {test.number}: {short}", markup=False)
+            console.print(f"test {test.number}: {short}", markup=False)
         if lost := test.notes.get("samples_lost"):
-            people.print(f"test {test.number}: {lost:.0f} samples were lost and are marked as such", markup=False)
+            console.print(
+                f"test {test.number}: {lost:.0f} samples were lost; they are marked in the session", markup=False
+            )
         if reason := test.notes.get("reason"):
-            people.print(f"test {test.number}: {reason}", markup=False)
-        for line in findings_lines(test):
-            people.print(line, markup=False)
+            console.print(f"test {test.number}: {reason}", markup=False)
+        for line in recorded_findings(test):
+            console.print(line, markup=False)

@@ -1,11 +1,11 @@
-"""What ``tissueid test`` is asked for, and what of it is refused before an instrument is opened."""
+"""Options of ``tissueid test`` and their checks before an instrument is opened."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tissueid.acquisition.choice import FIXTURES
+from tissueid.acquisition.stimulus_choice import FIXTURES
 from tissueid.cli.output import check_json
 from tissueid.cli.stimulus_options import CommonOptions
 from tissueid.configuration import Configuration
@@ -15,14 +15,16 @@ from tissueid.stimuli import get_stimulus
 from tissueid.stimuli.kinds.noise import Noise
 
 MAX_TEXT = 200
+"""Longest site or pseudonym in characters."""
 LEAST_DEPTH_RANGE_M = 1e-4
+"""Smallest width of a depth range, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TestPlan:
-    """What the command line asks for; ``depth_range_m`` is least and greatest depth from the surface."""
+    """Options of the command; ``depth_range_m`` is the least and greatest depth below the surface."""
 
-    __test__ = False  # not a test case, whatever pytest thinks of the name
+    __test__ = False  # not a test case for pytest
 
     url: str
     site: str
@@ -50,61 +52,65 @@ class TestPlan:
     json_file: Path | None = None
 
     def check(self) -> None:
-        """Refuse what can be seen to be wrong before an instrument is opened.
+        """Check the options before an instrument is opened.
 
         Raises:
-            UnusableInputError: says which options do not go together, or which text cannot be kept.
+            UnusableInputError: options exclude each other, or a text is not valid.
         """
         if self.limits not in PROFILES:
-            raise UnusableInputError(f"limits are {' or '.join(PROFILES)}, not {self.limits!r}")
+            raise UnusableInputError(f"--limits must be {' or '.join(PROFILES)}, got {self.limits!r}")
         for what, text in (("site", self.site), ("subject", self.subject)):
             if not text.strip() or len(text) > MAX_TEXT or not text.isprintable():
                 raise UnusableInputError(f"the {what} must be one line of 1 to {MAX_TEXT} printable characters")
         configuration = self.instrument_configuration()
         if self.depth_range_m is not None and not configuration.has_depth:
-            raise UnusableInputError(f"--depth-range asks for depths: there are none in {configuration.name}")
+            raise UnusableInputError(f"--depth-range needs a depth: the configuration {configuration.name} has none")
         check_json(self.json_file)
         if self.json_file is not None and self.json_file.absolute() == self.out.absolute():
             raise UnusableInputError("the session and the JSON cannot be the same file")
         if self.rest_s > 0.0 and self.repeats == 1:
-            raise UnusableInputError("--rest is between repeats: it goes with --repeats")
+            raise UnusableInputError("--rest is the pause between repeats: it needs --repeats")
         own = bool(self.stimulus or self.options or self.distribution)
         if self.stimulus_file is not None and (own or self.common.given()):
-            raise UnusableInputError(f"{self.stimulus_file} is a saved stimulus: its options are in it")
+            raise UnusableInputError(
+                f"{self.stimulus_file} is a saved stimulus and contains its options: leave out other stimulus options"
+            )
         self._check_kind()
         if self.multistep is None:
             if self.target is not None:
-                raise UnusableInputError("--target goes with --multistep")
+                raise UnusableInputError("--target needs --multistep")
             return
         if own or self.stimulus_file is not None or self.repeats > 1 or self.stop_when or self.live:
             raise UnusableInputError(
-                "--multistep designs its stimuli itself: of the options for what is played it takes --depth-range, "
+                "--multistep designs its own stimuli: the only stimulus options that it accepts are --depth-range, "
                 "--min-force, --max-force, --seconds, --seed and --target"
             )
         if self.depth_range_m is None:
-            raise UnusableInputError("--multistep needs a --depth-range MM:MM from the surface, such as 1:4")
+            raise UnusableInputError("--multistep needs --depth-range MM:MM below the surface, such as 1:4")
 
     def _check_kind(self) -> None:
         if self.kind is None:
             return
         if self.kind not in FIXTURES:
-            raise UnusableInputError(f"--kind is {' or '.join(FIXTURES)}, where no tissue is met; not {self.kind!r}")
+            raise UnusableInputError(
+                f"--kind must be {' or '.join(FIXTURES)} (tests without tissue), got {self.kind!r}"
+            )
         if self.multistep is not None:
-            raise UnusableInputError("--multistep needs tissue: it does not go with --kind")
+            raise UnusableInputError("--multistep needs tissue: leave out --kind")
 
     def instrument_configuration(self) -> Configuration:
-        """How the instrument meets the tissue.
+        """Return the configuration of instrument and probe.
 
         Raises:
-            UnusableInputError: no such configuration or probe, or what does not go together.
+            UnusableInputError: the configuration or probe is unknown, or they exclude each other.
         """
         return Configuration.of(self.configuration, self.probe, self.external_spring_n_per_m)
 
     def all_options(self) -> list[str]:
-        """Options of the stimulus as NAME=VALUE, those that have a name of their own on the command line included.
+        """Return all options of the stimulus as NAME=VALUE.
 
         Raises:
-            UnusableInputError: one is given twice.
+            UnusableInputError: an option is given twice.
         """
         options = list(self.options)
         if self.distribution is not None:
@@ -119,10 +125,10 @@ class TestPlan:
 
 
 def millimetres(text: str) -> tuple[float, float]:
-    """Least and greatest depth, m, from millimetres as ``1:4``.
+    """Return least and greatest depth, m, from a text in millimetres such as ``1:4``.
 
     Raises:
-        UnusableInputError: not two numbers, or not rising.
+        UnusableInputError: the text is not two increasing numbers, or the range is too narrow.
     """
     least, colon, most = text.partition(":")
     try:
@@ -130,9 +136,9 @@ def millimetres(text: str) -> tuple[float, float]:
     except ValueError:
         depths = 0.0, 0.0
     if not colon or not depths[0] < depths[1]:
-        raise UnusableInputError(f"a depth range is least:greatest in mm from the surface, such as 1:4, not {text!r}")
-    if depths[1] - depths[0] < LEAST_DEPTH_RANGE_M:
         raise UnusableInputError(
-            f"a depth range of {text} mm is too narrow: it is in mm, at least {1e3 * LEAST_DEPTH_RANGE_M:g} wide"
+            f"--depth-range must be LEAST:GREATEST in mm below the surface, such as 1:4, got {text!r}"
         )
+    if depths[1] - depths[0] < LEAST_DEPTH_RANGE_M:
+        raise UnusableInputError(f"--depth-range must be at least {1e3 * LEAST_DEPTH_RANGE_M:g} mm wide, got {text}")
     return depths

@@ -1,4 +1,4 @@
-"""``tissueid`` without a command: opens the window, or says in one line why it cannot be opened."""
+"""``tissueid`` without a command: open the window, or report why it cannot be opened."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ SYSTEM_PACKAGES = (
     "libxcb-image0 libxcb-keysyms1 libxcb-randr0 libxcb-render-util0 libxcb-shape0 libxcb-sync1 libxcb-xfixes0 "
     "libxcb-xkb1 libxkbcommon-x11-0"
 )
-"""What Qt takes from Debian and Ubuntu; tools/check_qt_libraries.sh installs the same."""
+"""Packages of Debian and Ubuntu that Qt needs; tools/check_qt_libraries.sh installs the same."""
 _OURS = ("PySide6", "shiboken6", "pyqtgraph")
 
 
 def open_application() -> int:
-    """Open the window and stay until it is closed; returns the exit status.
+    """Open the window and return the exit status when it is closed.
 
     Raises:
-        UnusableInputError: there is no display, or something that the window needs is not installed.
+        UnusableInputError: there is no display, or a required package is not installed.
     """
     check_display(os.environ, sys.platform)
     try:
@@ -37,10 +37,10 @@ def open_application() -> int:
 
 
 def check_display(environment: Mapping[str, str], platform: str) -> None:
-    """Find out what Qt would abort the whole program for: no display, a dead one, or a plugin that cannot load.
+    """Check for errors on which Qt aborts the program: no display, no answer from it, or a missing library.
 
     Raises:
-        UnusableInputError: says which, and what to do.
+        UnusableInputError: the window cannot be opened; the message says why and what to do.
     """
     if platform in ("win32", "darwin"):
         return
@@ -51,7 +51,7 @@ def check_display(environment: Mapping[str, str], platform: str) -> None:
     if not display:
         raise UnusableInputError(
             "there is no display to open the window on (DISPLAY and WAYLAND_DISPLAY are not set); "
-            "'tissueid --help' lists what works without"
+            "'tissueid --help' lists commands that work without it"
         )
     try:
         _load_plugin()
@@ -59,7 +59,9 @@ def check_display(environment: Mapping[str, str], platform: str) -> None:
     except OSError as error:
         raise _missing(error) from error
     if not answers:
-        raise UnusableInputError(f"the display {display} does not answer; 'tissueid --help' lists what works without")
+        raise UnusableInputError(
+            f"the display {display} does not answer; 'tissueid --help' lists commands that need none"
+        )
 
 
 def _missing(error: ImportError | OSError) -> UnusableInputError:
@@ -75,7 +77,7 @@ def _missing(error: ImportError | OSError) -> UnusableInputError:
 
 
 def _load_plugin() -> None:
-    """Load the part of Qt that speaks X11; OSError names the library that it lacks."""
+    """Load the X11 plugin of Qt; an OSError names a missing library."""
     found = find_spec("PySide6")
     for folder in (found.submodule_search_locations or []) if found else []:
         plugin = Path(folder) / "Qt" / "plugins" / "platforms" / "libqxcb.so"
@@ -84,7 +86,7 @@ def _load_plugin() -> None:
 
 
 def _x_server_answers() -> bool:
-    """Connect to the X server that DISPLAY names, as Qt will."""
+    """Return whether the X server of DISPLAY answers."""
     xcb = ctypes.CDLL("libxcb.so.1")
     xcb.xcb_connect.restype = ctypes.c_void_p
     connection = ctypes.c_void_p(xcb.xcb_connect(None, None))

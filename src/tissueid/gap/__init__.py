@@ -1,11 +1,11 @@
-"""The gap between simulated and recorded: where it lies, which effect causes it, how far it shrinks."""
+"""The gap between simulation and recording: where it lies, which effect causes it, how much the effect closes."""
 
 from __future__ import annotations
 
 from tissueid.gap.answer import as_answer
+from tissueid.gap.dataset import Dataset
 from tissueid.gap.diagnosis import Diagnosis, diagnose
-from tissueid.gap.observed import Observed
-from tissueid.gap.observing import observe
-from tissueid.gap.workers import crew
+from tissueid.gap.preparation import prepare
+from tissueid.gap.workers import executor
 
-__all__ = ["Diagnosis", "Observed", "as_answer", "crew", "diagnose", "observe"]
+__all__ = ["Dataset", "Diagnosis", "as_answer", "diagnose", "executor", "prepare"]

@@ -1,15 +1,21 @@
-"""A diagnosis as scripts read it: plain values under the contract's names, SI."""
+"""The diagnosis as plain values for JSON, under the contract's names, SI."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.statement import members_of
+from tissueid.gap.statement import headline_of, members_of
+from tissueid.messages import Message
+
+
+def message_dict(text: str) -> dict[str, Any] | None:
+    """Return code, template and values of a message; None for a text without a code."""
+    return text.as_dict() if isinstance(text, Message) else None
 
 
 def as_answer(found: Diagnosis) -> dict[str, Any]:
-    """The JSON of ``tissueid gap diagnose``."""
+    """Return the JSON of ``tissueid gap diagnose``."""
     figures = found.gap
     return {
         "verdict": found.verdict,
@@ -19,7 +25,7 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             "floor": figures.floor,
             "closed": figures.closed,
             "closed_ci": list(figures.closed_ci),
-            "announced": figures.announced,
+            "announced": figures.predicted_closed,
         },
         "where": found.where.as_answer(),
         "ranking": [
@@ -47,7 +53,8 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
         if found.next_experiment is None
         else {
             "kind": found.next_experiment.kind,
-            "why": found.next_experiment.why,
+            "why": str(found.next_experiment.why),
+            "message": message_dict(found.next_experiment.why),
             "separates": list(found.next_experiment.separates),
             "gain_nats": found.next_experiment.gain_nats,
             "separation": found.next_experiment.separation,
@@ -55,6 +62,8 @@ def as_answer(found: Diagnosis) -> dict[str, Any]:
             "command_line": found.next_experiment.command_line,
         },
         "ceiling": found.ceiling,
-        "remarks": list(found.remarks),
+        "remarks": [str(remark) for remark in found.remarks],
+        "remark_messages": [message_dict(remark) for remark in found.remarks],
+        "statement": message_dict(headline_of(found)[0]),
         "seconds": found.seconds,
     }

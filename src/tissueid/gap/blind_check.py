@@ -1,4 +1,4 @@
-"""Diagnosing sealed scenarios, one in each process, with answers that outlive an interruption."""
+"""Diagnosis of blind scenarios in parallel processes, with answers that survive an interruption."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any
 import numpy as np
 
 from tissueid.gap.answer import as_answer
+from tissueid.gap.answer_store import store_answer, stored_answer
+from tissueid.gap.blind_scoring import Answered, Label, Score, survives
+from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.kept_answers import keep_answer, kept_answer
-from tissueid.gap.observed import Observed, Purpose
-from tissueid.gap.observing import observe
+from tissueid.gap.preparation import prepare
 from tissueid.gap.scenarios import alone_sessions, read_scenario
 from tissueid.gap.scoring import ChannelError, floor, gap, quiet_tests
-from tissueid.gap.sealed import Answered, Label, Score, survives
 from tissueid.gap.search import Search
-from tissueid.gap.workers import Alone, Crew
+from tissueid.gap.workers import Executor, SerialExecutor
 from tissueid.sessions import Session
 from tissueid.twin.catalogue import all_effects
 
 
 @dataclass(frozen=True)
-class Piece:
-    """One scenario to be diagnosed; ``without`` are effects that are taken out of the library.
+class BlindScenario:
+    """One scenario to diagnose; ``without`` are effects removed from the library.
 
-    With ``keep`` the answer is kept beside the scenarios as soon as there is one.
+    With ``keep`` the answer is stored in the folder of the scenarios at once.
     """
 
     folder: Path
@@ -37,65 +37,66 @@ class Piece:
 
     @property
     def key(self) -> str:
-        """Name under which its answer is kept."""
+        """Name of its stored answer."""
         return "-without-".join([self.name, *self.without])
 
     def answered(self) -> dict[str, Any]:
-        """The answer, kept where that is asked for.
+        """Return the answer, and store it where requested.
 
         Raises:
-            UnusableInputError: it cannot be kept.
+            UnusableInputError: it cannot be stored.
         """
         found = self.diagnosed()
         if self.keep:
-            keep_answer(self.folder, self.key, found)
+            store_answer(self.folder, self.key, found)
         return found
 
     def diagnosed(self) -> dict[str, Any]:
-        """The answer of ``gap diagnose``, with ``oracle`` (the gap that the truth itself leaves) and ``in_sample``.
+        """Return the JSON of ``gap diagnose`` with ``oracle`` and ``in_sample``.
 
-        ``in_sample`` is the effect that fits the fitted samples best: what a search without held-out data would name.
-        Of a pair ``survive_alone`` tells of each effect whether the session with it alone has a gap that survives.
+        ``oracle`` is the gap that the true signals leave. ``in_sample`` is the effect that fits the fitted samples
+        best, which a search without held-out data would name. For a pair ``survive_alone`` holds for each effect
+        whether the session with that effect alone has a gap that survives the refit.
         """
-        observed = observe(read_scenario(self.folder, self.name))
+        dataset = prepare(read_scenario(self.folder, self.name))
         names = [name for name in all_effects() if name not in self.without] if self.without else None
-        found = diagnose(observed, Alone(), candidates=names)
+        found = diagnose(dataset, SerialExecutor(), candidates=names)
         singles = found.found.singles
         greedy = min(singles, key=lambda item: item.fit.cost, default=None)
         return as_answer(found) | {
-            "oracle": _oracle(observed, read_scenario(self.folder, self.name, "clean")),
+            "oracle": _oracle(dataset, read_scenario(self.folder, self.name, "clean")),
             "in_sample": greedy.effects[0] if greedy is not None else None,
             "survive_alone": [_survives(alone) for alone in alone_sessions(self.folder, self.name)],
         }
 
 
-def diagnosed(piece: Piece) -> dict[str, Any]:
-    """Do one piece; runs in a worker's process."""
+def diagnosed(piece: BlindScenario) -> dict[str, Any]:
+    """Diagnose one scenario; called in a worker process."""
     return piece.answered()
 
 
-def nothing_out(name: str) -> tuple[str, ...]:
-    """The whole library serves every scenario."""
+def full_library(name: str) -> tuple[str, ...]:
+    """Remove no effect from the library."""
     return ()
 
 
 def answers(
     folder: Path,
     names: Sequence[str],
-    crew: Crew,
+    crew: Executor,
     done: Callable[[], None] = lambda: None,
-    without: Callable[[str], tuple[str, ...]] = nothing_out,
+    without: Callable[[str], tuple[str, ...]] = full_library,
     keep: bool = False,
 ) -> dict[str, dict[str, Any]]:
-    """Answers by scenario.
+    """Return the answers by scenario.
 
-    With ``keep`` each is kept beside the scenarios as it comes, and what is kept there already is not asked again.
+    With ``keep`` each answer is stored in the folder of the scenarios, and stored answers are reused.
 
     Raises:
-        UnusableInputError: a kept answer cannot be read, or one cannot be kept.
+        UnusableInputError: a stored answer cannot be read, or one cannot be stored.
     """
-    pieces = [Piece(folder, name, without(name), keep) for name in names]
-    found = {piece.name: kept_answer(folder, piece.key) for piece in pieces} if keep else {}
+    pieces = [BlindScenario(folder, name, without(name), keep) for name in names]
+    found = {piece.name: stored_answer(folder, piece.key) for piece in pieces} if keep else {}
     known = {name: answer for name, answer in found.items() if answer is not None}
     for _ in known:
         done()
@@ -107,7 +108,7 @@ def answers(
 
 @dataclass(frozen=True)
 class BlindCheck:
-    """A sealed check that is done: the SHA-256 of its labels, its draw, and a score for each kind of session.
+    """A finished blind check: the SHA-256 of its labels, its draw, and a score for each kind of session.
 
     ``scores`` holds title, number of scenarios and score, by ``single`` and ``full``.
     """
@@ -118,27 +119,27 @@ class BlindCheck:
     scores: dict[str, tuple[str, int, Score]]
 
 
-def opened(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
-    """Answers beside their labels."""
+def with_labels(found: dict[str, dict[str, Any]], labels: dict[str, Label]) -> list[Answered]:
+    """Return answers with their labels."""
     return [Answered(name, labels[name], answer, answer.get("oracle")) for name, answer in found.items()]
 
 
 def _survives(session: Session) -> bool:
-    observed = observe(session)
-    checked = Search(observed, Alone()).baseline().checked_by
-    quiet = quiet_tests(observed.tests)
+    dataset = prepare(session)
+    checked = Search(dataset, SerialExecutor()).baseline().checked_by
+    quiet = quiet_tests(dataset.tests)
     return survives(gap(checked, quiet), floor(checked, quiet))
 
 
-def _oracle(observed: Observed, clean: Session) -> float:
-    # What the true signals, without noise, leave of the recorded ones on the samples of the check.
+def _oracle(dataset: Dataset, clean: Session) -> float:
+    # The gap of the true signals without noise on the samples for the check.
     found = []
-    for test in observed.tests:
+    for test in dataset.tests:
         truth = clean.test(test.number)
-        for name in observed.channels:
+        for name in dataset.channels:
             mask = test.serving(Purpose.CHECK) & np.isfinite(test.signals[name]) & np.isfinite(truth.signals[name])
             if mask.any():
                 error = float(np.mean((truth.signals[name][mask] - test.signals[name][mask]) ** 2))
                 spread = float(np.nanstd(test.signals[name]))
-                found.append(ChannelError(test.number, name, error, observed.noise[name], spread, int(mask.sum())))
-    return gap(found, quiet_tests(observed.tests))
+                found.append(ChannelError(test.number, name, error, dataset.noise[name], spread, int(mask.sum())))
+    return gap(found, quiet_tests(dataset.tests))

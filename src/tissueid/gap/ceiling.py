@@ -1,9 +1,9 @@
-"""How much of a gap anything flexible could close: a regression of what the baseline leaves, on held-out stretches.
+"""Upper bound of the closed share: a flexible regression of the baseline's residual on held-out data.
 
-The discrepancy between simulator and reality as a Gaussian process of inputs and states (Kennedy and O'Hagan, J. Royal
-Statistical Society B 63 (2001) 425-464), by its random features (Rahimi and Recht, NIPS 20 (2007) 1177-1184). It may
-use the past of the command and of the baseline's own states, never the recorded output, so that its figure is one of
-free-run simulation like all others. What it cannot close is hidden: disturbances, or states that nothing here shows.
+The discrepancy between simulator and reality is a Gaussian process of inputs and states (Kennedy and O'Hagan, J. Royal
+Statistical Society B 63 (2001) 425-464), computed by random features (Rahimi and Recht, NIPS 20 (2007) 1177-1184). It
+uses the past of the command and of the baseline's own states, never the recorded output, so that its closed share
+refers to free-run simulation. The remaining gap comes from disturbances or unobserved states.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.observed import ObservedTest, Purpose
+from tissueid.gap.dataset import DatasetTest, Purpose
 from tissueid.gap.scoring import Candidate, ChannelError, closed, floor, gap, quiet_tests
 
 FloatArray = NDArray[np.float64]
@@ -26,26 +26,29 @@ LENGTHS = (2.0, 6.0)
 """Length scales of the process, in standard deviations of the inputs."""
 RIDGES = (1e-6, 1e-4, 1e-2, 1.0)
 _EDGES = (0, 1, 2, 4, 8, 16, 32, 64, 128)
-"""Edges of past windows, samples, whose means stand for the memory."""
+"""Edges of windows in the past, samples; the means in the windows represent the memory."""
 
 
 @dataclass(frozen=True)
 class _Course:
-    """One test: inputs of the regression, shape (n, inputs), and what the baseline leaves by channel, shape (n,)."""
+    """One test: inputs of the regression, shape (n, inputs), and the baseline's residual by channel, shape (n,)."""
 
-    test: ObservedTest
+    test: DatasetTest
     inputs: FloatArray
     left: dict[str, FloatArray]
 
 
 def ceiling(baseline: Candidate) -> float:
-    """Share of the gap that a flexible regression closes on the samples of the check, at least 0; NaN without a gap."""
-    observed = baseline.fit.parameters.observed
-    quiet = quiet_tests(observed.tests)
+    """Return the share of the gap that a flexible regression closes on the samples for the check, at least 0.
+
+    NaN without a gap.
+    """
+    dataset = baseline.fit.parameters.dataset
+    quiet = quiet_tests(dataset.tests)
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     courses = [
-        _course(test, predicted, observed.channels)
-        for test, predicted in zip(observed.tests, baseline.fit.predictions, strict=True)
+        _course(test, predicted, dataset.channels)
+        for test, predicted in zip(dataset.tests, baseline.fit.predictions, strict=True)
     ]
     fitted = [one.test.serving(Purpose.FIT) for one in courses]
     count = sum(int(mask.sum()) for mask in fitted)
@@ -62,7 +65,7 @@ def ceiling(baseline: Candidate) -> float:
         lifted = [_lifted((one.inputs - middle) / spread, waves, phases) for one in courses]
         design = np.concatenate([rows[k] for rows, k in zip(lifted, chosen, strict=True)])
         inner = design.T @ design
-        for name in observed.channels:
+        for name in dataset.channels:
             target = np.concatenate([one.left[name][k] for one, k in zip(courses, chosen, strict=True)])
             good = np.isfinite(target)
             squares = inner if good.all() else design[good].T @ design[good]
@@ -78,7 +81,7 @@ def ceiling(baseline: Candidate) -> float:
     return max(share, 0.0)
 
 
-def _course(test: ObservedTest, predicted: dict[str, FloatArray], channels: Sequence[str]) -> _Course:
+def _course(test: DatasetTest, predicted: dict[str, FloatArray], channels: Sequence[str]) -> _Course:
     position = predicted["position"]
     speed = np.gradient(position)
     states = [position, speed, *([predicted["current"]] if "current" in predicted else [])]
@@ -97,7 +100,7 @@ def _past(values: FloatArray) -> list[FloatArray]:
 
 
 def _lifted(inputs: FloatArray, waves: FloatArray, phases: FloatArray) -> FloatArray:
-    # The inputs themselves, so that what is straight need not be made of waves.
+    # The inputs themselves as linear features.
     turned = inputs @ waves + phases
     return np.concatenate([np.ones((inputs.shape[0], 1)), inputs, np.cos(turned)], axis=1)
 

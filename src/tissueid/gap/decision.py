@@ -1,8 +1,8 @@
-"""From scores to words: is there a gap, does a candidate explain it, and how sure is that.
+"""Decisions from scores: whether there is a gap, whether a candidate explains it, and with which probability.
 
-The thresholds were set with eighty scenarios of the simulated laboratory in view, those of pairs with 249 and some
-more (decisions 0025 and 0028), where more is asked with the same and parts of another draw (decision 0026): none with
-the one that docs/gap.md reports.
+The thresholds were set on eighty scenarios of the simulated laboratory, those of pairs on 249 and some more (decisions
+0025 and 0028), stricter ones also on parts of another draw (decision 0026). None of these is the draw that docs/gap.md
+reports.
 """
 
 from __future__ import annotations
@@ -20,48 +20,46 @@ Verdict = Literal["effect", "no_gap", "unexplained"]
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Where words change. Scores are in nats (see ``scoring.score``)."""
+    """Thresholds of the decisions. Scores are in nats (see ``scoring.score``)."""
 
     least_gain: float = 0.06
-    """A candidate must lower the score by this much before it is anything but chance."""
+    """Least decrease of the score by a candidate that is not chance."""
     least_score: float = 0.12
-    """With less than this left by the baseline there is no gap."""
+    """Score of the baseline below which there is no gap."""
     at_the_floor: float = 0.12
-    """A candidate that leaves less than this explains the gap: nothing is left to be explained."""
+    """Score below which a candidate explains the gap without further conditions."""
     explained_closed: float = 0.7
-    """Otherwise, the share of the gap that a candidate must close on held-out data to explain it ..."""
+    """Least closed share of the gap on held-out data of an explanation."""
     alone_closed: float = 0.5
-    """... or this share, where no rival comes near that the data can tell from it: its form is not the recording's,
-    but none other is like it."""
+    """Least closed share when the runner-up scores at least ``alone_lead`` nats worse."""
     alone_lead: float = 0.3
-    """That a rival comes near: it costs less than this more, nats."""
+    """Lead over the runner-up for ``alone_closed``, nats."""
     explained_share: float = 0.55
-    """... and the share of the score that it may leave at most."""
+    """Largest share of the baseline's score that an explanation leaves."""
     clear_share: float = 0.12
-    """The share of the score that may be left where more is asked: of an effect whose law is exact, and where the
-    stages' own evidence speaks for another stage."""
+    """Largest share of the score that is left where more is required: for an effect with an exact law, and where the
+    evidence by stages contradicts the candidate."""
     pair_gain: float = 0.3
-    """What a second effect must lower the score by, in nats ..."""
+    """Least decrease of the score by a second effect, nats."""
     pair_leaves: float = 0.36
-    """... and the share of the gap left by the first one that it may leave at most, unless both leave no more than the
-    floor."""
+    """Largest share of the gap of the single effect that a pair leaves, unless both are at the floor."""
     nearly_all: float = 0.985
-    """Where this share of the gap is closed no longer search is worth its time."""
+    """Closed share above which the search ends."""
     temperature: float = 0.06
-    """Differences in score below this are no evidence for one rival against another ..."""
+    """Scale of score differences for probabilities, nats: smaller differences are no evidence."""
     temperature_share: float = 0.1
-    """... nor below this share of what the best leaves: its form is that far from the recording's."""
+    """The same as a share of the best candidate's score, a measure of its model error."""
     complexity: float = 0.01
-    """What every further coordinate costs ..."""
+    """Penalty of each coordinate, nats."""
     most_counted: int = 5
-    """... up to so many of each effect: what tables of many values fit too much shows in held-out data."""
+    """Most coordinates of an effect that are penalised: overfitting by larger tables shows in held-out data."""
 
 
 THRESHOLDS = Thresholds()
 
 
 def cost(candidate: Candidate, thresholds: Thresholds = THRESHOLDS) -> float:
-    """Score with what its coordinates cost; candidates are compared by it."""
+    """Return the score with the penalty of the coordinates, by which candidates are compared."""
     counted = sum(min(order, thresholds.most_counted) for order in candidate.orders)
     return candidate.score + thresholds.complexity * counted
 
@@ -73,10 +71,10 @@ def probabilities(
     clearly: bool = False,
     thresholds: Thresholds = THRESHOLDS,
 ) -> list[float]:
-    """How likely each candidate is the cause, given that one of them or an unlisted effect is.
+    """Return the probability that each candidate is the cause, given that one of them or an unknown effect is.
 
-    An unlisted effect stands among them with the cost at which the best candidate would just explain the gap; with
-    ``clearly``, at which it would do so clearly (see ``explains``).
+    An unknown effect has the cost at which the best candidate would just explain the gap; with ``clearly``, at which it
+    would do so under the stricter condition (see ``explains``).
     """
     if not candidates:
         return []
@@ -89,7 +87,7 @@ def probabilities(
 
 
 def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Whether anything stands above the floor: much is left, or a candidate takes away more than chance would."""
+    """Return whether there is a gap: the baseline leaves much, or a candidate lowers the score by more than chance."""
     if baseline.score >= 2.0 * thresholds.least_score:
         return True
     gained = 0.0 if best is None else baseline.score - cost(best, thresholds)
@@ -97,9 +95,9 @@ def is_gap(baseline: Candidate, best: Candidate | None, thresholds: Thresholds =
 
 
 def shows_in_the_check_alone(baseline: Candidate, thresholds: Thresholds = THRESHOLDS) -> bool:
-    """Whether much stands above the floor on the samples of the check, whatever those of the choice show.
+    """Return whether there is a gap on the samples for the check only.
 
-    What happens rarely may happen in no stretch by which a candidate could be chosen.
+    A rare event can be absent from the samples for the choice.
     """
     return score(baseline.checked_by) >= 2.0 * thresholds.least_score
 
@@ -113,15 +111,15 @@ def explains(
     clearly: bool = False,
     thresholds: Thresholds = THRESHOLDS,
 ) -> bool:
-    """Whether a candidate explains the gap on held-out data.
+    """Return whether a candidate explains the gap on held-out data.
 
     Args:
-        baseline: without it.
+        baseline: the baseline without it.
         best: the candidate.
         closed: share of the gap that it closes.
-        lead: by how much the next rival costs more, nats; 0 for more than one effect.
-        clearly: ask that it leaves little: its law is exact, or other evidence speaks against it.
-        thresholds: where words change.
+        lead: cost of the runner-up minus its cost, nats; 0 for more than one effect.
+        clearly: apply the stricter condition, for exact laws and contradicting evidence.
+        thresholds: thresholds of the decision.
     """
     if best.score <= thresholds.at_the_floor:
         return True
@@ -132,7 +130,7 @@ def explains(
 
 
 def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds = THRESHOLDS) -> float:
-    """By how much the next of the rivals costs more than the best, nats; infinite where there is none."""
+    """Return the cost of the runner-up minus that of the best, nats; infinite where there is none."""
     others = [cost(item, thresholds) for item in rivals if item.effects != best.effects]
     return min(others, default=np.inf) - cost(best, thresholds)
 
@@ -140,14 +138,14 @@ def lead_of(best: Candidate, rivals: Sequence[Candidate], thresholds: Thresholds
 def better_pair(
     single: Candidate, pair: Candidate, closed: float, closed_by_pair: float, thresholds: Thresholds = THRESHOLDS
 ) -> bool:
-    """Whether a second effect is worth naming.
+    """Return whether a pair is named instead of a single effect.
 
     Args:
         single: the best single effect.
         pair: the best pair.
         closed: share of the gap that the single effect closes.
         closed_by_pair: share that the pair closes.
-        thresholds: where words change.
+        thresholds: thresholds of the decision.
     """
     if cost(single, thresholds) - cost(pair, thresholds) < thresholds.pair_gain:
         return False

@@ -1,4 +1,4 @@
-"""The diagnosis of one session: verdict, where, which, how far."""
+"""Diagnosis of one session: whether there is a gap, where it lies, its cause, and the closed share."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from tissueid.gap.ceiling import ceiling
+from tissueid.gap.dataset import Dataset, Purpose
 from tissueid.gap.decision import (
     THRESHOLDS,
     Verdict,
@@ -21,42 +22,45 @@ from tissueid.gap.decision import (
     probabilities,
     shows_in_the_check_alone,
 )
+from tissueid.gap.localisation import Localisation, localise
 from tissueid.gap.next_experiment import NextExperiment, next_experiment
-from tissueid.gap.observed import Observed, Purpose
 from tissueid.gap.scoring import Candidate, ChannelError, closed, errors, floor, gap, quiet_tests
 from tissueid.gap.screening import Screen, cosine
-from tissueid.gap.search import Found, Progress, Search
-from tissueid.gap.where import Where, where
-from tissueid.gap.workers import Crew
+from tissueid.gap.search import Search, SearchProgress, SearchResult
+from tissueid.gap.workers import Executor
+from tissueid.messages import Message
 from tissueid.twin.catalogue import all_effects, effect
-from tissueid.twin.effect import Stage, kin
+from tissueid.twin.effect import Stage, nested
 
 RANKED = 10
-"""So many candidates are listed."""
+"""Most candidates in the ranking."""
 ALIKE = 0.97
-"""Surviving signatures with a cosine above this are one to this data, where the scores differ little as well."""
+"""Least cosine of surviving signatures that this data cannot separate, where the scores differ little as well."""
 ALIKE_SCORE = 0.10
 RESAMPLES = 400
 CERTAIN = 0.9
-"""From this probability on a cause needs no further test."""
+"""Probability from which no further test is proposed."""
 _ELECTRICAL: frozenset[Stage] = frozenset({"drive", "coil"})
 _MOVING: frozenset[Stage] = frozenset({"mechanics", "tissue", "environment"})
-RARE = "the gap shows in stretches that serve the check alone: record a longer test, or repeat it"
-LEADERS = 2
-"""So many of the best single effects are tried with a partner."""
+RARE = Message(
+    "gap.only_in_check",
+    "the gap shows only in the part of the data that is held out for the check: record a longer test, or repeat it",
+)
+TOP_CANDIDATES = 2
+"""Number of top single effects that are tried with a second effect."""
 
 
 @dataclass(frozen=True)
 class GapFigures:
-    """The gap on the samples of the check; ``closed_ci`` holds 95 % (NaN where there is no gap to close)."""
+    """The gap on the samples for the check. ``closed_ci`` is the 95 % interval (NaN where there is no gap to close)."""
 
     before: float
     after: float
     floor: float
     closed: float
     closed_ci: tuple[float, float]
-    announced: float
-    """What was closed on the samples by which the candidate was chosen: the figure that the check is there to check."""
+    predicted_closed: float
+    """Closed share on the samples for the choice, which the check verifies."""
 
 
 @dataclass(frozen=True)
@@ -74,25 +78,25 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the diagnosis of a session found. Where the verdict is ``no_gap``, ``where`` is neutral."""
+    """Result of a diagnosis. Where the verdict is ``no_gap``, ``where`` is neutral."""
 
     verdict: Verdict
     gap: GapFigures
-    where: Where
+    where: Localisation
     ranking: tuple[Ranked, ...]
     combination: tuple[str, ...]
     next_experiment: NextExperiment | None
     remarks: tuple[str, ...]
     seconds: float
-    observed: Observed = field(repr=False)
-    found: Found = field(repr=False)
+    dataset: Dataset = field(repr=False)
+    found: SearchResult = field(repr=False)
     best: Candidate | None = field(repr=False)
-    """The accepted explanation, or the best attempt at one; None where nothing was refitted."""
+    """The accepted explanation or the best candidate; None where nothing was refitted."""
     ceiling: float = float("nan")
-    """Share of the gap that something flexible closes on the same samples, or the best candidate if that is more."""
-    beside: Mapping[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
-    """For a named effect that the ranking of single effects does not judge: the probability of each candidate for its
-    place beside the other named effects, likeliest first."""
+    """Share of the gap that a flexible regression closes on the same samples, or the best candidate if that is more."""
+    conditional_odds: Mapping[str, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    """For a named effect of a combination: the probability of each candidate in its place, given the other named
+    effects, most probable first."""
 
     def __post_init__(self) -> None:
         if self.verdict == "no_gap":
@@ -100,9 +104,9 @@ class Diagnosis:
 
     @property
     def at_fault(self) -> tuple[Stage, ...]:
-        """Stages that the verdict blames, the one of ``where`` first.
+        """Stages of the cause, that of ``where`` first.
 
-        Those of the named effects; without any the stage that stands above its floor; none where there is no gap.
+        The stages of the named effects; without named effects the stage above its floor; none where there is no gap.
         """
         if self.verdict == "no_gap":
             return ()
@@ -114,28 +118,28 @@ class Diagnosis:
 
 
 def diagnose(
-    observed: Observed,
-    crew: Crew,
+    dataset: Dataset,
+    crew: Executor,
     *,
     known: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Callable[[SearchProgress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Diagnosis:
-    """Find out where and why a recording differs from the twin.
+    """Diagnose where and why a recording differs from the twin.
 
     Args:
-        observed: the tests.
-        crew: who does the fits.
-        known: effects that the baseline has already.
-        candidates: effects to consider; all that apply where None.
-        progress: told what is being done.
-        cancelled: asked now and then; True stops with ``workers.Cancelled``.
+        dataset: the tests.
+        crew: the executor of the fits.
+        known: effects that the baseline already includes.
+        candidates: effects to consider; all applicable effects where None.
+        progress: callback for progress.
+        cancelled: callback that returns True to stop with ``workers.Cancelled``.
     """
     began = time.monotonic()
-    search = Search(observed, crew, candidates, progress, cancelled)
+    search = Search(dataset, crew, candidates, progress, cancelled)
     baseline = search.baseline(known)
-    observed = baseline.fit.parameters.observed
+    dataset = baseline.fit.parameters.dataset
     found = search.singles(baseline)
     best = min(found.candidates, key=cost, default=None)
     if best is not None and is_gap(baseline, best) and not _settled(baseline, best):
@@ -143,12 +147,12 @@ def diagnose(
         best = min(found.candidates, key=cost)
     there_is = is_gap(baseline, best)
     if there_is and best is not None:
-        found, best = _with_partners(search, found, best)
-    figures = figures_of(observed, baseline, best if there_is else None)
+        found, best = _with_pairs(search, found, best)
+    figures = figures_of(dataset, baseline, best if there_is else None)
     verdict: Verdict = "no_gap"
-    places = where(observed, baseline)
-    ranking = _ranking(observed, found, places)
-    remarks = observed.remarks
+    places = localise(dataset, baseline)
+    ranking = _ranking(dataset, found, places)
+    remarks = dataset.remarks
     if there_is:
         verdict = "effect" if best is not None and _explained(found, best, figures, ranking, places) else "unexplained"
     elif shows_in_the_check_alone(baseline):
@@ -157,28 +161,28 @@ def diagnose(
     return Diagnosis(
         verdict,
         figures,
-        _blamed(places, named, known),
+        _with_stage_of_cause(places, named, known),
         ranking,
         () if named is None else tuple(name for name in named.effects if name not in known),
-        _next(observed, found, ranking, places, verdict),
+        _next(dataset, found, ranking, places, verdict),
         remarks,
         time.monotonic() - began,
-        observed,
+        dataset,
         found,
         best,
         _ceiling(baseline, figures) if there_is else float("nan"),
-        {} if named is None else _beside(found, named, ranking, places),
+        {} if named is None else _conditional_odds(found, named, ranking, places),
     )
 
 
-def _beside(
-    found: Found, best: Candidate, ranking: Sequence[Ranked], places: Where
+def _conditional_odds(
+    found: SearchResult, best: Candidate, ranking: Sequence[Ranked], places: Localisation
 ) -> dict[str, tuple[tuple[str, float], ...]]:
-    # The likeliest single effect keeps the odds of the ranking: not all its rivals were refitted beside the others.
+    # The top single effect keeps its probability of the ranking: not all its rivals were refitted with the others.
     named = set(best.effects) - set(found.baseline.effects)
     if len(named) == 1:
         return {}
-    clearly = more_is_asked(best, places, found.baseline.effects)
+    clearly = needs_strict_fit(best, places, found.baseline.effects)
     odds = {}
     for name in named - {item.effect for item in ranking[:1]}:
         others = set(best.effects) - {name}
@@ -197,26 +201,26 @@ def _ceiling(baseline: Candidate, figures: GapFigures) -> float:
 
 
 def _next(
-    observed: Observed, found: Found, ranking: Sequence[Ranked], places: Where, verdict: Verdict
+    dataset: Dataset, found: SearchResult, ranking: Sequence[Ranked], places: Localisation, verdict: Verdict
 ) -> NextExperiment | None:
-    # None where nothing is in doubt: no gap, or one cause that stands clear of its rivals.
+    # None where the result is certain: no gap, or one cause with a clear lead.
     if verdict == "no_gap" or (verdict == "effect" and ranking and ranking[0].probability >= CERTAIN):
         return None
     singles = found.singles
-    return next_experiment(observed, singles, _probabilities(found, singles, places))
+    return next_experiment(dataset, singles, _probabilities(found, singles, places))
 
 
-def _probabilities(found: Found, singles: Sequence[Candidate], places: Where) -> list[float]:
+def _probabilities(found: SearchResult, singles: Sequence[Candidate], places: Localisation) -> list[float]:
     best = min(singles, key=cost, default=None)
-    clearly = best is not None and more_is_asked(best, places, found.baseline.effects)
+    clearly = best is not None and needs_strict_fit(best, places, found.baseline.effects)
     return probabilities(found.baseline, singles, clearly=clearly)
 
 
-def more_is_asked(best: Candidate, places: Where, known: Sequence[str]) -> bool:
-    """Whether a candidate has to leave little before it counts as the explanation.
+def needs_strict_fit(best: Candidate, places: Localisation, known: Sequence[str]) -> bool:
+    """Return whether a candidate must meet the stricter condition of an explanation.
 
-    So it is where every effect that it adds to the ``known`` ones is exact; and where the stages by themselves show
-    that the current is not what voltage and motion make, but none of the effects does anything but move the probe.
+    That is the case where every added effect has an exact law, and where the stages show that the current does not
+    follow from voltage and motion although every added effect only moves the probe.
     """
     added = [effect(name) for name in best.effects if name not in known]
     stages = {item.stage for item in added}
@@ -225,18 +229,20 @@ def more_is_asked(best: Candidate, places: Where, known: Sequence[str]) -> bool:
     return only_moves or all(item.exact for item in added)
 
 
-def _explained(found: Found, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked], places: Where) -> bool:
+def _explained(
+    found: SearchResult, best: Candidate, figures: GapFigures, ranking: Sequence[Ranked], places: Localisation
+) -> bool:
     lead = 0.0
     if any(item is best for item in found.singles):
-        # What this data cannot tell from it is named beside it, and is no rival.
+        # Effects that this data cannot separate are listed with the cause and are not rivals.
         alike = {name for item in ranking if item.effect in best.effects for name in item.indistinguishable}
         lead = lead_of(best, [item for item in found.singles if not alike & set(item.effects)])
-    clearly = more_is_asked(best, places, found.baseline.effects)
-    return explains(found.baseline, best, figures.announced, lead, clearly=clearly)
+    clearly = needs_strict_fit(best, places, found.baseline.effects)
+    return explains(found.baseline, best, figures.predicted_closed, lead, clearly=clearly)
 
 
-def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where:
-    # A cause that is found says more about its stage than the evidence by stages alone.
+def _with_stage_of_cause(found: Localisation, best: Candidate | None, known: Sequence[str]) -> Localisation:
+    # A named cause determines the stage more reliably than the evidence by stages.
     if best is None:
         return found
     stages = [effect(name).stage for name in best.effects if name not in known]
@@ -244,66 +250,66 @@ def _blamed(found: Where, best: Candidate | None, known: Sequence[str]) -> Where
 
 
 def _settled(baseline: Candidate, best: Candidate) -> bool:
-    # Nothing is left that would be worth a longer search.
-    return best.score <= THRESHOLDS.at_the_floor or announced(baseline, best) >= THRESHOLDS.nearly_all
+    # The residual does not justify a longer search.
+    return best.score <= THRESHOLDS.at_the_floor or predicted_closed(baseline, best) >= THRESHOLDS.nearly_all
 
 
-def _with_partners(search: Search, found: Found, best: Candidate) -> tuple[Found, Candidate]:
-    # A second effect beside the best ones, where enough is left for one; no third is looked for.
+def _with_pairs(search: Search, found: SearchResult, best: Candidate) -> tuple[SearchResult, Candidate]:
+    # Pairs of a top candidate and a second effect, where enough is left; there are no triples.
     baseline = found.baseline
     if cost(best) <= THRESHOLDS.pair_gain:
         return found, best
-    pairs = search.partners(baseline, _leaders(found))
+    pairs = search.pairs_with(baseline, _top_candidates(found))
     better = _better(baseline, best, pairs)
     if better is not None and not _settled(baseline, better):
-        pairs = search.further_partners(baseline, better, pairs)
+        pairs = search.further_pairs(baseline, better, pairs)
         better = _better(baseline, best, pairs)
     candidates = tuple(sorted({item.effects: item for item in (*found.candidates, *pairs)}.values(), key=cost))
-    return Found(baseline, found.signatures, candidates), better or best
+    return SearchResult(baseline, found.signatures, candidates), better or best
 
 
-def _leaders(found: Found) -> list[Candidate]:
-    # Of near relations only the first: their partners are the same, and a pair's relations are tried after it.
+def _top_candidates(found: SearchResult) -> list[Candidate]:
+    # Of nested effects only the better one: both have the same partners, and nested effects of a pair are tried later.
     leaders: list[Candidate] = []
     for item in sorted(found.candidates, key=cost):
-        if not any(kin(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders):
+        if not any(nested(effect(item.effects[-1]), effect(other.effects[-1])) for other in leaders):
             leaders.append(item)
-    return leaders[:LEADERS]
+    return leaders[:TOP_CANDIDATES]
 
 
 def _better(baseline: Candidate, best: Candidate, pairs: Sequence[Candidate]) -> Candidate | None:
-    # The best of the pairs, if its second effect is worth naming.
+    # The best pair, if its second effect is worth naming.
     pair = min(pairs, key=cost, default=None)
-    if pair is None or not better_pair(best, pair, announced(baseline, best), announced(baseline, pair)):
+    if pair is None or not better_pair(best, pair, predicted_closed(baseline, best), predicted_closed(baseline, pair)):
         return None
     return pair
 
 
-def figures_of(observed: Observed, baseline: Candidate, best: Candidate | None) -> GapFigures:
-    """The gap before and after, with the interval of what was closed by resampling stretches of the check."""
-    quiet = quiet_tests(observed.tests)
+def figures_of(dataset: Dataset, baseline: Candidate, best: Candidate | None) -> GapFigures:
+    """Return the gap before and after, with a bootstrap interval of the closed share over blocks of the check."""
+    quiet = quiet_tests(dataset.tests)
     before, least = gap(baseline.checked_by, quiet), floor(baseline.checked_by, quiet)
     after = before if best is None else gap(best.checked_by, quiet)
     shut = closed(before, after, least)
     promised, interval = float("nan"), (float("nan"), float("nan"))
     if best is not None:
-        promised = announced(baseline, best)
-        interval = closed_interval(observed, baseline, best)
+        promised = predicted_closed(baseline, best)
+        interval = closed_interval(dataset, baseline, best)
     return GapFigures(before, after, least, shut, interval, promised)
 
 
-def announced(baseline: Candidate, best: Candidate) -> float:
-    """Share of the gap closed on the samples of the choice: what is announced before the check."""
-    quiet = quiet_tests(baseline.fit.parameters.observed.tests)
+def predicted_closed(baseline: Candidate, best: Candidate) -> float:
+    """Return the closed share on the samples for the choice, which is stated before the check."""
+    quiet = quiet_tests(baseline.fit.parameters.dataset.tests)
     return closed(gap(baseline.chosen_by, quiet), gap(best.chosen_by, quiet), floor(baseline.chosen_by, quiet))
 
 
-def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) -> tuple[float, float]:
-    """95 % interval of the closed share: the stretches of the check, drawn again with replacement, and widened."""
+def closed_interval(dataset: Dataset, baseline: Candidate, best: Candidate) -> tuple[float, float]:
+    """Return the 95 % interval of the closed share by a widened bootstrap over the blocks of the check."""
     stretches = list(zip(_stretches(baseline), _stretches(best), strict=True))
     if len(stretches) < 2:
         return float("nan"), float("nan")
-    quiet = quiet_tests(observed.tests)
+    quiet = quiet_tests(dataset.tests)
     random = np.random.default_rng(0)
     drawn = []
     for _ in range(RESAMPLES):
@@ -319,10 +325,10 @@ def closed_interval(observed: Observed, baseline: Candidate, best: Candidate) ->
 
 
 def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]:
-    """95 % interval about a closed share from what ``count`` stretches gave when drawn again, shape (draws,).
+    """Return the 95 % interval around a closed share from bootstrap draws over ``count`` blocks, shape (draws,).
 
-    A test has four or five stretches; drawn again they spread too little, by the factor that parts the deviation of so
-    few from Student's t.
+    A test has four or five blocks. A bootstrap of so few has too small a spread; it is widened by the factor between
+    the normal distribution and Student's t.
     """
     low, high = np.quantile(drawn, [0.025, 0.975])
     wider = float(stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975) * np.sqrt(count / (count - 1)))
@@ -330,9 +336,9 @@ def widened(middle: float, drawn: np.ndarray, count: int) -> tuple[float, float]
 
 
 def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
-    # Errors of every connected stretch of the check.
+    # Errors of every connected block of the check.
     found = []
-    tests = candidate.fit.parameters.observed.tests
+    tests = candidate.fit.parameters.dataset.tests
     for k, test in enumerate(tests):
         serving = test.serving(Purpose.CHECK)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], serving.astype(np.int8), [0]])))
@@ -343,7 +349,7 @@ def _stretches(candidate: Candidate) -> list[list[ChannelError]]:
     return found
 
 
-def _ranking(observed: Observed, found: Found, places: Where) -> tuple[Ranked, ...]:
+def _ranking(dataset: Dataset, found: SearchResult, places: Localisation) -> tuple[Ranked, ...]:
     known = set(found.baseline.effects)
     singles = sorted(found.singles, key=cost)
     shares = _probabilities(found, singles, places)
@@ -358,7 +364,7 @@ def _ranking(observed: Observed, found: Found, places: Where) -> tuple[Ranked, .
             and abs(cost(singles[j]) - cost(item)) < ALIKE_SCORE
             and cosine(surviving[k], surviving[j]) > ALIKE
         )
-        figures = figures_of(observed, found.baseline, item)
+        figures = figures_of(dataset, found.baseline, item)
         ranking.append(
             Ranked(
                 name,
@@ -377,16 +383,16 @@ def _names(singles: Sequence[Candidate], known: set[str]) -> list[str]:
     return [next(name for name in item.effects if name not in known) for item in singles]
 
 
-def _surviving(found: Found, singles: Sequence[Candidate]) -> list[np.ndarray]:
-    # What each refitted candidate took away from the baseline's residuals, after everything else was refitted.
+def _surviving(found: SearchResult, singles: Sequence[Candidate]) -> list[np.ndarray]:
+    # The part of the baseline's residuals that each refitted candidate explains, after a refit of everything else.
     screen = Screen(found.baseline.fit)
     return [screen.surviving(found.baseline.fit.residuals - item.fit.residuals) for item in singles]
 
 
 def parameters_of(candidate: Candidate, name: str) -> dict[str, float]:
-    """Fitted parameters of one effect, SI, those that all tests share."""
+    """Return the fitted parameters of one effect that all tests share, SI."""
     chosen = effect(name)
-    tests = candidate.fit.parameters.observed.tests
+    tests = candidate.fit.parameters.dataset.tests
     values = candidate.fit.parameters.effect_values(candidate.fit.theta, chosen, tests[0].number)
     return {
         parameter.name: float(value)

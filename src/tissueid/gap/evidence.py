@@ -1,4 +1,4 @@
-"""What each stage shows when everything upstream of it is measured, and what of it is another stage's doing."""
+"""Evidence against each stage of the chain, simulated from measured upstream signals, without any list of effects."""
 
 from __future__ import annotations
 
@@ -9,123 +9,142 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.backemf import Followed, followed
+from tissueid.gap.backemf import BackEmfShare, back_emf_share
+from tissueid.gap.dataset import Dataset, DatasetTest
+from tissueid.gap.disturbances import SETTLING_S, lost_samples, mains_lines, quiet_motion
 from tissueid.gap.fitting import Fit
-from tissueid.gap.forces import Family, families
+from tissueid.gap.forces import DEPTH, OF_TIME_AND_PAST, PERIODIC, ForceFamily, force_families
 from tissueid.gap.noise import coarse_step
-from tissueid.gap.observed import Observed, ObservedTest
-from tissueid.gap.rhythm import SETTLING_S, lines, restlessness, slips
-from tissueid.gap.stagewise import (
+from tissueid.gap.stage_substitution import (
     COIL,
     DRIVE,
     MOVING,
     SPRING,
     TISSUE,
-    Substituted,
-    carried_noise,
-    substitute,
+    StageSimulation,
+    propagated_noise,
+    simulate_stage,
     velocity_noise,
 )
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.twin.effect import Stage
 
 FloatArray = NDArray[np.float64]
 
 MARGIN = 1.2
-"""Errors up to so many times the floor are the floor: the noise is known to some 5 %."""
+"""Largest error in floors that counts as noise: the noise is known to about 5 %."""
 _COARSE = 3.0
-"""A step of the reading is coarse where it is so many times the noise."""
+"""Least quantization step of the position that is a finding, in deviations of the noise."""
 _SETTLED = 40
+"""Samples at the start of a test that are left out."""
 _RESTING_M = 3e-4
-_PLACES = {"spring": "without tissue", "tissue": "on tissue"}
+"""Largest deviation of the position in a quiet test on the skin, m."""
 _UNMOVED = 0.6
+"""Least share of the error that stays with the simulated motion before the recorded motion is tried."""
 _FAR = 20.0
+"""Error in floors above which a stage is refitted from the starting values."""
 _FOLLOWS_NOT = 0.4
-"""Where the coil's own equation is broken by the reading, and whole without it, less need be sure of the share."""
+"""Largest share of the recorded motion in the back-EMF when the current fits without the position."""
 _CLEARLY = 0.2
+"""Lead of a periodic motion over forces of time and past, nats: it is flexible enough to imitate them."""
 _AS_GOOD = 0.9
+"""Least gain of a static law relative to a periodic force for the law to be preferred."""
 _LEAST_GAIN = 0.02
-"""Nats a sample that a family of forces takes away on held-out stretches where something is there to take."""
+"""Least gain of a kind of force on held-out data that is a finding, nats a sample."""
+_FROM_COMMAND = marked("from the command")
+_FROM_VOLTAGE_AND_MOTION = marked("from voltage and motion")
+_FROM_VOLTAGE = marked("from the voltage")
+_FROM_CURRENT = marked("from the current")
 
 
 @dataclass(frozen=True)
 class StageFinding:
-    """One thing that speaks against a stage.
+    """One finding against a stage.
 
     ``weight`` is the error in nats: the logarithm of error over floor. ``error`` and ``floor`` are standard deviations,
     SI, of ``channel``.
     """
 
     stage: Stage
-    what: str
+    what: Message
     weight: float
     channel: str
     error: float
     floor: float
 
     def as_answer(self) -> dict[str, Any]:
-        """Plain values."""
-        return dict(vars(self))
+        """Return plain values for JSON: the text under ``what``, its code and values under ``message``."""
+        return vars(self) | {"what": str(self.what), "message": self.what.as_dict()}
 
 
 @dataclass(frozen=True)
 class Evidence:
     """All findings, heaviest first.
 
-    ``nearest`` says how near to a finding each stage came, ``errors`` the errors of each question in floors:
-    ``drive``, ``coil``, ``free current`` (from measured voltage without the position), ``spring``, ``tissue``.
+    ``nearest`` holds the error of each stage in floors, ``errors`` that of each simulation: ``drive``, ``coil``,
+    ``free current`` (from measured voltage without the position), ``spring``, ``tissue``.
     """
 
     findings: tuple[StageFinding, ...]
     nearest: dict[Stage, float]
     errors: dict[str, float]
-    followed: Followed
-    families: tuple[Family, ...]
-    """Of the force that is missing on tissue, best first."""
-    fixture_families: tuple[Family, ...]
-    """The same on the spring or in free air."""
-    answers: dict[str, Substituted] = field(repr=False)
+    followed: BackEmfShare
+    force_families: tuple[ForceFamily, ...]
+    """Kinds of unmodelled force on tissue, best first."""
+    fixture_families: tuple[ForceFamily, ...]
+    """Kinds of unmodelled force on the spring or in free air, best first."""
+    answers: dict[str, StageSimulation] = field(repr=False)
 
 
-def evidence(observed: Observed, baseline: Fit) -> Evidence:
-    """Put every stage's question to the tests that can answer it."""
-    return _Inquiry(observed, baseline).run()
+def gather_evidence(dataset: Dataset, baseline: Fit) -> Evidence:
+    """Simulate every stage from measured upstream signals, in the tests that allow it, and return the findings."""
+    return _StageAnalysis(dataset, baseline).run()
 
 
-class _Inquiry:
-    """The questions, one after the other; later ones know the answers of the earlier."""
+class _StageAnalysis:
+    """The simulations of the stages in order; later ones use the results of earlier ones."""
 
-    def __init__(self, observed: Observed, baseline: Fit) -> None:
-        self._observed, self._baseline = observed, baseline
-        self._noise = observed.noise
-        self._has = set(observed.recorded)
+    def __init__(self, dataset: Dataset, baseline: Fit) -> None:
+        self._observed, self._baseline = dataset, baseline
+        self._noise = dataset.noise
+        self._has = set(dataset.recorded)
         self._findings: list[StageFinding] = []
         self._errors: dict[str, float] = {}
-        self._answers: dict[str, Substituted] = {}
-        self._tissue = [test for test in observed.tests if test.fixture == "tissue" and not test.quiet]
-        self._fixture = [test for test in observed.tests if test.fixture != "tissue" and not test.quiet]
-        self._step = max((coarse_step(test.signals["position"]) for test in observed.tests), default=0.0)
+        self._answers: dict[str, StageSimulation] = {}
+        self._tissue = [test for test in dataset.tests if test.fixture == "tissue" and not test.quiet]
+        self._fixture = [test for test in dataset.tests if test.fixture != "tissue" and not test.quiet]
+        self._step = max((coarse_step(test.signals["position"]) for test in dataset.tests), default=0.0)
         self._position_noise = float(np.hypot(self._noise["position"], self._step / np.sqrt(12.0)))
         self._slipped = False
         self._floors: dict[str, float] = {}
 
     def run(self) -> Evidence:
-        """Ask everything."""
+        """Run all simulations."""
         self._resolution()
         self._impulses()
         self._drive()
         self._quiet()
         coil = self._coil()
-        free, told = self._free()
+        free, back_emf = self._free()
         mechanics = self._ask_motion("spring", self._fixture, (*MOVING, *SPRING), on_tissue=False)
         tests = [test for test in self._tissue if test.repeat_of is None]
         tissue = self._ask_motion("tissue", tests, (*MOVING, *TISSUE), on_tissue=True)
-        self._judge(coil, free, told, mechanics, tissue)
+        self._judge(coil, free, back_emf, mechanics, tissue)
         self._findings.sort(key=lambda item: -item.weight)
         return Evidence(
-            tuple(self._findings), self._nearest(), self._errors, told, tuple(tissue), tuple(mechanics), self._answers
+            tuple(self._findings),
+            self._nearest(),
+            self._errors,
+            back_emf,
+            tuple(tissue),
+            tuple(mechanics),
+            self._answers,
         )
 
-    def _add(self, stage: Stage, what: str, times: float, channel: str, floor: float, least: float = MARGIN) -> None:
+    def _add(
+        self, stage: Stage, what: Message, times: float, channel: str, floor: float, least: float = MARGIN
+    ) -> None:
         if times > least:
             self._findings.append(StageFinding(stage, what, float(np.log(times)), channel, times * floor, floor))
 
@@ -138,33 +157,42 @@ class _Inquiry:
     def _resolution(self) -> None:
         if self._step > _COARSE * self._noise["position"]:
             times = self._position_noise / self._noise["position"]
-            what = f"the position comes in steps of {1e6 * self._step:.3g} um"
+            what = Message(
+                "evidence.coarse_position", "Position in steps of {step_um:.3g} µm", step_um=1e6 * self._step
+            )
             self._add("sensing", what, times, "position", self._noise["position"])
 
     def _impulses(self) -> None:
         for name, whole in self._observed.impulsive.items():
-            what = f"single readings of the {name} are far off"
+            what = Message("evidence.outliers", "Isolated outliers in the {channel}", channel=name)
             self._add("sensing", what, whole / self._noise[name], name, self._noise[name])
 
     def _quiet(self) -> None:
         quiet = [test for test in self._observed.tests if test.quiet]
-        # A probe that gravity takes off the skin shows nothing of what the skin does.
+        # A probe that falls off the skin says nothing about the motion of the skin.
         resting = [test for test in quiet if float(np.nanstd(test.signals["position"][_settled(test) :])) < _RESTING_M]
-        restless = [restlessness(test.signals["position"], test.sample_rate_hz) for test in resting]
+        restless = [quiet_motion(test.signals["position"], test.sample_rate_hz) for test in resting]
         floor = self._position_noise
         self._errors["quiet"] = max(restless, default=floor) / floor
-        self._add("environment", "the position moves while nothing is asked", self._errors["quiet"], "position", floor)
+        what = Message("evidence.quiet_motion", "The position moves without a command")
+        self._add("environment", what, self._errors["quiet"], "position", floor)
 
-    def _without_lines(self, answer: Substituted, floor: float, what: str) -> float:
-        """Error of an answer in floors, the worst test's, without the mains; which speaks against the environment."""
+    def _without_lines(self, answer: StageSimulation, floor: float, source: str) -> float:
+        """Return the largest error of a simulation in floors without mains lines, which become a finding."""
         left, hum = [], []
         for test in answer.tests:
             residual = answer.residual(test)
-            found = lines(residual, test.sample_rate_hz)
+            found = mains_lines(residual, test.sample_rate_hz)
             hum.append(found.deviation)
             left.append(float(np.nanstd((residual - found.waveform)[_SETTLED:])))
         times = float(np.hypot(max(hum), floor)) / floor
-        self._add("environment", f"lines of the mains in the {answer.channel}, {what}", times, answer.channel, floor)
+        what = Message(
+            "evidence.mains",
+            "Mains lines in the {channel}, relative to the prediction {source}",
+            channel=answer.channel,
+            source=source,
+        )
+        self._add("environment", what, times, answer.channel, floor)
         return max(left) / floor
 
     # -- upstream of the motion ---------------------------------------------------------------------------------
@@ -173,21 +201,28 @@ class _Inquiry:
         if "voltage" not in self._has:
             return
         floor = self._noise["voltage"]
-        answer = substitute(self._baseline, self._observed.tests, (), "voltage", DRIVE, floor)
+        answer = simulate_stage(self._baseline, self._observed.tests, (), "voltage", DRIVE, floor)
         self._answers["drive"] = answer
-        self._errors["drive"] = self._without_lines(answer, floor, "from the command")
+        self._errors["drive"] = self._without_lines(answer, floor, _FROM_COMMAND)
         if self._errors["drive"] <= MARGIN:
             return
         moved = [
-            slips(test.command, test.signals["voltage"], test.sample_rate_hz) for test in answer.tests if not test.quiet
+            lost_samples(test.command, test.signals["voltage"], test.sample_rate_hz)
+            for test in answer.tests
+            if not test.quiet
         ]
         worst = max(moved, key=abs, default=0)
         if worst:
             self._slipped = True
-            what = f"the record slips by {abs(worst)} samples against the command"
+            what = Message(
+                "evidence.lost_samples",
+                "The record is shifted by {count} samples against the command",
+                count=abs(worst),
+            )
             self._add("sensing", what, self._errors["drive"], "voltage", floor)
         else:
-            self._add("drive", "the voltage is not what the command asks", self._errors["drive"], "voltage", floor)
+            what = Message("evidence.voltage", "The voltage does not follow the command")
+            self._add("drive", what, self._errors["drive"], "voltage", floor)
 
     def _coil_floor(self) -> float:
         instrument = self._baseline.parameters.instrument(self._baseline.theta)
@@ -202,90 +237,99 @@ class _Inquiry:
             return 1.0
         floor, tests = self._coil_floor(), self._observed.tests
         names = ("voltage", "motion")
-        answer = substitute(self._baseline, tests, names, "current", COIL, self._noise["current"])
+        answer = simulate_stage(self._baseline, tests, names, "current", COIL, self._noise["current"])
         self._answers["coil"] = answer
-        self._errors["coil"] = self._without_lines(answer, floor, "from voltage and motion")
+        self._errors["coil"] = self._without_lines(answer, floor, _FROM_VOLTAGE_AND_MOTION)
         return self._errors["coil"]
 
-    def _free(self) -> tuple[float, Followed]:
-        """Current from the voltage alone: how well, and whether it follows the reading or the simulation."""
-        unknown = Followed(float("nan"), float("inf"))
+    def _free(self) -> tuple[float, BackEmfShare]:
+        """Return the error of the current from the voltage, and which motion it follows: recorded or simulated."""
+        unknown = BackEmfShare(float("nan"), float("inf"))
         tests = [*self._tissue[:1], *self._fixture[:1]]
         if not {"voltage", "current"} <= self._has or not tests:
             return 1.0, unknown
         floor = self._noise["current"]
         free = (*COIL, *MOVING[1:], *TISSUE, *SPRING)
-        answer = substitute(self._baseline, tests, ("voltage",), "current", free, floor, ("position",))
+        answer = simulate_stage(self._baseline, tests, ("voltage",), "current", free, floor, ("position",))
         self._answers["free current"] = answer
-        self._errors["free current"] = self._without_lines(answer, floor, "from the voltage")
-        told = [followed(self._baseline, answer, test, floor, self._position_noise) for test in tests]
-        weights = np.array([item.error**-2.0 for item in told])
+        self._errors["free current"] = self._without_lines(answer, floor, _FROM_VOLTAGE)
+        back_emf = [back_emf_share(self._baseline, answer, test, floor, self._position_noise) for test in tests]
+        weights = np.array([item.error**-2.0 for item in back_emf])
         if not weights.sum() > 0.0:
             return self._errors["free current"], unknown
-        shares = np.nan_to_num([item.share for item in told])
-        return self._errors["free current"], Followed(
+        shares = np.nan_to_num([item.share for item in back_emf])
+        return self._errors["free current"], BackEmfShare(
             float(weights @ shares / weights.sum()), float(weights.sum() ** -0.5)
         )
 
     # -- the motion ---------------------------------------------------------------------------------------------
 
-    def _motion_floor(self, tests: Sequence[ObservedTest], upstream: tuple[str, ...]) -> float:
-        # The measured current drives the twin with its noise. A nearly linear twin filters it away; friction that
-        # sticks or slips by it moves the probe by more than the position's own noise.
+    def _motion_floor(self, tests: Sequence[DatasetTest], upstream: tuple[str, ...]) -> float:
+        # The measured current drives the twin with its noise. A nearly linear twin filters the noise; friction turns it
+        # into motion above the noise of the position.
         if not upstream or not self._baseline.parameters.effects:
             return self._position_noise
-        carried = carried_noise(self._baseline, tests, upstream[0], self._noise[upstream[0]])
+        carried = propagated_noise(self._baseline, tests, upstream[0], self._noise[upstream[0]])
         return float(np.hypot(self._position_noise, carried))
 
     def _ask_motion(
-        self, name: str, tests: Sequence[ObservedTest], free: Sequence[str], *, on_tissue: bool
-    ) -> list[Family]:
+        self, name: str, tests: Sequence[DatasetTest], free: Sequence[str], *, on_tissue: bool
+    ) -> list[ForceFamily]:
         if not tests:
             return []
         upstream = ("current",) if "current" in self._has else ("voltage",) if "voltage" in self._has else ()
         floor = self._floors[name] = self._motion_floor(tests, upstream)
-        answer = substitute(self._baseline, tests, upstream, "position", free, floor)
+        answer = simulate_stage(self._baseline, tests, upstream, "position", free, floor)
         if _worst(answer) > _FAR * floor:
-            # The baseline may lie far off where another stage misled it: begin once more where nothing is known.
+            # Another stage can have misled the baseline: fit again from the starting values.
             afresh = self._baseline.parameters.array("start")
-            again = substitute(self._baseline, tests, upstream, "position", free, floor, theta=afresh)
+            again = simulate_stage(self._baseline, tests, upstream, "position", free, floor, theta=afresh)
             answer = again if _worst(again) < _worst(answer) else answer
         self._answers[name] = answer
-        self._without_lines(answer, floor, "from the current")
-        found = families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
+        self._without_lines(answer, floor, _FROM_CURRENT)
+        found = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue)
         if found and found[0].left > _UNMOVED * found[0].before > _UNMOVED * MARGIN:
-            # Far from the simulated motion, as behind a wall, only the recorded one says where the force acts.
-            along = families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
+            # Far from the simulated motion, as behind a wall, only the recorded motion shows where the force acts.
+            along = force_families(self._baseline, answer, tests, floor, on_tissue=on_tissue, recorded=True)
             found = along if along[0].left < found[0].left else found
         self._errors[name] = found[0].before if found else 1.0
-        return _steady(found)
+        return _without_periodic_motion(found)
 
     def _judge(
-        self, coil: float, free: float, told: Followed, mechanics: Sequence[Family], tissue: Sequence[Family]
+        self,
+        coil: float,
+        free: float,
+        back_emf: BackEmfShare,
+        mechanics: Sequence[ForceFamily],
+        tissue: Sequence[ForceFamily],
     ) -> None:
-        wrong_reading = bool(np.isfinite(told.share)) and told.error < 0.04 and told.share + 2.0 * told.error < 0.2
+        wrong_reading = (
+            bool(np.isfinite(back_emf.share)) and back_emf.error < 0.04 and back_emf.share + 2.0 * back_emf.error < 0.2
+        )
         if self._fixture and self._errors["spring"] <= MARGIN:
-            # A wrong sensor is wrong on the spring as well.
+            # A faulty sensor is faulty on the spring as well.
             wrong_reading = False
         drive = self._errors.get("drive", 1.0)
         if coil > MARGIN and not self._slipped:
-            # Volts that the amplifier does not deliver are amperes that the coil does not get.
+            # A voltage that the amplifier does not deliver is missing in the current.
             resistance = self._observed.instrument.coil_resistance_ohm
             from_drive = drive > MARGIN and drive * self._noise["voltage"] > coil * self._coil_floor() * resistance
-            healed = free < max(MARGIN, 1.0 + 0.25 * (coil - 1.0)) and told.share + 2.0 * told.error < _FOLLOWS_NOT
-            # A delay is the same on tissue and off it; what only looks late is late in one of them.
+            healed = (
+                free < max(MARGIN, 1.0 + 0.25 * (coil - 1.0)) and back_emf.share + 2.0 * back_emf.error < _FOLLOWS_NOT
+            )
+            # A true delay is the same on tissue and on the spring.
             asked = [item for item in (tissue, mechanics) if item and item[0].before > MARGIN]
             late = any(map(_late, asked)) and all(item[0].stage == "drive" for item in asked)
             if from_drive:
                 wrong_reading = False
             elif healed:
-                what = "the position does not show the motion that the back-EMF shows"
+                what = Message("evidence.back_emf", "The position contradicts the motion that the back-EMF shows")
                 self._add("sensing", what, coil, "current", self._coil_floor())
             elif late:
-                what = "everything from the current on comes late"
+                what = Message("evidence.lag", "Current and motion lag the command")
                 self._add("drive", what, coil, "current", self._coil_floor())
             else:
-                what = "the current is not what voltage and motion make"
+                what = Message("evidence.current", "The current does not follow from voltage and motion")
                 self._add("coil", what, coil, "current", self._coil_floor())
         at_coil = any(item.stage == "coil" for item in self._findings)
         for name, found in (("spring", mechanics), ("tissue", tissue)):
@@ -294,49 +338,62 @@ class _Inquiry:
                 continue
             floor = self._floors[name]
             if wrong_reading and not at_coil:
-                self._add("sensing", f"{_PLACES[name]} the reading departs from the motion", times, "position", floor)
+                self._add("sensing", _reading(name), times, "position", floor)
                 continue
-            chosen = self._blamed(name, found, at_coil, coil)
-            what = f"{_PLACES[name]} a force is missing that goes with {chosen.kind}"
-            self._add(chosen.stage, what, times, "position", floor, least=1.0)
+            chosen = self._force_at_fault(name, found, at_coil, coil)
+            self._add(chosen.stage, _force(name, chosen.kind), times, "position", floor, least=1.0)
 
-    def _blamed(self, name: str, found: Sequence[Family], at_coil: bool, coil: float) -> Family:
+    def _force_at_fault(self, name: str, found: Sequence[ForceFamily], at_coil: bool, coil: float) -> ForceFamily:
         if not (coil > MARGIN and _late(found)) or at_coil:
             found = [item for item in found if item.stage != "drive"]
         on_fixture = self._errors.get("spring", 1.0) > MARGIN
         best = found[0]
         if name == "tissue" and self._fixture and not on_fixture:
-            # What leaves the spring alone is the tissue's, or the surroundings'.
+            # An effect that is absent on the spring belongs to the tissue or the surroundings.
             return next((item for item in found if item.stage in ("tissue", "environment")), best)
         if name == "tissue" and on_fixture:
             best = next((item for item in found if item.stage not in ("tissue", "environment")), best)
         if self._errors.get("quiet", 1.0) > MARGIN and self._errors["quiet"] > 0.3 * self._errors[name]:
             return next((item for item in found if item.stage == "environment"), best)
-        if best.kind == "periodic along the stroke" and not on_fixture:
-            # Over little more than one period a wave is any bent law, and tissue is the likelier to have one.
-            law = next((item for item in found if item.kind == "depth"), best)
+        if best.kind == PERIODIC and not on_fixture:
+            # Over about one period a periodic force imitates any curved law, and a law of the tissue is likelier.
+            law = next((item for item in found if item.kind == DEPTH), best)
             best = law if law.gain >= _AS_GOOD * best.gain else best
         ours = next((item for item in found if item.stage == "coil"), best)
         return ours if at_coil and ours.gain > 0.3 * best.gain else best
 
 
-def _steady(found: Sequence[Family]) -> list[Family]:
-    """With a rhythm behind what goes with time and past alone unless clearly better: it is wide enough for both."""
-    others = [item for item in found if item.kind in ("wear", "memory", "loops", "current by time")]
+def _reading(name: str) -> Message:
+    if name == "spring":
+        return Message("evidence.reading_off_tissue", "Without tissue the position reading departs from the motion")
+    return Message("evidence.reading_on_tissue", "On tissue the position reading departs from the motion")
+
+
+def _force(name: str, kind: str) -> Message:
+    if name == "spring":
+        return Message(
+            "evidence.force_off_tissue", "Unmodelled force without tissue, correlated with {kind}", kind=kind
+        )
+    return Message("evidence.force_on_tissue", "Unmodelled force on tissue, correlated with {kind}", kind=kind)
+
+
+def _without_periodic_motion(found: Sequence[ForceFamily]) -> list[ForceFamily]:
+    """Order periodic motion behind forces of time and past unless clearly better: it is flexible enough for both."""
+    others = [item for item in found if item.kind in OF_TIME_AND_PAST]
     best = max((item.gain for item in others), default=-np.inf)
     held_back = [item for item in found if item.stage == "environment" and item.gain < best + _CLEARLY]
     return sorted(found, key=lambda item: -(min(item.gain, best - 1e-6) if item in held_back else item.gain))
 
 
-def _late(found: Sequence[Family]) -> bool:
+def _late(found: Sequence[ForceFamily]) -> bool:
     if not found or found[0].stage != "drive" or found[0].gain < 5.0 * _LEAST_GAIN:
         return False
     return found[0].left < max(1.1, 0.6 * found[0].before)
 
 
-def _worst(answer: Substituted) -> float:
+def _worst(answer: StageSimulation) -> float:
     return max(float(np.nanstd(answer.residual(test)[_SETTLED:])) for test in answer.tests)
 
 
-def _settled(test: ObservedTest) -> int:
+def _settled(test: DatasetTest) -> int:
     return min(round(SETTLING_S * test.sample_rate_hz), test.command.size // 2)

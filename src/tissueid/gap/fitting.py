@@ -1,4 +1,4 @@
-"""Fitting the chain to all signals of all tests at once: bounded least squares with priors."""
+"""Fit of the chain to all signals of all tests: bounded least squares with priors."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.observed import LEAST_NOISE, Observed, ObservedTest, Purpose
+from tissueid.gap.dataset import LEAST_NOISE, Dataset, DatasetTest, Purpose
+from tissueid.gap.forward_model import simulate_test
 from tissueid.gap.parameters import Parametrisation, parametrise
-from tissueid.gap.playing import played
 from tissueid.twin.effect import Effect
 
 FloatArray = NDArray[np.float64]
@@ -18,25 +18,25 @@ Predictions = list[dict[str, FloatArray]]
 
 MOST_STEPS = 100
 TOLERANCE = 1e-4
-"""A step that lowers the cost by less than this share of it is the last."""
-READINGS = 4
-"""So many times an effect is read again."""
+"""Relative decrease of the cost below which the fit ends."""
+ESTIMATES = 4
+"""Most re-estimates of an effect from the record."""
 WORST = 1e6
-"""Residuals are held below so many noise deviations, so that a simulation that ran away still has a cost."""
+"""Bound of a residual in noise deviations, so that a diverging simulation still has a cost."""
 
 
-def predict(parameters: Parametrisation, theta: FloatArray, tests: Sequence[ObservedTest] | None = None) -> Predictions:
-    """What the twin of a vector predicts for each test, channel by channel, from what drives it alone."""
+def predict(parameters: Parametrisation, theta: FloatArray, tests: Sequence[DatasetTest] | None = None) -> Predictions:
+    """Return the prediction of each test by channel, simulated from the excitation only."""
     found = []
-    for test in parameters.observed.tests if tests is None else tests:
-        readings = played(parameters, theta, test)
-        found.append({name: getattr(readings, name) for name in parameters.observed.channels})
+    for test in parameters.dataset.tests if tests is None else tests:
+        readings = simulate_test(parameters, theta, test)
+        found.append({name: getattr(readings, name) for name in parameters.dataset.channels})
     return found
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted twin: where it lies, its cost, and what it predicts for each test."""
+    """A fitted twin: its coordinates, its cost, and its prediction of each test."""
 
     parameters: Parametrisation = field(repr=False)
     theta: FloatArray
@@ -44,12 +44,12 @@ class Fit:
     """Sum of squares of residuals in noise deviations on the fitted samples, with the priors."""
     predictions: Predictions = field(repr=False)
     residuals: FloatArray = field(repr=False)
-    """On the fitted samples, in noise deviations, test by test and channel by channel."""
+    """Residuals of the fitted samples in noise deviations, by test and channel."""
     jacobian: FloatArray = field(repr=False)
     steps: int
 
     def value(self, name: str) -> float:
-        """A coordinate by its name, as it is fitted."""
+        """Return a coordinate by name, in fitted units."""
         return float(self.theta[self.parameters.index[name]])
 
 
@@ -58,7 +58,7 @@ class Cancelled(Exception):  # noqa: N818 - a signal to stop, not an error that 
 
 
 def fit(
-    observed: Observed,
+    dataset: Dataset,
     effects: Sequence[Effect] = (),
     starts: Sequence[Sequence[float]] = (),
     *,
@@ -66,18 +66,18 @@ def fit(
     most_steps: int = MOST_STEPS,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Fit:
-    """Fit baseline and effects together to the samples that serve the fit.
+    """Fit baseline and effects together to the samples for the fit.
 
     Args:
-        observed: the tests.
-        effects: candidates to add to the baseline.
-        starts: where the search starts in each one's parameters; its first declared starting point where none is given.
-        near: another fit whose common coordinates are where this one starts.
+        dataset: the tests.
+        effects: effects in addition to the baseline.
+        starts: starting point of each effect; its first declared one where none is given.
+        near: another fit that provides the starting values of common coordinates.
         most_steps: most accepted steps.
-        cancelled: asked now and then; True stops with ``Cancelled``.
+        cancelled: callback that returns True to stop with ``Cancelled``.
     """
     before, known = ((), None) if near is None else (near.predictions, near.parameters)
-    parameters = parametrise(observed, effects, starts, before, known)
+    parameters = parametrise(dataset, effects, starts, before, known)
     theta = parameters.array("start")
     if near is not None:
         for k, item in enumerate(parameters.coordinates):
@@ -88,24 +88,24 @@ def fit(
     return _Search(parameters, low, high, cancelled).run(theta, near, most_steps)
 
 
-def read_again(found: Fit, most_steps: int = MOST_STEPS, readings: int = READINGS) -> Fit:
-    """A fit, after what its effects are read to be was read once more from where it lies, if that fits better.
+def re_estimate(found: Fit, most_steps: int = MOST_STEPS, readings: int = ESTIMATES) -> Fit:
+    """Re-estimate the per-test parameters at a fit and refit. Return the better of the two fits.
 
     Args:
-        found: the fit; the same is returned where none of its effects is read again.
-        most_steps: most accepted steps of each fit that follows.
-        readings: so many times at most.
+        found: the fit; returned unchanged where none of its effects is re-estimated.
+        most_steps: most accepted steps of each refit.
+        readings: most re-estimates.
     """
     parameters = found.parameters
-    again = [effect for effect in parameters.effects if effect.read_again]
+    again = [effect for effect in parameters.effects if effect.re_estimate]
     for _ in range(readings if again else 0):
         for effect in again:
             without = predict(found.parameters.without(effect.name), found.theta)
-            parameters = parameters.read_again(effect, without)
+            parameters = parameters.re_estimate(effect, without)
         if parameters.constants == found.parameters.constants:
             break
         from_there = replace(found, parameters=parameters)
-        better = fit(parameters.observed, parameters.effects, near=from_there, most_steps=most_steps)
+        better = fit(parameters.dataset, parameters.effects, near=from_there, most_steps=most_steps)
         if better.cost >= found.cost:
             break
         found, parameters = better, better.parameters
@@ -113,21 +113,21 @@ def read_again(found: Fit, most_steps: int = MOST_STEPS, readings: int = READING
 
 
 def _read_where_nothing_is_fitted(found: Fit) -> Fit:
-    # What is a held-out test's own is read once more from where the fit ended: it costs the fit nothing.
+    # Per-test parameters of held-out tests are re-estimated at the final fit, without a refit.
     parameters = found.parameters
-    held_out = [test for test in parameters.observed.tests if not test.serving(Purpose.FIT).any()]
+    held_out = [test for test in parameters.dataset.tests if not test.serving(Purpose.FIT).any()]
     if not held_out:
         return found
     for effect in parameters.effects:
-        if effect.read_again:
-            fresh = parameters.read_again(effect, predict(parameters.without(effect.name), found.theta)).constants
+        if effect.re_estimate:
+            fresh = parameters.re_estimate(effect, predict(parameters.without(effect.name), found.theta)).constants
             own = {name: fresh[name] for name in fresh if name.endswith(tuple(f"@{test.number}" for test in held_out))}
             parameters = replace(parameters, constants=parameters.constants | own)
     again = {
         test.number: value for test, value in zip(held_out, predict(parameters, found.theta, held_out), strict=True)
     }
     predictions = [
-        again.get(test.number, kept) for test, kept in zip(parameters.observed.tests, found.predictions, strict=True)
+        again.get(test.number, kept) for test, kept in zip(parameters.dataset.tests, found.predictions, strict=True)
     ]
     return replace(found, parameters=parameters, predictions=predictions)
 
@@ -135,14 +135,14 @@ def _read_where_nothing_is_fitted(found: Fit) -> Fit:
 def differences(
     baseline: Fit, effect: Effect, start: Sequence[float], *, slopes: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """By how much an effect at a starting point changes the residuals of a fit, shape as ``Fit.residuals``.
+    """Return the change of the residuals of a fit by an effect at a starting point, shape as ``Fit.residuals``.
 
-    And its derivatives there by the effect's own coordinates, shape (residuals, coordinates); none without ``slopes``.
+    With ``slopes`` also its derivatives by the effect's coordinates, shape (residuals, coordinates).
     """
     before = baseline.parameters
     effects = [*before.effects, effect]
     starts = [*(item.starts[0] for item in before.effects), start]
-    parameters = parametrise(before.observed, effects, starts, baseline.predictions, before)
+    parameters = parametrise(before.dataset, effects, starts, baseline.predictions, before)
     theta = parameters.array("start")
     for name, k in before.index.items():
         theta[parameters.index[name]] = baseline.theta[k]
@@ -153,7 +153,7 @@ def differences(
 
 
 class _Search:
-    """Levenberg-Marquardt steps within bounds; the Jacobian is renewed by secants while that serves."""
+    """Levenberg-Marquardt optimiser with bounds; the Jacobian is updated by secants where they suffice."""
 
     def __init__(
         self,
@@ -169,9 +169,9 @@ class _Search:
         self._steps = parameters.array("step")
         self._reach = parameters.array("reach")
         self._prior, self._std = parameters.array("prior"), parameters.array("prior_std")
-        observed = parameters.observed
-        self._tests = observed.tests
-        self._channels = observed.channels
+        dataset = parameters.dataset
+        self._tests = dataset.tests
+        self._channels = dataset.channels
         self._weights = [self._weights_of(weighed_as or parameters, test) for test in self._tests]
         self._masks = [
             {name: test.serving(Purpose.FIT) & np.isfinite(test.signals[name]) for name in self._channels}
@@ -181,10 +181,11 @@ class _Search:
         self._fitted = [count > 0 for count in counts]
         self._ends = np.cumsum([0, *counts])
 
-    def _weights_of(self, parameters: Parametrisation, test: ObservedTest) -> dict[str, float]:
-        beside = parameters.irreducible(parameters.array("start"), test.number)
+    def _weights_of(self, parameters: Parametrisation, test: DatasetTest) -> dict[str, float]:
+        irreducible = parameters.irreducible(parameters.array("start"), test.number)
         return {
-            name: 1.0 / max(float(np.hypot(parameters.observed.noise[name], beside.get(name, 0.0))), LEAST_NOISE[name])
+            name: 1.0
+            / max(float(np.hypot(parameters.dataset.noise[name], irreducible.get(name, 0.0))), LEAST_NOISE[name])
             for name in self._channels
         }
 
@@ -203,7 +204,7 @@ class _Search:
                 moved = trial - theta
                 expected = residuals + jacobian @ moved
                 promised = cost - self._cost(trial, expected)
-                # Broyden: the secant that was just seen, the rest as it was.
+                # Broyden's update by the last secant.
                 scaled = moved / self._steps
                 jacobian += np.outer(then - expected, scaled / self._steps) / float(scaled @ scaled)
                 small, poor = gain < TOLERANCE * cost, gain < 0.3 * promised
@@ -231,16 +232,16 @@ class _Search:
     def _step(
         self, theta: FloatArray, residuals: FloatArray, jacobian: FloatArray, cost: float, damping: float
     ) -> tuple[FloatArray, float]:
-        # A step within the reach of every coordinate, and the damping that made it so.
+        # A step within the trust region of every coordinate, and its damping.
         normal = jacobian.T @ jacobian + np.diag(self._std**-2.0)
         slope = jacobian.T @ residuals + (theta - self._prior) * self._std**-2.0
-        # A coordinate that pushes against its bound takes no part.
+        # A coordinate at its bound that would leave it is fixed.
         free = ~(((theta <= self._low) & (slope > 0.0)) | ((theta >= self._high) & (slope < 0.0)))
         step = np.zeros_like(theta)
         if not free.any():
             return step, damping
         inner, reach = normal[np.ix_(free, free)], self._reach[free]
-        # What the data hardly feels may not be thrown about: going as far as its reach costs a share of the whole.
+        # Coordinates without influence are damped: a step over their whole reach costs a share of the total.
         scale = np.diag(inner) + cost / reach**2
         while True:
             part = -np.linalg.solve(inner + damping * np.diag(scale), slope[free])
@@ -250,7 +251,7 @@ class _Search:
             damping *= 3.0
 
     def _jacobian(self, theta: FloatArray, residuals: FloatArray, near: Fit | None) -> FloatArray:
-        # Columns that another fit has already are taken from there.
+        # Columns known from another fit are reused.
         names = [item.name for item in self._parameters.coordinates]
         known = {} if near is None else {k: near.parameters.index.get(name) for k, name in enumerate(names)}
         new = [k for k in range(theta.size) if known.get(k) is None]
@@ -262,7 +263,7 @@ class _Search:
         return jacobian
 
     def slopes(self, theta: FloatArray, residuals: FloatArray, places: Sequence[int]) -> FloatArray:
-        """Derivatives of the residuals by the coordinates at some places, shape (residuals, places)."""
+        """Return derivatives of the residuals by some coordinates, shape (residuals, places)."""
         found = np.empty((residuals.size, len(places)))
         for column, k in enumerate(places):
             if self._cancelled():
@@ -277,9 +278,10 @@ class _Search:
     def residuals(
         self, theta: FloatArray, only: int | None = None, others: FloatArray | None = None
     ) -> tuple[FloatArray, Predictions]:
-        """Residuals and predictions of the tests that are fitted, or of one while the others' residuals stay.
+        """Return residuals and predictions of the fitted tests, or of one test with the residuals of the others
+        unchanged.
 
-        The predictions of a test that was left alone are empty.
+        Predictions of unchanged tests are empty.
         """
         chosen = [k for k, test in enumerate(self._tests) if self._fitted[k] and only in (None, test.number)]
         predictions: Predictions = [{} for _ in self._tests]
@@ -298,7 +300,7 @@ class _Search:
         return values, predictions
 
     def _unfitted(self, theta: FloatArray, predictions: Predictions) -> Predictions:
-        # With what the fitted twin predicts for the tests that are held out whole.
+        # With the predictions of the tests that are held out completely.
         others = [k for k, is_fitted in enumerate(self._fitted) if not is_fitted]
         found = list(predictions)
         for k, predicted in zip(

@@ -1,10 +1,10 @@
-"""Which kind of force is missing: families of forces along the recorded motion, each tried on held-out stretches.
+"""Kinds of unmodelled force: families of forces along the motion, each scored on held-out data.
 
-The force that the baseline lacks is looked for as a function of depth, of velocity, of the motion's past, of time or of
-the current (restoring-force surface: Masri and Caughey 1979; Kerschen et al. 2006, section 4). No family is a model of
-an effect: each is a set of shapes wide enough for any of a kind, so that the stage stands even when no known effect
-fits (model-error modelling: Ljung 1999). Each shape is carried to the position by the motion's own equation,
-linearised along the record, because there the noise is white.
+The force that the baseline lacks is regressed on depth, velocity, the past of the motion, time or current
+(restoring-force surface: Masri and Caughey 1979; Kerschen et al. 2006, section 4). A family is not a model of an
+effect: it is a set of shapes flexible enough for any effect of its kind, so that the stage is found even where no known
+effect fits (model-error modelling: Ljung 1999). Each shape is transformed to the position by the equation of motion,
+linearised along the record, because the noise of the position is white.
 """
 
 from __future__ import annotations
@@ -17,51 +17,62 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from tissueid.gap.driving import bridged
+from tissueid.gap.dataset import DatasetTest, Purpose
+from tissueid.gap.disturbances import mains_lines
+from tissueid.gap.excitation import interpolated
 from tissueid.gap.fitting import Fit
-from tissueid.gap.observed import ObservedTest, Purpose
-from tissueid.gap.playing import played
-from tissueid.gap.rhythm import lines
-from tissueid.gap.stagewise import Substituted, motion
+from tissueid.gap.forward_model import simulate_test
+from tissueid.gap.stage_substitution import StageSimulation, motion
+from tissueid.language import marked
 from tissueid.twin.effect import Stage
 
 FloatArray = NDArray[np.float64]
 
 _RIDGE = 1e-7
-"""Of the columns' mean square: families may hold shapes that are nearly the same."""
+"""Ridge, relative to the mean square of the columns: shapes of a family can be nearly collinear."""
 _PER_COLUMN = 0.002
-"""Nats that every shape must earn; a wide family is not better for being wide."""
+"""Penalty of each shape, nats a sample: a larger family is not better because of its size."""
 _MEMORIES_S = (0.005, 0.02, 0.08, 0.3, 1.2)
 _PLAYS_M = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3)
 _SLIPS_M_S = (0.001, 0.005, 0.02)
 _DELAYS_S = (0.015, 0.025, 0.035, 0.05, 0.07, 0.1)
 _PITCHES_M = np.geomspace(0.0008, 0.008, 18)
 _LONGEST_PITCH = 0.8
-"""The longest period along the stroke, as a share of what was travelled: longer ones are any bent law."""
+"""Longest period along the stroke, as a share of the travel: a longer one imitates any curved law."""
 _FRAMES_HZ = np.geomspace(12.0, 120.0, 14)
 _FRAME_DAMPING = 0.05
 _RHYTHMS_HZ = np.concatenate([np.linspace(0.7, 2.0, 14), np.linspace(4.0, 13.0, 37)])
 
 
+PERIODIC = marked("position, periodically")
+DEPTH = marked("depth")
+WORK = marked("accumulated work")
+PAST = marked("past depth")
+HYSTERESIS = marked("hysteresis")
+CURRENT_AND_TIME = marked("current and time")
+OF_TIME_AND_PAST = (WORK, PAST, HYSTERESIS, CURRENT_AND_TIME)
+"""Kinds of force that depend on time or on the past of the motion."""
+
+
 @dataclass(frozen=True)
-class Family:
-    """Forces of one kind: ``gain`` is what they take away on held-out stretches, nats a sample and test."""
+class ForceFamily:
+    """Forces of one kind. ``gain`` is the reduction of the error on held-out data, nats a sample and test."""
 
     stage: Stage
     kind: str
-    """``friction``, ``depth`` and so on: what the force depends on."""
+    """The quantity that the force depends on."""
     gain: float
     left: float
-    """Residual that stays, in noise deviations (root mean square), held out."""
+    """Root mean square of the remaining residual on held-out data, in noise deviations."""
     before: float
-    """The same without the family, after the baseline's own figures were let free."""
+    """The same without the family, after a refit of the baseline's own parameters."""
 
 
 @dataclass(frozen=True)
-class Course:
-    """One test along its recorded motion: arrays of shape (n,), SI."""
+class Trajectory:
+    """The signals of one test along its motion: arrays of shape (n,), SI."""
 
-    test: ObservedTest
+    test: DatasetTest
     depth: FloatArray
     position: FloatArray
     velocity: FloatArray
@@ -75,15 +86,17 @@ class Course:
     growth_damping: FloatArray
     residual: FloatArray
     as_force: bool = False
-    """Whether the residual is the force itself (N), and nothing has to be carried to the position."""
+    """Whether the residual is a force (N) and the shapes need no transformation to the position."""
 
 
-def course(baseline: Fit, answer: Substituted, test: ObservedTest, *, recorded: bool = False) -> Course:
-    """The simulated motion of a test, or the recorded one, with the baseline's equation linearised along it."""
+def simulated_trajectory(
+    baseline: Fit, answer: StageSimulation, test: DatasetTest, *, recorded: bool = False
+) -> Trajectory:
+    """Linearise the baseline along the simulated motion of a test, or along the recorded motion."""
     parameters, theta = baseline.parameters, answer.theta
-    instrument, met = parameters.instrument(theta), parameters.met(theta, test)
+    instrument, met = parameters.instrument(theta), parameters.tissue_of(theta, test)
     residual = answer.residual(test)
-    # The simulated motion: the recorded one carries the very residual that the shapes are to explain.
+    # The recorded motion contains the residual that the shapes are to explain.
     position, velocity = motion(test, None if recorded else answer.predicted[test.number]["position"])
     acceleration = np.gradient(velocity, 1.0 / test.sample_rate_hz)
     depth = position - met.surface_m
@@ -91,35 +104,35 @@ def course(baseline: Fit, answer: Substituted, test: ObservedTest, *, recorded: 
     damp = np.exp(np.clip(met.damping_growth_per_m * depth, -12.0, 12.0))
     tangent = met.stiffness_n_per_m * stiff * (1.0 + met.stiffness_growth_per_m * depth)
     tangent = tangent + met.damping_n_s_per_m * met.damping_growth_per_m * damp * velocity
-    return Course(
+    return Trajectory(
         test,
         depth,
         position,
         velocity,
         acceleration,
-        bridged(test.signals["current"]) if "current" in test.signals else np.zeros_like(depth),
+        interpolated(test.signals["current"]) if "current" in test.signals else np.zeros_like(depth),
         np.arange(depth.size) / test.sample_rate_hz,
         tangent,
         instrument.bearing_damping_n_s_per_m + met.damping_n_s_per_m * damp,
         instrument.moving_mass_kg + met.mass_kg,
         stiff,
         damp,
-        residual - lines(residual, test.sample_rate_hz).waveform,
+        residual - mains_lines(residual, test.sample_rate_hz).waveform,
     )
 
 
-def bare_course(baseline: Fit, answer: Substituted, test: ObservedTest) -> Course:
-    """A bare record along its recorded motion, with the force that is missing there (Masri and Caughey 1979)."""
+def input_output_trajectory(baseline: Fit, answer: StageSimulation, test: DatasetTest) -> Trajectory:
+    """Return an input-output record along its motion, with the unmodelled force (Masri and Caughey 1979)."""
     parameters, theta = baseline.parameters, answer.theta
-    instrument, met = parameters.instrument(theta), parameters.met(theta, test)
+    instrument, met = parameters.instrument(theta), parameters.tissue_of(theta, test)
     position, velocity = motion(test)
     _, acceleration = motion(test, velocity)
     depth = position - met.surface_m
     ones = np.ones_like(depth)
-    force = played(parameters, theta, test).current + instrument.weight_n
+    force = simulate_test(parameters, theta, test).current + instrument.weight_n
     missing = force - instrument.moving_mass_kg * acceleration
     missing = missing - instrument.bearing_damping_n_s_per_m * velocity - met.stiffness_n_per_m * depth
-    return Course(
+    return Trajectory(
         test,
         depth,
         position,
@@ -138,8 +151,8 @@ def bare_course(baseline: Fit, answer: Substituted, test: ObservedTest) -> Cours
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _carried(forces, stiffness, damping, mass, period):  # type: ignore[no-untyped-def]
-    # Displacement that each force (rows) makes: trapezoidal rule.
+def _displacements(forces, stiffness, damping, mass, period):  # type: ignore[no-untyped-def]
+    # Displacement caused by each force (rows), by the trapezoidal rule.
     out = np.zeros_like(forces)
     half = 0.5 * period
     for k in range(forces.shape[0]):
@@ -178,7 +191,7 @@ def _smoothed(values, kept):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _resonating(values, natural, damping, period):  # type: ignore[no-untyped-def]
-    # Acceleration of a frame on a spring that is pushed by a force, a unit of mass.
+    # Acceleration of a frame of unit mass on a spring under a force.
     out = np.empty_like(values)
     x, v = 0.0, 0.0
     for n in range(values.size):
@@ -189,33 +202,35 @@ def _resonating(values, natural, damping, period):  # type: ignore[no-untyped-de
     return out
 
 
-def families(
+def force_families(
     baseline: Fit,
-    answer: Substituted,
-    tests: Sequence[ObservedTest],
+    answer: StageSimulation,
+    tests: Sequence[DatasetTest],
     noise: float,
     *,
     on_tissue: bool,
     recorded: bool = False,
-) -> list[Family]:
-    """All families on what some tests leave, best first.
+) -> list[ForceFamily]:
+    """Score all families of forces on the residuals of some tests, best first.
 
     Args:
         baseline: the fitted baseline.
-        answer: position from measured current in these tests.
+        answer: simulated position from the measured current of these tests.
         tests: all on tissue, or all without it.
-        noise: of the position, m.
-        on_tissue: whether tissue can be at fault.
-        recorded: whether forces go with the recorded motion, which carries the residual itself, or the simulated one.
+        noise: standard deviation of the position, m.
+        on_tissue: whether to include forces of the tissue.
+        recorded: whether forces depend on the recorded motion, which contains the residual, or on the simulated one.
     """
-    bare = baseline.parameters.observed.equivalent is not None
+    bare = baseline.parameters.dataset.equivalent is not None
     courses = [
-        bare_course(baseline, answer, test) if bare else course(baseline, answer, test, recorded=recorded)
+        input_output_trajectory(baseline, answer, test)
+        if bare
+        else simulated_trajectory(baseline, answer, test, recorded=recorded)
         for test in tests
     ]
     nuisance = [_transported(one, _nuisance(one, on_tissue)) for one in courses]
     before = _left(courses, nuisance, noise)
-    found: dict[tuple[Stage, str], Family] = {}
+    found: dict[tuple[Stage, str], ForceFamily] = {}
     for stage, kind, shapes in _shapes(courses, on_tissue):
         if bare and stage not in ("mechanics", "tissue"):
             continue
@@ -226,14 +241,14 @@ def families(
         after = _left(courses, columns, noise)
         gain = before - after - _PER_COLUMN * shapes[0].shape[0]
         if not np.isfinite(gain):
-            continue  # shapes that run away, as a frame's do that is faster than the samples
+            continue  # shapes that diverge, such as a resonance near the sample rate
         if (stage, kind) not in found or gain > found[stage, kind].gain:
-            found[stage, kind] = Family(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
+            found[stage, kind] = ForceFamily(stage, kind, gain, float(np.exp(after)), float(np.exp(before)))
     return sorted(found.values(), key=lambda item: -item.gain)
 
 
-def _left(courses: Sequence[Course], columns: Sequence[FloatArray], noise: float) -> float:
-    # Half the logarithm of held-out error over noise variance, one fit to all tests.
+def _left(courses: Sequence[Trajectory], columns: Sequence[FloatArray], noise: float) -> float:
+    # Half the logarithm of held-out error over noise variance, with one fit to all tests.
     fitted = [one.test.serving(Purpose.FIT) & np.isfinite(one.residual) for one in courses]
     if not any(mask.any() for mask in fitted):
         fitted = [(one.test.purpose > 0) & np.isfinite(one.residual) for one in courses]
@@ -254,17 +269,17 @@ def _left(courses: Sequence[Course], columns: Sequence[FloatArray], noise: float
     return 0.5 * float(np.log(max(squares / count / noise**2, 1.0)))
 
 
-def _transported(one: Course, forces: FloatArray) -> FloatArray:
+def _transported(one: Trajectory, forces: FloatArray) -> FloatArray:
     period = 1.0 / one.test.sample_rate_hz
     if one.as_force:
         return forces
-    return np.asarray(_carried(np.ascontiguousarray(forces), one.stiffness, one.damping, one.mass, period))
+    return np.asarray(_displacements(np.ascontiguousarray(forces), one.stiffness, one.damping, one.mass, period))
 
 
-def _nuisance(one: Course, on_tissue: bool) -> FloatArray:
+def _nuisance(one: Trajectory, on_tissue: bool) -> FloatArray:
     rows = [one.current, np.ones_like(one.depth), one.acceleration, one.velocity, one.depth]
     if one.as_force:
-        # With the force among them they would be the missing force itself.
+        # The force itself would explain the unmodelled force completely.
         return np.stack(rows[1:])
     if on_tissue:
         rows += [
@@ -276,39 +291,45 @@ def _nuisance(one: Course, on_tissue: bool) -> FloatArray:
     return np.stack(rows)
 
 
-def _shapes(courses: Sequence[Course], on_tissue: bool) -> Iterator[tuple[Stage, str, list[FloatArray]]]:
-    """Families with their shapes in each test, shape (shapes, n)."""
-    yield "mechanics", "friction", [_friction(one) for one in courses]
-    yield "mechanics", "friction by direction", [_directional_friction(one) for one in courses]
-    yield "mechanics", "speed", [np.stack([one.velocity * np.abs(one.velocity), one.velocity**3]) for one in courses]
-    yield "drive", "lateness", [np.diff(one.current, prepend=one.current[0])[None, :] for one in courses]
-    yield "coil", "current squared", [np.stack([one.current * np.abs(one.current), one.current**2]) for one in courses]
-    yield "coil", "current by time", [_by_time(one, one.current) for one in courses]
-    yield "mechanics", "speed by time", [_by_time(one, one.velocity) for one in courses]
-    yield "coil", "current by position", [one.current * _powers(one.position - 0.012, 3, 0.004) for one in courses]
+def _shapes(courses: Sequence[Trajectory], on_tissue: bool) -> Iterator[tuple[Stage, str, list[FloatArray]]]:
+    """Yield stage, kind and shapes in each test, shape (shapes, n)."""
+    yield "mechanics", marked("friction"), [_friction(one) for one in courses]
+    yield "mechanics", marked("direction-dependent friction"), [_directional_friction(one) for one in courses]
+    yield "mechanics", marked("speed"), [np.stack([_signed_square(one.velocity), one.velocity**3]) for one in courses]
+    yield "drive", marked("delay"), [np.diff(one.current, prepend=one.current[0])[None, :] for one in courses]
+    squares = [np.stack([_signed_square(one.current), one.current**2]) for one in courses]
+    yield "coil", marked("current squared"), squares
+    yield "coil", CURRENT_AND_TIME, [_by_time(one, one.current) for one in courses]
+    yield "mechanics", marked("speed and time"), [_by_time(one, one.velocity) for one in courses]
+    along_stroke = [one.current * _powers(one.position - 0.012, 3, 0.004) for one in courses]
+    yield "coil", marked("current and position"), along_stroke
     ends = _ends(courses)
-    yield "mechanics", "end of stroke", [_beyond(one, ends) for one in courses]
+    yield "mechanics", marked("the end of the stroke"), [_beyond(one, ends) for one in courses]
     travelled = np.ptp(_reach(courses, of_position=True))
     for pitch in _PITCHES_M[_LONGEST_PITCH * travelled > _PITCHES_M]:
         waves = [np.stack(_waves(2.0 * np.pi * one.position / pitch, 2)) for one in courses]
-        yield "mechanics", "periodic along the stroke", waves
+        yield "mechanics", PERIODIC, waves
     for hz in _FRAMES_HZ:
-        yield "mechanics", "resonance", [_frame(one, hz) for one in courses]
+        yield "mechanics", marked("a resonance"), [_frame(one, hz) for one in courses]
     if not on_tissue:
-        yield "mechanics", "position", [_powers(one.depth, 5, 0.003) for one in courses]
+        yield "mechanics", marked("position"), [_powers(one.depth, 5, 0.003) for one in courses]
         return
     low, high = _reach(courses)
-    yield "tissue", "depth", [_splines(one.depth, low, high, 10) for one in courses]
-    yield "tissue", "direction", [_by_direction(one) for one in courses]
-    yield "tissue", "memory", [_memory(one) for one in courses]
-    yield "tissue", "loops", [_loops(one) for one in courses]
-    yield "tissue", "wear", [_wear(one) for one in courses]
-    yield "tissue", "mass by depth", [_mass(one) for one in courses]
-    yield "tissue", "lift-off", [_lifted(one) for one in courses]
+    yield "tissue", DEPTH, [_splines(one.depth, low, high, 10) for one in courses]
+    yield "tissue", marked("direction"), [_by_direction(one) for one in courses]
+    yield "tissue", PAST, [_memory(one) for one in courses]
+    yield "tissue", HYSTERESIS, [_loops(one) for one in courses]
+    yield "tissue", WORK, [_work(one) for one in courses]
+    yield "tissue", marked("acceleration and depth"), [_mass(one) for one in courses]
+    yield "tissue", marked("lift-off"), [_lifted(one) for one in courses]
     for delay in _DELAYS_S:
-        yield "tissue", "answer", [_answer(one, delay) for one in courses]
+        yield "tissue", marked("earlier stretch"), [_response(one, delay) for one in courses]
     for hz in _RHYTHMS_HZ:
-        yield "environment", "rhythm", [_rhythm(one, hz) for one in courses]
+        yield "environment", marked("periodic motion of the surface"), [_periodic_motion(one, hz) for one in courses]
+
+
+def _signed_square(values: FloatArray) -> FloatArray:
+    return values * np.abs(values)
 
 
 def _powers(values: FloatArray, count: int, scale: float) -> FloatArray:
@@ -319,52 +340,52 @@ def _waves(phase: FloatArray, harmonics: int) -> list[FloatArray]:
     return [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.sin, np.cos)]
 
 
-def _friction(one: Course) -> FloatArray:
+def _friction(one: Trajectory) -> FloatArray:
     rows = [np.tanh(one.velocity / slip) for slip in _SLIPS_M_S]
     return np.stack([*rows, one.position - _play(one.position, _PLAYS_M[0]), one.position - _play(one.position, 5e-5)])
 
 
-def _directional_friction(one: Course) -> FloatArray:
+def _directional_friction(one: Trajectory) -> FloatArray:
     rows = [np.tanh(np.maximum(one.velocity, 0.0) / slip) for slip in _SLIPS_M_S[1:]]
     return np.concatenate([_friction(one), np.stack(rows)])
 
 
-def _by_direction(one: Course) -> FloatArray:
+def _by_direction(one: Trajectory) -> FloatArray:
     into = np.maximum(one.velocity, 0.0)
     return np.stack([into, into * one.depth, into * one.growth_damping])
 
 
-def _memory(one: Course) -> FloatArray:
+def _memory(one: Trajectory) -> FloatArray:
     pressed = one.depth * one.growth_stiffness
     kept = [np.exp(-1.0 / (one.test.sample_rate_hz * memory)) for memory in _MEMORIES_S]
     return np.stack([_smoothed(pressed, k) for k in kept])
 
 
-def _loops(one: Course) -> FloatArray:
+def _loops(one: Trajectory) -> FloatArray:
     return np.stack([_play(one.depth, radius) for radius in _PLAYS_M[2:]])
 
 
-def _wear(one: Course) -> FloatArray:
+def _work(one: Trajectory) -> FloatArray:
     worked = np.cumsum(np.abs(one.depth * one.velocity))
     worked = worked / max(worked[-1], 1e-30)
     pressed = one.depth * one.growth_stiffness
     return np.stack([pressed * worked, pressed * one.time, pressed * np.exp(-one.time), pressed * np.sqrt(one.time)])
 
 
-def _by_time(one: Course, values: FloatArray) -> FloatArray:
+def _by_time(one: Trajectory, values: FloatArray) -> FloatArray:
     return np.stack([values * one.time, values * np.exp(-one.time), values * one.time**2])
 
 
-def _mass(one: Course) -> FloatArray:
+def _mass(one: Trajectory) -> FloatArray:
     return np.stack([one.acceleration * one.depth, one.velocity**2, np.maximum(one.depth, 0.0) * one.velocity**2])
 
 
-def _lifted(one: Course) -> FloatArray:
+def _lifted(one: Trajectory) -> FloatArray:
     off = one.depth < 0.0
     return np.stack([off * one.depth, off * one.velocity, off * 1.0])
 
 
-def _answer(one: Course, delay_s: float) -> FloatArray:
+def _response(one: Trajectory, delay_s: float) -> FloatArray:
     lag = max(1, round(delay_s * one.test.sample_rate_hz))
 
     def late(values: FloatArray, memory_s: float) -> FloatArray:
@@ -376,39 +397,39 @@ def _answer(one: Course, delay_s: float) -> FloatArray:
     return np.stack([late(values, memory) for values in driven for memory in (0.005, 0.03)])
 
 
-def _frame(one: Course, hz: float) -> FloatArray:
+def _frame(one: Trajectory, hz: float) -> FloatArray:
     pushed = one.current - one.current.mean()
     period = 1.0 / one.test.sample_rate_hz
     moved = _resonating(pushed, 2.0 * np.pi * hz, _FRAME_DAMPING, period)
     return np.stack([moved, np.gradient(moved)])
 
 
-def _rhythm(one: Course, hz: float) -> FloatArray:
+def _periodic_motion(one: Trajectory, hz: float) -> FloatArray:
     slow = one.time / max(one.time[-1], 1e-9)
     rows = [wave for k in (0.5, 1.0, 1.5, 2.0) for wave in _waves(2.0 * np.pi * k * slow, 1)]
     rows += _waves(2.0 * np.pi * hz * one.time, 4 if hz < 3.0 else 1)
     return np.stack(rows) * one.stiffness
 
 
-def _ends(courses: Sequence[Course]) -> tuple[float, float]:
+def _ends(courses: Sequence[Trajectory]) -> tuple[float, float]:
     positions = np.concatenate([one.position for one in courses])
     low, high = np.quantile(positions, [0.01, 0.97])
     return float(low), float(high)
 
 
-def _beyond(one: Course, ends: tuple[float, float]) -> FloatArray:
+def _beyond(one: Trajectory, ends: tuple[float, float]) -> FloatArray:
     above = np.maximum(one.position - ends[1], 0.0)
     return np.stack([above, above * one.velocity])
 
 
-def _reach(courses: Sequence[Course], *, of_position: bool = False) -> tuple[float, float]:
+def _reach(courses: Sequence[Trajectory], *, of_position: bool = False) -> tuple[float, float]:
     depths = np.concatenate([one.position if of_position else one.depth for one in courses])
     low, high = np.quantile(depths, [0.002, 0.998])
     return float(low), max(float(high), float(low) + 1e-5)
 
 
 def _splines(values: FloatArray, low: float, high: float, count: int) -> FloatArray:
-    # Cubic B-splines; the constant that they add up to is the baseline's weight.
+    # Cubic B-splines, one fewer: their sum is a constant, which is a parameter of the baseline.
     inner = np.linspace(low, high, count - 2)
     knots = np.concatenate([[low] * 3, inner, [high] * 3])
     return np.asarray(BSpline.design_matrix(np.clip(values, low, high), knots, 3).toarray().T[1:])

@@ -1,10 +1,10 @@
-"""Which test to run next: the one where the leading rivals differ most after each was refitted.
+"""The next test to run: the one where the predictions of the leading candidates differ most after a refit.
 
 For two rivals with Gaussian predictions the expected gain in evidence grows with the distance of their predictions in
 units of noise and of what is not yet known of their parameters (Box and Hill, Technometrics 9 (1967) 57-71); without
 prior knowledge of the parameters it is the lack of fit of one to the other, T-optimality (Atkinson and Fedorov,
-Biometrika 62 (1975) 57-70). What is known of them is what the tests at hand left: parameters can take up a difference
-only as far as these tests let them.
+Biometrika 62 (1975) 57-70). Here the covariance of the fit to the recorded tests is the prior: parameters can absorb a
+difference only as far as the recorded tests allow.
 """
 
 from __future__ import annotations
@@ -16,40 +16,44 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.formatting import number
+from tissueid.gap.candidate_tests import CandidateTest, candidate_tests
+from tissueid.gap.dataset import Dataset, DatasetTest
 from tissueid.gap.decision import cost
-from tissueid.gap.menu import MenuItem, menu
-from tissueid.gap.observed import Observed, ObservedTest
+from tissueid.gap.forward_model import simulate_test
 from tissueid.gap.parameters import SPRING_COORDINATES, Parametrisation
-from tissueid.gap.playing import played
 from tissueid.gap.scoring import Candidate
+from tissueid.messages import Listing, Message
 from tissueid.stimuli.kinds.quiet import Quiet
 from tissueid.stimuli.kinds.slow_ramp import SlowRamp
 from tissueid.stimuli.kinds.step_hold import StepHold
 from tissueid.twin.catalogue import effect
-from tissueid.wording import number
 
 FloatArray = NDArray[np.float64]
 
 MOST_RIVALS = 4
+"""Most candidates that are compared."""
 LEAST_PROBABILITY = 0.01
+"""Least probability of a candidate that is compared."""
 MOST_SAMPLES = 3000
-"""So many samples of a test are compared, evenly spread."""
+"""Most samples of a test that are compared, evenly spaced."""
 WORTH_NATS = 0.05
-"""Rivals that no test separates by this are not told apart by running one."""
+"""Least expected gain for which a test is proposed, nats a channel."""
 _WORST = 1e6
+"""Bound of a prediction, in noise deviations, where a simulation diverges."""
 _MOST_NATS = np.log(1e6)
-"""Odds above a million to one say nothing more."""
+"""Bound of a reported gain: odds of a million to one."""
 _FIXTURES = {"spring": '"calibration spring"', "free_air": '"free air"'}
-"""What the probe meets where that is no tissue, as the site of the test."""
+"""Site of the tests that are not on tissue, by kind."""
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """The test that would separate the leading rivals best, and why.
+    """The test that is expected to separate the leading candidates best, and the reason.
 
-    ``gain_nats`` is the evidence that it is expected to give, nats a channel, ``separation`` how far the rivals'
-    predictions lie apart there after a refit, in noise deviations (root mean square over the pairs, by probability).
-    ``gains`` is the same for everything on the menu. ``command_line`` runs it.
+    ``gain_nats`` is the expected gain in evidence, nats a channel. ``separation`` is the distance of the candidates'
+    predictions after a refit, in noise deviations (root mean square over the pairs, weighted by probability).
+    ``gains`` are the expected gains of all candidate tests. ``command_line`` runs the test.
     """
 
     kind: str
@@ -63,9 +67,9 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class _Predicted:
-    """One rival's prediction of a test in noise deviations, shape (m,), and how its parameters move it, (m, k).
+    """Prediction of a test in noise deviations, shape (m,), and its derivatives by the parameters, shape (m, k).
 
-    The columns are scaled so that each has a standard deviation of 1 as the tests at hand left it.
+    The derivatives are scaled by the posterior standard deviations of the fit to the recorded tests.
     """
 
     values: FloatArray
@@ -73,14 +77,14 @@ class _Predicted:
 
 
 def next_experiment(
-    observed: Observed, candidates: Sequence[Candidate], probabilities: Sequence[float]
+    dataset: Dataset, candidates: Sequence[Candidate], probabilities: Sequence[float]
 ) -> NextExperiment | None:
-    """Choose from the menu; None where there are no rivals, or nothing on it would separate them.
+    """Choose the next test; None where there are no rival candidates, or no test would separate them.
 
     Args:
-        observed: the tests at hand.
-        candidates: fitted rivals.
-        probabilities: of each.
+        observed: the recorded tests.
+        candidates: the fitted candidates.
+        probabilities: their probabilities.
     """
     order = sorted(range(len(candidates)), key=lambda k: cost(candidates[k]))
     leading = [k for k in order if probabilities[k] >= LEAST_PROBABILITY][:MOST_RIVALS]
@@ -89,29 +93,34 @@ def next_experiment(
     rivals = [candidates[k] for k in leading]
     weights = np.maximum([probabilities[k] for k in leading], LEAST_PROBABILITY)
     weights = weights / weights.sum()
-    items = menu(observed)
+    items = candidate_tests(dataset)
     if len(rivals) < 2 or not items:
         return None
-    noise = _noise(observed, rivals[0])
+    noise = _noise(dataset, rivals[0])
     factors = [_factor(rival) for rival in rivals]
     found = [(*_expected(item, rivals, factors, weights, noise), item) for item in items]
-    gain, apart, chosen = max(found, key=lambda entry: entry[0])
+    gain, separation, chosen = max(found, key=lambda entry: entry[0])
     if gain < WORTH_NATS:
         return None
     names = tuple(dict.fromkeys(name for rival in rivals for name in _own(rival, rivals)))
     gains = {item.kind: each for each, _, item in found}
     others = sorted((each for each in gains.values()), reverse=True)
-    titles = "; ".join(effect(name).title for name in names)
-    why = (
-        f"{chosen.words[0].upper()}{chosen.words[1:]}: there the predictions differ by {apart:.2g} times the noise "
-        f"after a refit ({titles}); expected odds {odds(gain)} to 1, with the next best test {odds(others[1])} to 1."
+    why = Message(
+        "gap.next_test",
+        "Proposed: {test}. After a refit the predictions differ by {separation} times the noise ({causes}); expected "
+        "odds {odds} to 1, with the next best test {next_odds} to 1.",
+        test=chosen.instruction,
+        separation=number(separation, 2),
+        causes=Listing(tuple(effect(name).title for name in names), "; ", "; "),
+        odds=odds(gain),
+        next_odds=odds(others[1]),
     )
-    return NextExperiment(chosen.kind, why, names, gain, apart, gains, command_line(observed, chosen))
+    return NextExperiment(chosen.kind, why, names, gain, separation, gains, command_line(dataset, chosen))
 
 
-def command_line(observed: Observed, chosen: MenuItem) -> str:
-    """The command that runs a test of the menu."""
-    device = observed.instrument
+def command_line(dataset: Dataset, chosen: CandidateTest) -> str:
+    """Return the shell command that runs a candidate test."""
+    device = dataset.instrument
     newtons = chosen.test.command * device.amplifier_gain * device.force_constant_n_per_a / device.coil_resistance_ohm
     low, high = float(newtons.min()), float(newtons.max())
     seconds = chosen.test.command.size / chosen.test.sample_rate_hz
@@ -127,7 +136,7 @@ def command_line(observed: Observed, chosen: MenuItem) -> str:
 
 
 def odds(gain_nats: float) -> str:
-    """Return the odds to which an expected gain in evidence (nats) amounts, to two digits."""
+    """Return an expected gain in evidence (nats) as odds, with two digits."""
     return number(float(np.exp(min(gain_nats, _MOST_NATS))), 2)
 
 
@@ -136,45 +145,45 @@ def _own(rival: Candidate, rivals: Sequence[Candidate]) -> list[str]:
     return [name for name in rival.effects if not all(name in other.effects for other in rivals)]
 
 
-def _noise(observed: Observed, best: Candidate) -> dict[str, float]:
-    # What the best rival leaves today is as far as any prediction of the next test can be trusted.
+def _noise(dataset: Dataset, best: Candidate) -> dict[str, float]:
+    # A prediction of the next test is no better than the residual of the best candidate.
     found = {}
-    for name in observed.channels:
+    for name in dataset.channels:
         ratios = [item.ratio for item in best.checked_by if item.channel == name]
-        found[name] = observed.noise[name] * float(np.sqrt(np.mean(ratios))) if ratios else observed.noise[name]
+        found[name] = dataset.noise[name] * float(np.sqrt(np.mean(ratios))) if ratios else dataset.noise[name]
     return found
 
 
 def _expected(
-    item: MenuItem,
+    item: CandidateTest,
     rivals: Sequence[Candidate],
     factors: Sequence[FloatArray],
     weights: FloatArray,
     noise: dict[str, float],
 ) -> tuple[float, float]:
-    """Expected gain (nats a channel) and separation (noise deviations) of a test."""
+    """Return the expected gain (nats a channel) and the separation (noise deviations) of a test."""
     predicted = [_predicted(rival, factor, item.test, noise) for rival, factor in zip(rivals, factors, strict=True)]
-    gain, apart, total = 0.0, 0.0, 0.0
+    gain, separation, total = 0.0, 0.0, 0.0
     for i, j in combinations(range(len(rivals)), 2):
         weight = float(weights[i] * weights[j])
         distance = _distance(predicted[i], predicted[j])
         gain += weight * 0.5 * float(np.log1p(distance))
-        apart += weight * distance
+        separation += weight * distance
         total += weight
-    return gain / total, float(np.sqrt(apart / total))
+    return gain / total, float(np.sqrt(separation / total))
 
 
 def _distance(one: _Predicted, other: _Predicted) -> float:
-    """Mean square distance in units of noise and of what the parameters can take up: d' (I + V V')^-1 d / m."""
-    apart = one.values - other.values
+    """Return the mean square distance that the parameters cannot absorb: d' (I + V V')^-1 d / m."""
+    difference = one.values - other.values
     columns = np.concatenate([one.columns, other.columns], axis=1)
     inner = np.eye(columns.shape[1]) + columns.T @ columns
-    along = columns.T @ apart
-    return max(float(apart @ apart - along @ np.linalg.solve(inner, along)), 0.0) / apart.size
+    along = columns.T @ difference
+    return max(float(difference @ difference - along @ np.linalg.solve(inner, along)), 0.0) / difference.size
 
 
 def _factor(rival: Candidate) -> FloatArray:
-    """A square root of the covariance of a rival's coordinates as the tests at hand left it, shape (k, k)."""
+    """Return a square root of the posterior covariance of a candidate's coordinates, shape (k, k)."""
     fitted = rival.fit
     parameters = fitted.parameters
     reach = parameters.array("high") - parameters.array("low")
@@ -183,7 +192,7 @@ def _factor(rival: Candidate) -> FloatArray:
     return np.asarray((vectors / np.sqrt(np.maximum(values, 1.0))) * reach[:, None])
 
 
-def _predicted(rival: Candidate, factor: FloatArray, test: ObservedTest, noise: dict[str, float]) -> _Predicted:
+def _predicted(rival: Candidate, factor: FloatArray, test: DatasetTest, noise: dict[str, float]) -> _Predicted:
     parameters, theta = rival.fit.parameters, rival.fit.theta
     here = _standardised(parameters, theta, test, noise)
     low, high = parameters.array("low"), parameters.array("high")
@@ -200,7 +209,7 @@ def _predicted(rival: Candidate, factor: FloatArray, test: ObservedTest, noise: 
         moved[:, k] = (_standardised(parameters, other, test, noise) - here) / signed
     columns = [moved @ factor]
     if test.fixture == "spring":
-        # A spring that no test has met yet is known as far as its maker says.
+        # A spring that was not used in any test is known as precisely as its specification.
         for name, (value, std) in SPRING_COORDINATES.items():
             if name not in parameters.index:
                 held = replace(parameters, constants=parameters.constants | {name: value + std})
@@ -209,11 +218,11 @@ def _predicted(rival: Candidate, factor: FloatArray, test: ObservedTest, noise: 
 
 
 def _standardised(
-    parameters: Parametrisation, theta: FloatArray, test: ObservedTest, noise: dict[str, float]
+    parameters: Parametrisation, theta: FloatArray, test: DatasetTest, noise: dict[str, float]
 ) -> FloatArray:
-    readings = played(parameters, theta, test)
+    readings = simulate_test(parameters, theta, test)
     each = max(1, test.command.size // MOST_SAMPLES)
-    # Where a simulation runs away, both rivals' do, and nothing is learnt.
+    # A diverging simulation is clipped: it diverges for both candidates and adds no information.
     rows = [
         np.nan_to_num(np.clip(getattr(readings, name)[::each] / sigma, -_WORST, _WORST))
         for name, sigma in noise.items()

@@ -1,7 +1,7 @@
 """The parameters of a fit: instrument, tissue, fixture and effects as one vector with bounds and priors.
 
-Positive figures are fitted by their logarithm, within bounds that follow from the calibration's uncertainty; without
-bounds a bounded explanation is lost in an unbounded one, and the fit runs away.
+Positive parameters are fitted by their logarithm, within bounds from the calibration's uncertainty. Without bounds the
+fit diverges into an implausible instrument.
 """
 
 from __future__ import annotations
@@ -12,40 +12,40 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.gap.equivalent import FORCE_N, MOST_DELAY_SAMPLES
-from tissueid.gap.observed import Belief, Observed, ObservedTest, Purpose
+from tissueid.gap.dataset import Dataset, DatasetTest, Prior, Purpose
+from tissueid.gap.equivalent_oscillator import FORCE_N, MOST_DELAY_SAMPLES
+from tissueid.twin.chain_parameters import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
 from tissueid.twin.effect import Effect, Parameter
-from tissueid.twin.figures import STANDARD_GRAVITY, Instrument, Tissue, nothing, spring
-from tissueid.twin.simulation import Acting
+from tissueid.twin.simulation import ActiveEffect
 
 FloatArray = NDArray[np.float64]
 Starts = tuple[tuple[float, ...], ...]
 
 DELAY = "input_delay_s"
-"""By how much the output of a bare record comes late, which its sampling leaves open."""
+"""Delay of the output of an input-output record, which its sampling leaves open."""
 WITHIN_STDS = 4.0
-"""Instrument figures are looked for so many calibration uncertainties round the nominal ones."""
+"""Bounds of the instrument's parameters around the nominal values, in calibration uncertainties."""
 
 WIDER = 20.0
-"""Derivatives are taken over steps so many times wider where an effect switches: about two hundredths of a value."""
+"""Factor of the step of numerical derivatives where an effect switches: about 2 % of a value."""
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One fitted number: where it starts, its bounds, its prior and the step of its derivative."""
+    """One fitted number: starting value, bounds, prior and step of its derivative."""
 
     name: str
     start: float
     low: float
     high: float
     step: float
-    """Of its numerical derivative."""
+    """Step of its numerical derivative."""
     reach: float
-    """How far one step of the search may take it."""
+    """Largest change in one step of the optimiser."""
     prior: float = 0.0
     prior_std: float = np.inf
     test: int | None = None
-    """The number of the test that it belongs to; None where all share it."""
+    """Number of its test; None where all tests share it."""
 
 
 _INSTRUMENT = (
@@ -57,7 +57,7 @@ _INSTRUMENT = (
     ("bearing_damping_n_s_per_m", "bearing_damping_n_s_per_m"),
 )
 _TISSUE = (
-    # name, likeliest, low, high, logarithmic, std of the prior (of the logarithm where logarithmic)
+    # name, most probable value, low, high, logarithmic, std of the prior (of the logarithm where logarithmic)
     ("tissue_mass_kg", 0.012, 1e-4, 0.2, True, 1.5),
     ("tissue_damping_n_s_per_m", 5.0, 0.05, 80.0, True, 1.0),
     ("tissue_damping_growth_per_m", 200.0, -400.0, 1000.0, False, 200.0),
@@ -66,7 +66,7 @@ _TISSUE = (
 )
 SURFACE_SHIFT = "surface_shift_m"
 SURFACE_STD_M = 2e-4
-"""How well an approach finds the surface, where the test does not begin at it."""
+"""Standard deviation of the detected surface where the test does not begin at it, m."""
 _SPRING = (
     ("spring_mass_kg", 0.004, 0.0, 0.02, False, 0.005),
     ("spring_damping_n_s_per_m", 0.3, 0.0, 5.0, False, 0.5),
@@ -75,28 +75,29 @@ _SPRING = (
 
 
 INSTRUMENT_COORDINATES = dict(_INSTRUMENT)
-"""Coordinates (logarithms of a ratio to the nominal figure) by the name that the device has for the figure."""
+"""Coordinates (logarithm of the ratio to the nominal value) and the device's name of the parameter."""
 TISSUE_COORDINATES = {name: name.removeprefix("tissue_") for name, *_ in _TISSUE}
 LOGARITHMIC_TISSUE = tuple(item[0] for item in _TISSUE if item[4])
 SPRING_COORDINATES = {name: (likely, std) for name, likely, _, _, _, std in _SPRING}
-"""The fixture's own: what is likely of each, and its standard deviation."""
+"""Most probable value and standard deviation of the parameters of the spring."""
 _ABOVE_MOTION = ("amplifier_gain", "resistance_ohm", "inductance_h", "force_constant_n_per_a")
-"""Of no account where the current is what drives a test; its force only scales mass, damping and stiffness alike."""
+"""Parameters without influence where the current is the excitation: its force only scales mass, damping and stiffness.
+"""
 _WIDE = 3.5
-"""Figures of an equivalent mass are looked for so many times e round those that least squares gave."""
+"""Bounds of the equivalent oscillator around its least-squares estimate, in powers of e."""
 _REST_M = 2e-4
 
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """All coordinates of a fit, in order, and how they make a twin of each test."""
+    """All coordinates of a fit, in order, and their conversion to a twin of each test."""
 
-    observed: Observed = field(repr=False)
+    dataset: Dataset = field(repr=False)
     effects: tuple[Effect, ...]
     coordinates: tuple[Coordinate, ...]
     index: dict[str, int] = field(repr=False)
     constants: dict[str, float] = field(repr=False, default_factory=dict)
-    """Parameters of effects that are read from the record and not searched for."""
+    """Parameters of effects that are estimated from the record and not fitted."""
 
     @property
     def size(self) -> int:
@@ -104,12 +105,12 @@ class Parametrisation:
         return len(self.coordinates)
 
     def without(self, name: str) -> Parametrisation:
-        """The same coordinates for a chain without one of the effects."""
+        """Return the coordinates of a chain without one of the effects."""
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
 
-    def read_again(self, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Parametrisation:
-        """With what an effect is read to be in each test read anew, from what is predicted without it."""
-        tests = self.observed.tests
+    def re_estimate(self, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Parametrisation:
+        """Return a copy with per-test constants of ``effect`` re-estimated from the residual without that effect."""
+        tests = self.dataset.tests
         signals = [_signals(test, predicted) for test, predicted in zip(tests, predictions, strict=True)]
         fresh = {
             f"{effect.name}.{name}@{test.number}": value
@@ -119,12 +120,12 @@ class Parametrisation:
         return replace(self, constants={name: fresh.get(name, value) for name, value in self.constants.items()})
 
     def array(self, what: str) -> FloatArray:
-        """One property of every coordinate, shape (size,)."""
+        """Return one property of every coordinate, shape (size,)."""
         return np.array([getattr(item, what) for item in self.coordinates], np.float64)
 
     def instrument(self, theta: FloatArray) -> Instrument:
-        """The instrument that a vector describes."""
-        device = self.observed.instrument
+        """Return the instrument of a vector."""
+        device = self.dataset.instrument
         figures = {ours: getattr(device, theirs) * np.exp(self._at(theta, ours)) for ours, theirs in _INSTRUMENT}
         return Instrument(
             amplifier_limit_v=device.amplifier_limit_v,
@@ -133,16 +134,16 @@ class Parametrisation:
             **figures,
         )
 
-    def met(self, theta: FloatArray, test: ObservedTest) -> Tissue:
-        """What the probe meets in a test."""
+    def tissue_of(self, theta: FloatArray, test: DatasetTest) -> Tissue:
+        """Return the tissue, spring or free air of a test."""
         if test.fixture == "air":
             return nothing()
         if test.fixture == "spring":
-            nominal = self.observed.instrument.calibration_spring_n_per_m
+            nominal = self.dataset.instrument.calibration_spring_n_per_m
             stiffness = nominal * float(np.exp(self._at(theta, "spring_stiffness_ratio")))
             mass, damping = self._at(theta, "spring_mass_kg"), self._at(theta, "spring_damping_n_s_per_m")
             return spring(test.surface_m, stiffness, mass, damping)
-        if self.observed.equivalent is not None:
+        if self.dataset.equivalent is not None:
             rest = test.surface_m + self._at(theta, "rest_m")
             return spring(rest, float(np.exp(self._at(theta, "tissue_stiffness_n_per_m"))))
         values = [
@@ -152,12 +153,12 @@ class Parametrisation:
         shift = self._at(theta, SURFACE_SHIFT) if SURFACE_SHIFT in self.index else 0.0
         return Tissue(test.surface_m + shift, *values)
 
-    def acting(self, theta: FloatArray, test: ObservedTest) -> list[Acting]:
-        """The effects with their parameters in a test."""
-        return [Acting(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
+    def acting(self, theta: FloatArray, test: DatasetTest) -> list[ActiveEffect]:
+        """Return the effects with their parameters in a test."""
+        return [ActiveEffect(effect, self.effect_values(theta, effect, test.number)) for effect in self.effects]
 
     def effect_values(self, theta: FloatArray, effect: Effect, test: int) -> FloatArray:
-        """Parameters of an effect in a test, SI, in the order of their declaration."""
+        """Return the parameters of an effect in a test, SI, in the order of their declaration."""
         values = np.empty(len(effect.parameters))
         for k, parameter in enumerate(effect.parameters):
             name = f"{effect.name}.{parameter.name}" + (f"@{test}" if parameter.per_test else "")
@@ -169,7 +170,7 @@ class Parametrisation:
         return values
 
     def irreducible(self, theta: FloatArray, test: int) -> dict[str, float]:
-        """Standard deviation by channel, SI, that the effects leave in a test however well they are known."""
+        """Return the standard deviation by channel, SI, that effects leave in a test, however well known they are."""
         squares: dict[str, float] = {}
         for effect in self.effects:
             if effect.irreducible is not None:
@@ -178,61 +179,61 @@ class Parametrisation:
         return {name: float(np.sqrt(square)) for name, square in squares.items()}
 
     def value(self, theta: FloatArray, name: str) -> float:
-        """A coordinate by its name, as it is fitted; where there is none, what is held instead (0 by default)."""
+        """Return a coordinate by name in fitted units; where it is not fitted, its constant value (0 by default)."""
         return float(theta[self.index[name]]) if name in self.index else self.constants.get(name, 0.0)
 
     def _at(self, theta: FloatArray, name: str) -> float:
         return self.value(theta, name)
 
 
-def starts_of(observed: Observed, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Starts:
-    """All starting points of an effect: those it declares and those it finds in the signals."""
+def starts_of(dataset: Dataset, effect: Effect, predictions: Sequence[Mapping[str, FloatArray]]) -> Starts:
+    """Return all starting points of an effect: declared ones and those estimated from the signals."""
     if effect.starts_from is None:
         return effect.starts
-    signals = [_signals(test, predicted) for test, predicted in zip(observed.tests, predictions, strict=True)]
-    return (*effect.starts, *effect.starts_from(signals, observed.tests[0].sample_rate_hz))
+    signals = [_signals(test, predicted) for test, predicted in zip(dataset.tests, predictions, strict=True)]
+    return (*effect.starts, *effect.starts_from(signals, dataset.tests[0].sample_rate_hz))
 
 
 def parametrise(
-    observed: Observed,
+    dataset: Dataset,
     effects: Sequence[Effect] = (),
     starts: Sequence[Sequence[float]] = (),
     predictions: Sequence[Mapping[str, FloatArray]] = (),
     known: Parametrisation | None = None,
 ) -> Parametrisation:
-    """The coordinates of baseline and effects.
+    """Return the coordinates of baseline and effects.
 
     Args:
-        observed: the tests.
-        effects: effects beside the baseline.
-        starts: where the search starts, for each effect; its first declared starting point where there is none.
-        predictions: what a fitted baseline predicts for each test, where there is one.
-        known: that of a fit from which this one goes on. What its effects were read to be in each test is kept: it
-            must not be read off their own rest, and reading takes time.
+        dataset: the tests.
+        effects: effects in addition to the baseline.
+        starts: starting point of each effect; its first declared one where there is none.
+        predictions: predictions of a fitted baseline for each test, where there is one.
+        known: coordinates of a fit that is continued. Its estimates from the record are kept: they must not be repeated
+            on a residual that they have already reduced, and they take time.
     """
-    found = _of_mass(observed) if observed.equivalent is not None else _of_instrument(observed)
+    found = _of_mass(dataset) if dataset.equivalent is not None else _of_instrument(dataset)
     constants: dict[str, float] = {}
-    signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(observed.tests)]
+    signals = [_signals(test, predictions[k] if k < len(predictions) else {}) for k, test in enumerate(dataset.tests)]
     for k, effect in enumerate(effects):
         start = starts[k] if k < len(starts) else effect.starts[0]
         has_been_read = known is not None and effect in known.effects
-        read = [{} for _ in signals] if has_been_read else _read_all(observed.tests, effect, signals)
+        read = [{} for _ in signals] if has_been_read else _read_all(dataset.tests, effect, signals)
         for parameter, begin in zip(effect.parameters, start, strict=True):
-            _add(observed, effect, parameter, begin, read, found, constants)
+            _add(dataset, effect, parameter, begin, read, found, constants)
     if any(effect.switches for effect in effects):
         found = [replace(item, step=WIDER * item.step) for item in found]
-    found = [_believed(item, observed.beliefs) for item in found]
-    constants |= {name: held.value for name, held in observed.beliefs.items() if name in constants and "@" not in name}
+    found = [_with_prior(item, dataset.priors) for item in found]
+    constants |= {name: held.value for name, held in dataset.priors.items() if name in constants and "@" not in name}
     if known is not None:
         both = {effect.name for effect in effects} & {effect.name for effect in known.effects}
         constants |= {name: value for name, value in known.constants.items() if name.partition(".")[0] in both}
     index = {item.name: k for k, item in enumerate(found)}
-    return Parametrisation(observed, tuple(effects), tuple(found), index, constants)
+    return Parametrisation(dataset, tuple(effects), tuple(found), index, constants)
 
 
-def _believed(item: Coordinate, beliefs: Mapping[str, Belief]) -> Coordinate:
-    """The coordinate as a saved twin has it: its start, and its prior where the twin knows how sure that is."""
-    held = beliefs.get(item.name)
+def _with_prior(item: Coordinate, priors: Mapping[str, Prior]) -> Coordinate:
+    """Return a coordinate with the value of a saved twin, as a prior where the twin holds its uncertainty."""
+    held = priors.get(item.name)
     if held is None:
         return item
     start = min(max(held.value, item.low), item.high)
@@ -241,32 +242,32 @@ def _believed(item: Coordinate, beliefs: Mapping[str, Belief]) -> Coordinate:
     return replace(item, start=start, prior=start, prior_std=min(held.std, item.prior_std))
 
 
-def _of_instrument(observed: Observed) -> list[Coordinate]:
-    """Coordinates of instrument, tissue and fixture."""
-    spread = observed.instrument.calibration_relative_uncertainty
+def _of_instrument(dataset: Dataset) -> list[Coordinate]:
+    """Return the coordinates of instrument, tissue and fixture."""
+    spread = dataset.instrument.calibration_relative_uncertainty
     wide = WITHIN_STDS * spread
-    driven = {test.driven_by for test in observed.tests}
+    driven = {test.driven_by for test in dataset.tests}
     left_out = _ABOVE_MOTION if driven == {"current"} else ("amplifier_gain",) if "command" not in driven else ()
     found = [
         Coordinate(ours, 0.0, -wide, wide, 1e-4, wide, 0.0, spread) for ours, _ in _INSTRUMENT if ours not in left_out
     ]
-    weight = observed.instrument.moving_mass_kg * STANDARD_GRAVITY
-    # The device may be held at any angle: nothing in a session says which.
+    weight = dataset.instrument.moving_mass_kg * STANDARD_GRAVITY
+    # The device can have any orientation, which the session does not record.
     found.append(Coordinate("weight_n", 0.0, -1.1 * weight, 1.1 * weight, 1e-3, weight, 0.0, weight))
-    if any(test.fixture == "tissue" for test in observed.tests):
+    if any(test.fixture == "tissue" for test in dataset.tests):
         found += [_scaled(*item) for item in _TISSUE]
-    if any(test.fixture == "tissue" and not test.starts_at_surface for test in observed.tests):
+    if any(test.fixture == "tissue" and not test.starts_at_surface for test in dataset.tests):
         found.append(Coordinate(SURFACE_SHIFT, 0.0, -1e-3, 1e-3, 1e-6, SURFACE_STD_M, 0.0, SURFACE_STD_M))
-    if any(test.fixture == "spring" for test in observed.tests):
+    if any(test.fixture == "spring" for test in dataset.tests):
         found += [_scaled(*item) for item in _SPRING]
     return found
 
 
-def _of_mass(observed: Observed) -> list[Coordinate]:
-    """Coordinates of an equivalent mass on a spring, of its rest, and of what the input is late by."""
-    about = observed.equivalent
+def _of_mass(dataset: Dataset) -> list[Coordinate]:
+    """Return the coordinates of an equivalent oscillator, its rest position, and the delay of the input."""
+    about = dataset.equivalent
     assert about is not None
-    rate = observed.tests[0].sample_rate_hz
+    rate = dataset.tests[0].sample_rate_hz
     stiffness = float(np.log(about.stiffness_n_per_m))
     late = MOST_DELAY_SAMPLES / rate
     return [
@@ -279,7 +280,7 @@ def _of_mass(observed: Observed) -> list[Coordinate]:
     ]
 
 
-def _signals(test: ObservedTest, predicted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _signals(test: DatasetTest, predicted: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     return {
         "command": test.command,
         **test.signals,
@@ -294,15 +295,15 @@ def _scaled(name: str, likely: float, low: float, high: float, logarithmic: bool
 
 
 def _read(effect: Effect, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
-    if effect.from_test is None or not effect.needs <= set(signals):
+    if effect.estimate_from_record is None or not effect.needs <= set(signals):
         return {}
-    return effect.from_test(signals, sample_rate_hz)
+    return effect.estimate_from_record(signals, sample_rate_hz)
 
 
 def _read_all(
-    tests: Sequence[ObservedTest], effect: Effect, signals: Sequence[Mapping[str, FloatArray]]
+    tests: Sequence[DatasetTest], effect: Effect, signals: Sequence[Mapping[str, FloatArray]]
 ) -> list[Mapping[str, float]]:
-    if effect.from_tests is None:
+    if effect.estimate_from_records is None:
         return [_read(effect, known, test.sample_rate_hz) for test, known in zip(tests, signals, strict=True)]
     acts = [
         k
@@ -311,20 +312,20 @@ def _read_all(
     ]
     found: list[Mapping[str, float]] = [{} for _ in tests]
     used = [_used(tests[k], signals[k]) for k in acts]
-    for k, values in zip(acts, effect.from_tests(used, tests[0].sample_rate_hz), strict=True):
+    for k, values in zip(acts, effect.estimate_from_records(used, tests[0].sample_rate_hz), strict=True):
         found[k] = values
     return found
 
 
-def _used(test: ObservedTest, signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
-    # Without what nothing is made of, behind the end of contact for instance.
+def _used(test: DatasetTest, signals: Mapping[str, FloatArray]) -> Mapping[str, FloatArray]:
+    # Without values that are not used, for instance after the end of contact.
     used = test.purpose != Purpose.NOTHING
     recorded = {name: np.where(used, values, np.nan) for name, values in test.signals.items()}
     return {**signals, **recorded}
 
 
 def _add(
-    observed: Observed,
+    dataset: Dataset,
     effect: Effect,
     parameter: Parameter,
     begin: float,
@@ -332,7 +333,7 @@ def _add(
     found: list[Coordinate],
     constants: dict[str, float],
 ) -> None:
-    # Coordinates of one parameter, one or one a test; or its constants.
+    # Coordinates of one parameter, one in all or one a test; or its constants.
     name = f"{effect.name}.{parameter.name}"
     if not parameter.per_test:
         if parameter.fixed:
@@ -340,9 +341,9 @@ def _add(
         else:
             found.append(_coordinate(name, parameter, begin, None))
         return
-    for test, values in zip(observed.tests, read, strict=True):
+    for test, values in zip(dataset.tests, read, strict=True):
         at = values.get(parameter.name, begin)
-        # Of a test that is held out whole nothing is fitted: what is its own stays as it was read.
+        # A test that is held out completely is not fitted: its own parameters keep their estimates.
         if parameter.fixed or not test.serving(Purpose.FIT).any():
             constants[f"{name}@{test.number}"] = at
         else:
@@ -356,7 +357,7 @@ def _coordinate(name: str, parameter: Parameter, begin: float, test: int | None)
         low, high, begin = float(np.log(low)), float(np.log(high)), float(np.log(begin))
         prior = None if prior is None else float(np.log(prior))
     std = np.inf if parameter.prior_std is None else parameter.prior_std
-    # A derivative by a five-thousandth of the range, or a thousandth of the value where a logarithm is fitted.
+    # Step of a derivative: 1/5000 of the range, or 1/1000 of the value where the logarithm is fitted.
     step = 1e-3 if parameter.logarithmic else 2e-4 * (high - low)
     reach = 0.7 if parameter.logarithmic else 0.1 * (high - low)
     return Coordinate(name, begin, low, high, step, reach, begin if prior is None else prior, std, test)

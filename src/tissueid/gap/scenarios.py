@@ -1,7 +1,7 @@
 """Scenarios of the simulated laboratory: raw recordings and sealed labels, written by another process.
 
-A scenario is a JSON file of attributes beside a file of little-endian 64-bit numbers; the labels of all are one more
-JSON file, whose SHA-256 is published before anything is diagnosed.
+A scenario is a JSON file of attributes and a file of little-endian 64-bit numbers. The labels of all scenarios are one
+JSON file, whose SHA-256 is published before the diagnosis.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
-from tissueid.gap.sealed import Label
+from tissueid.gap.blind_scoring import Label
 from tissueid.sessions import Session, Test
 
 LABELS = "labels.json"
@@ -24,15 +24,15 @@ MOST_BYTES = 200_000_000
 
 
 def scenario_names(folder: Path) -> list[str]:
-    """Names of the scenarios in a folder, in order."""
+    """Return the names of the scenarios in a folder, in order."""
     return sorted(path.stem for path in folder.glob("scenario-*.json"))
 
 
 def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
-    """The session of a scenario; with ``kind`` a companion of it, such as ``clean`` (the effects without noise).
+    """Return the session of a scenario, or a companion of this ``kind``, such as ``clean`` (the effects without noise).
 
     Raises:
-        UnusableInputError: the files are missing or are not what they should be.
+        UnusableInputError: the files are missing or damaged.
     """
     about = _read_json(folder / f"{name}.json")
     path = folder / (f"{name}.{kind}.f64" if kind else f"{name}.f64")
@@ -50,7 +50,7 @@ def read_scenario(folder: Path, name: str, kind: str = "") -> Session:
 
 
 def alone_sessions(folder: Path, name: str) -> list[Session]:
-    """A pair's sessions with one effect alone, in the order of its effects; none where there are no such companions.
+    """Return a pair's sessions with one effect each, in the order of its effects; none where there are no companions.
 
     Raises:
         UnusableInputError: as ``read_scenario``.
@@ -77,7 +77,7 @@ def _test(about: dict[str, Any], names: list[str], numbers: np.ndarray) -> Test:
 
 
 def seal(folder: Path) -> str:
-    """SHA-256 of the labels, to be published before the diagnosis.
+    """Return the SHA-256 of the labels, to be published before the diagnosis.
 
     Raises:
         UnusableInputError: there are no labels.
@@ -89,7 +89,7 @@ def seal(folder: Path) -> str:
 
 
 def unseal(folder: Path) -> dict[str, Label]:
-    """The labels by scenario.
+    """Return the labels by scenario.
 
     Raises:
         UnusableInputError: they cannot be read.

@@ -1,4 +1,4 @@
-"""How far a twin lies from what was recorded: errors by channel and test, the gap, and how much of it is closed."""
+"""Scores of a twin: errors by channel and test, the gap, and the closed share of the gap."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.gap.dataset import DatasetTest, Purpose
 from tissueid.gap.fitting import Fit
-from tissueid.gap.observed import ObservedTest, Purpose
 
 FloatArray = NDArray[np.float64]
 
 GAP_CHANNELS = ("current", "position", "voltage")
-"""Channels that the gap is taken over; the voltage counts where the command is known."""
+"""Channels of the gap; the voltage counts where the command is known."""
 LEAST_RATIO = 1.0
-"""Errors below the noise are the noise."""
+"""Least ratio of error to noise variance: smaller errors count as noise."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class ChannelError:
     """Error of one channel in one test on the samples of one purpose.
 
     ``square`` is the mean squared error (SI squared), ``noise`` the sensor noise (std, SI), ``spread`` the standard
-    deviation of the recorded signal over the whole test, ``samples`` how many samples it was taken over.
-    ``irreducible`` (std, SI) is what an effect leaves besides, however well it is known: the rest of a rounding, say.
+    deviation of the recorded signal over the whole test, ``samples`` the number of samples. ``irreducible`` (std, SI)
+    is the part that an effect leaves however well it is known, such as rounding.
     """
 
     test: int
@@ -38,21 +38,21 @@ class ChannelError:
 
     @property
     def ratio(self) -> float:
-        """Mean squared error over the variance of noise and what is irreducible, at least 1."""
+        """Mean squared error over the variance of noise and irreducible error, at least 1."""
         return max(self.square / (self.noise**2 + self.irreducible**2), LEAST_RATIO)
 
 
-def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[ObservedTest] | None = None) -> list[ChannelError]:
-    """Errors by test and channel on the samples that serve any of the purposes; left out where there are none.
+def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[DatasetTest] | None = None) -> list[ChannelError]:
+    """Return the errors by test and channel on the samples of any of the purposes, where there are such samples.
 
-    ``tests`` are the fit's own, with other purposes perhaps.
+    ``tests`` replaces the fit's tests by the same tests with other purposes.
     """
     found = []
-    observed = fitted.parameters.observed
-    for test, predicted in zip(observed.tests if tests is None else tests, fitted.predictions, strict=True):
-        beside = fitted.parameters.irreducible(fitted.theta, test.number)
+    dataset = fitted.parameters.dataset
+    for test, predicted in zip(dataset.tests if tests is None else tests, fitted.predictions, strict=True):
+        irreducible = fitted.parameters.irreducible(fitted.theta, test.number)
         chosen = np.isin(test.purpose, purposes)
-        for name in observed.channels:
+        for name in dataset.channels:
             mask = chosen & np.isfinite(test.signals[name])
             if not mask.any():
                 continue
@@ -62,36 +62,36 @@ def errors(fitted: Fit, *purposes: Purpose, tests: Sequence[ObservedTest] | None
                     test.number,
                     name,
                     float(np.mean(error**2)),
-                    observed.noise[name],
+                    dataset.noise[name],
                     float(np.nanstd(test.signals[name])),
                     int(mask.sum()),
-                    beside.get(name, 0.0),
+                    irreducible.get(name, 0.0),
                 )
             )
     return found
 
 
 def score(found: Sequence[ChannelError]) -> float:
-    """Half the logarithm of error over noise variance, summed over channels and averaged over tests, nats.
+    """Return half the logarithm of error over noise variance, summed over channels and averaged over tests, nats.
 
-    0 where nothing is left but noise. A scale-free figure: a candidate that halves a channel's error gains 0.69 in it
-    wherever it stands, so that a cause seen faintly in one channel is not lost beside a large error in another.
+    0 where only noise is left. The score is scale-free: halving the error of a channel lowers it by 0.69 at any level,
+    so that a weak trace in one channel counts next to a large error in another.
     """
     tests = {item.test for item in found}
     return float(sum(0.5 * np.log(item.ratio) for item in found)) / max(len(tests), 1)
 
 
 def gap(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
-    """Normalised root-mean-square error: errors over the deviation of the recorded signal, all channels together.
+    """Return the normalised root-mean-square error: error over the standard deviation of the recorded signal.
 
-    Squares and variances are pooled over the tests of a channel; the channels count alike. ``quiet`` tests have no
-    signal to be relative to and are left out.
+    Squares and variances are pooled over the tests of a channel; channels have equal weight. ``quiet`` tests have no
+    signal to normalise by and are left out.
     """
     return _pooled(found, quiet, lambda item: item.square)
 
 
 def floor(found: Sequence[ChannelError], quiet: Sequence[int] = ()) -> float:
-    """What sensor noise alone leaves of the gap."""
+    """Return the gap that sensor noise alone causes."""
     return _pooled(found, quiet, lambda item: item.noise**2)
 
 
@@ -106,7 +106,7 @@ def _pooled(found: Sequence[ChannelError], quiet: Sequence[int], square) -> floa
 
 
 def closed(before: float, after: float, least: float) -> float:
-    """Share of a gap that is closed: 1 - sqrt((after^2 - floor^2) / (before^2 - floor^2)), negative where it grew.
+    """Return the closed share of a gap: 1 - sqrt((after^2 - floor^2) / (before^2 - floor^2)), negative where it grew.
 
     NaN where there was no gap above the floor.
     """
@@ -118,28 +118,28 @@ def closed(before: float, after: float, least: float) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Baseline with some effects added, refitted, and its errors on what was held out."""
+    """A refitted baseline with added effects, and its errors on held-out data."""
 
     effects: tuple[str, ...]
     fit: Fit
     chosen_by: tuple[ChannelError, ...]
-    """On the samples that serve the choice."""
+    """Errors on the samples for the choice."""
     checked_by: tuple[ChannelError, ...]
-    """On the samples that serve the check."""
+    """Errors on the samples for the check."""
 
     @property
     def score(self) -> float:
-        """On the samples of the choice; smaller is better."""
+        """Score on the samples for the choice; smaller is better."""
         return score(self.chosen_by)
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Number of parameters that were searched for, effect by effect."""
+        """Number of fitted parameters of each effect."""
         return tuple(effect.order for effect in self.fit.parameters.effects)
 
 
-def judged(fitted: Fit) -> Candidate:
-    """A fit with its held-out errors."""
+def score_candidate(fitted: Fit) -> Candidate:
+    """Return a fit with its errors on held-out data."""
     return Candidate(
         tuple(effect.name for effect in fitted.parameters.effects),
         fitted,
@@ -148,6 +148,6 @@ def judged(fitted: Fit) -> Candidate:
     )
 
 
-def quiet_tests(tests: Sequence[ObservedTest]) -> tuple[int, ...]:
-    """Numbers of the tests without a stimulus."""
+def quiet_tests(tests: Sequence[DatasetTest]) -> tuple[int, ...]:
+    """Return the numbers of the tests without a stimulus."""
     return tuple(test.number for test in tests if test.quiet)

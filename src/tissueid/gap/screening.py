@@ -1,4 +1,4 @@
-"""Which candidates deserve a fit: how much of what the baseline leaves points along each one's surviving signature."""
+"""Screening of candidates: alignment of their signatures with the residual of the baseline."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ FloatArray = NDArray[np.float64]
 
 
 SECOND_START = 0.7
-"""A second starting point of an effect is tried as well where it is aligned by this share of the first one's."""
+"""Least alignment of a second starting point of an effect, as a share of the first one's."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """What an effect at one of its starting points would add to the residuals, after a refit of everything else.
+    """Change of the residuals by an effect at a starting point, after a refit of everything else.
 
-    ``surviving``, shape (residuals,), is in noise deviations: that combination of the effect itself and of its
-    derivatives by its parameters which comes nearest to what the baseline leaves. ``alignment`` is its squared cosine
-    with that: the share that the effect could take away if it were linear.
+    ``surviving``, shape (residuals,), in noise deviations, is the combination of the effect and its derivatives by its
+    parameters that is closest to the residual of the baseline. ``alignment`` is its squared cosine with that residual:
+    the share that a linear effect would explain.
     """
 
     effect: str
@@ -35,7 +35,7 @@ class Signature:
 
 
 class Screen:
-    """Signatures against the residuals of a fit."""
+    """Signatures on the residuals of a fit."""
 
     def __init__(self, baseline: Fit) -> None:
         self._baseline = baseline
@@ -46,8 +46,8 @@ class Screen:
         self._size = float(self._left @ self._left)
 
     def signatures(self, effect: Effect) -> list[Signature]:
-        """The signature of an effect at each starting point."""
-        declared = starts_of(self._baseline.parameters.observed, effect, self._baseline.predictions)
+        """Return the signature of an effect at each starting point."""
+        declared = starts_of(self._baseline.parameters.dataset, effect, self._baseline.predictions)
         found = []
         for start in (*declared, *self._shows_best(effect)):
             added, slopes = differences(self._baseline, effect, start)
@@ -64,25 +64,26 @@ class Screen:
         return found
 
     def _shows_best(self, effect: Effect) -> list[tuple[float, ...]]:
-        # Where on its grid what the effect adds, whatever its size, comes nearest to what the baseline leaves.
+        # The point of the grid at which the effect, at any size, is closest to the residual of the baseline.
         def seen(start: tuple[float, ...]) -> float:
             return cosine(self.surviving(differences(self._baseline, effect, start, slopes=False)[0]), self._left)
 
         return [max(effect.scan, key=seen)] if effect.scan else []
 
     def surviving(self, values: FloatArray) -> FloatArray:
-        """What is left of a change of the residuals once everything else was refitted, shape (residuals,)."""
+        """Return the part of a change of the residuals that a refit of everything else cannot absorb, shape
+        (residuals,)."""
         return values - self._basis @ (self._basis.T @ values)
 
 
 def cosine(one: FloatArray, other: FloatArray) -> float:
-    """Cosine between two signatures without regard to sign; 0 where one of them has no size."""
+    """Return the absolute cosine between two signatures; 0 where one is zero."""
     size = float(np.linalg.norm(one) * np.linalg.norm(other))
     return abs(float(one @ other)) / size if size > 0.0 else 0.0
 
 
-def contenders(signatures: Sequence[Signature]) -> list[Signature]:
-    """The best aligned start of every effect and, where it is aligned nearly as well, the second; best first."""
+def best_aligned(signatures: Sequence[Signature]) -> list[Signature]:
+    """Return the best aligned start of every effect and, where nearly as well aligned, the second; best first."""
     found: dict[str, list[Signature]] = {}
     for item in sorted(signatures, key=lambda item: -item.alignment):
         of_effect = found.setdefault(item.effect, [])

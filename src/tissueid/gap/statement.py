@@ -1,37 +1,42 @@
-"""What a diagnosis states: one headline, level and list of candidates for the window, the report and the shell."""
+"""The text of a diagnosis: headline, level, candidates, sentences and next steps for window, report and shell."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from tissueid.formatting import fixed, number
+from tissueid.gap.candidate_tests import KINDS
 from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.language import marked
+from tissueid.messages import Listing, Message, sentences
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.effect import STAGE_NAMES, STAGES
-from tissueid.wording import fixed, number
+from tissueid.twin.effect import STAGE_NAMES, STAGES, Stage
 
 Level = Literal["good", "check", "poor"]
-Translate = Callable[[str], str]
 
-STAGE_WORDS = {stage: f"the {name}" for stage, name in STAGE_NAMES.items()}
-"""The stages as they stand in a sentence."""
 CLOSE = 0.5
-"""A rival is close when its probability is at least this share of the named effect's."""
+"""Least probability of a close rival, as a share of the named effect's probability."""
 LIKELY = 0.5
-"""Below this probability an effect is named with reservation."""
+"""Probability below which an effect is named with reservation."""
 MOST_RIVALS = 3
-"""Close rivals named in a headline."""
-_DIRECTIONS = {"into": "while the probe goes in", "out": "while the probe comes out", "both": "in both directions"}
+"""Most close rivals named in a headline."""
+_DIRECTIONS = {
+    "into": marked("while the probe goes in"),
+    "out": marked("while the probe comes out"),
+    "both": marked("in both directions"),
+}
+_AND = marked(" and ")
 
 
 @dataclass(frozen=True)
 class Member:
-    """A named effect with its probability (NaN where unknown), and its close rivals with theirs, likeliest first."""
+    """A named effect with its probability (NaN where unknown), and its close rivals, most probable first."""
 
     effect: str
     probability: float
@@ -43,18 +48,18 @@ class Member:
         return bool(self.rivals) or self.probability < LIKELY
 
 
-def effect_words(name: str) -> str:
-    """Return the title of an effect as it stands in a sentence."""
+def effect_title(name: str) -> str:
+    """Return the title of an effect; its name in plain words where the library has no such effect."""
     known = all_effects().get(name)
-    return name.replace("_", " ") if known is None else known.title[:1].lower() + known.title[1:]
+    return name.replace("_", " ") if known is None else known.title
 
 
 def members_of(found: Diagnosis) -> tuple[Member, ...]:
-    """Return the named effects with their odds; none where nothing is named."""
+    """Return the named effects with their probabilities; none where nothing is named."""
     ranked = tuple((item.effect, item.probability) for item in found.ranking)
     members = []
     for name in found.combination:
-        odds = found.beside.get(name, ranked)
+        odds = found.conditional_odds.get(name, ranked)
         own = dict(odds).get(name, float("nan"))
         rivals = [
             (other, share)
@@ -65,11 +70,11 @@ def members_of(found: Diagnosis) -> tuple[Member, ...]:
     return tuple(members)
 
 
-def listed(found: Diagnosis) -> tuple[Ranked, ...]:
-    """Return the candidates in the order in which they are shown.
+def ordered_candidates(found: Diagnosis) -> tuple[Ranked, ...]:
+    """Return the candidates in the order of display.
 
-    The named effects come first. Where nothing is named the order is by what each candidate closes. Where there is no
-    gap there is nothing to explain, and no candidate is shown.
+    Named effects come first. Without a named effect the order is by closed share. Without a gap there are no
+    candidates.
     """
     if found.verdict == "no_gap":
         return ()
@@ -86,7 +91,7 @@ def listed(found: Diagnosis) -> tuple[Ranked, ...]:
 
 
 def _unranked(found: Diagnosis, member: Member) -> Ranked:
-    # A second effect need not be among the single candidates: what it closes alone is not known.
+    # A second effect can be missing among the single candidates: its closed share alone is unknown.
     nothing = float("nan")
     fitted = found.best is not None and member.effect in found.best.effects
     values = parameters_of(found.best, member.effect) if fitted and found.best is not None else {}
@@ -94,127 +99,189 @@ def _unranked(found: Diagnosis, member: Member) -> Ranked:
     return Ranked(member.effect, stage, member.probability, nothing, (nothing, nothing), (), values)
 
 
-def headline_of(found: Diagnosis, say: Translate = str) -> tuple[str, Level]:
-    """Return the verdict in a line, with the odds of what is named, and its level.
-
-    Args:
-        found: the diagnosis.
-        say: translates a template or the title of an effect.
-    """
+def headline_of(found: Diagnosis) -> tuple[Message, Level]:
+    """Return the verdict in one line, with the probabilities of the named effects, and its level."""
     if found.verdict == "no_gap":
-        return say("No gap: the twin explains this recording down to its noise"), "good"
+        return Message("gap.none", "No gap: the twin explains this recording down to its noise"), "good"
     if found.verdict == "unexplained":
         if not found.at_fault:
-            return say("There is a gap that no known effect explains; no single stage shows it"), "check"
-        stage = say(STAGE_WORDS[found.at_fault[0]])
-        words = say("There is a gap that no known effect explains; it arises in {stage}")
-        return words.format(stage=stage), "check"
+            return (
+                Message(
+                    "gap.unexplained_nowhere", "There is a gap that no known effect explains; no single stage shows it"
+                ),
+                "check",
+            )
+        return (
+            Message(
+                "gap.unexplained",
+                "There is a gap that no known effect explains; it arises in the stage: {stage}",
+                stage=STAGE_NAMES[found.at_fault[0]],
+            ),
+            "check",
+        )
     members = members_of(found)
-    doubtful = any(member.doubtful for member in members)
-    causes = "; ".join(_with_odds(member, say, alone=judged_alone(found, member.effect)) for member in members)
-    words = "The gap is probably explained: {causes}" if doubtful else "The gap is explained: {causes}"
-    return say(words).format(causes=causes), "check" if doubtful else "good"
+    causes = Listing(tuple(_with_rivals(found, member) for member in members), "; ", "; ")
+    if any(member.doubtful for member in members):
+        return Message("gap.probably_explained", "The gap is probably explained: {causes}", causes=causes), "check"
+    return Message("gap.explained", "The gap is explained: {causes}", causes=causes), "good"
 
 
 def judged_alone(found: Diagnosis, name: str) -> bool:
-    """Return whether a named effect of a combination has the odds of the ranking of single effects."""
-    return len(found.combination) > 1 and name in found.combination and name not in found.beside
+    """Return whether a named effect of a combination has the probability of the ranking of single effects."""
+    return len(found.combination) > 1 and name in found.combination and name not in found.conditional_odds
 
 
-def _with_odds(member: Member, say: Translate, *, alone: bool) -> str:
-    words = []
-    for name, share in ((member.effect, member.probability), *member.rivals):
-        odds = f"{percent(share)} %"
-        if alone and name == member.effect:
-            odds = say("{share} % as a single cause").format(share=percent(share))
-        title = say(effect_words(name))
-        words.append(f"{title} ({odds})" if np.isfinite(share) else title)
-    return say(" or ").join(words)
+def _with_rivals(found: Diagnosis, member: Member) -> Message:
+    alone = judged_alone(found, member.effect)
+    named = with_probability(member.effect, member.probability, alone=alone)
+    rivals = [with_probability(name, share) for name, share in member.rivals]
+    return Message("gap.cause", "{names}", names=Listing((named, *rivals), marked(" or "), marked(" or ")))
+
+
+def with_probability(name: str, share: float, *, alone: bool = False) -> str:
+    """Return the title of an effect with its probability (0 to 1); the title alone if that is NaN."""
+    title = effect_title(name)
+    if not np.isfinite(share):
+        return title
+    values = {"effect": title, "percent": percent(share)}
+    if alone:
+        return Message("gap.single_cause_probability", "{effect} ({percent} % as a single cause)", **values)
+    return Message("gap.cause_probability", "{effect} ({percent} %)", **values)
 
 
 def percent(share: float) -> str:
-    """Return a probability in percent; what rounds to 0 or 100 as a bound."""
+    """Return a probability in percent; one that rounds to 0 or 100 as a bound."""
     return "< 1" if share < 0.005 else "> 99" if share >= 0.995 else fixed(100.0 * share, 0)
 
 
-def sentences_of(found: Diagnosis) -> Iterator[str]:
-    """Yield where the gap lies, and what the cause cannot be told from."""
+def sentences_of(found: Diagnosis) -> Iterator[Message]:
+    """Yield the stage and the regions of the gap, and the effects that the data cannot separate from the cause."""
     if found.verdict == "no_gap":
         return
     yield from _stage_sentences(found)
     yield from _region_sentences(found)
     alike = _alike(found)
     if alike:
-        names = ", ".join(effect_words(name) for name in alike)
-        yield f"This data cannot tell it from: {names}."
+        names = Listing(tuple(effect_title(name) for name in alike))
+        yield Message("gap.alike", "This data cannot separate the cause from: {names}.", names=names)
     if found.verdict == "unexplained" and found.ranking:
-        best = listed(found)[0]
-        yield f"The best attempt, {effect_words(best.effect)}, closes {_share(best.closed)} and does not explain it."
+        best = ordered_candidates(found)[0]
+        yield Message(
+            "gap.best_attempt",
+            "The best candidate, {effect}, closes {share} of the gap and does not explain it.",
+            effect=effect_title(best.effect),
+            share=_share(best.closed),
+        )
 
 
-def _stage_sentences(found: Diagnosis) -> Iterator[str]:
+def _stage_sentences(found: Diagnosis) -> Iterator[Message]:
     where = found.where
     if len(found.at_fault) > 1:
-        stages = _listed([STAGE_WORDS[stage] for stage in found.at_fault])
-        yield f"It arises in {stages}, where the causes belong."
+        stages = Listing(tuple(STAGE_NAMES[stage] for stage in found.at_fault), _AND)
+        yield Message(
+            "gap.stages", "The gap arises in these stages, to which the causes belong: {stages}.", stages=stages
+        )
     elif found.at_fault and where.above_floor:
         stage = found.at_fault[0]
-        suspected = max(STAGES, key=where.shares.__getitem__)
+        suspected: Stage = max(STAGES, key=where.shares.__getitem__)
         if where.shares[stage] >= where.shares[suspected]:
-            share = fixed(100.0 * where.shares[stage], 0)
-            yield f"It arises in {STAGE_WORDS[stage]}: {share} % of what noise does not explain."
+            yield Message(
+                "gap.stage",
+                "The gap arises in the stage: {stage}, with {percent:.0f} % of what noise does not explain.",
+                stage=STAGE_NAMES[stage],
+                percent=100.0 * where.shares[stage],
+            )
         else:
-            yield (
-                f"It arises in {STAGE_WORDS[stage]}, where the cause belongs. The stages alone would have "
-                f"suspected {STAGE_WORDS[suspected]}: what the cause leaves looks like a fault there."
+            yield Message(
+                "gap.stage_of_cause",
+                "The gap arises in the stage: {stage}, to which the cause belongs. Without the cause, the stage "
+                "analysis suggests: {other}. The residual that the cause leaves looks like a fault there.",
+                stage=STAGE_NAMES[stage],
+                other=STAGE_NAMES[suspected],
             )
 
 
-def _region_sentences(found: Diagnosis) -> Iterator[str]:
+def _region_sentences(found: Diagnosis) -> Iterator[Message]:
     regions = found.where.regions
-    told = []
+    where = []
     if regions.bands_hz:
-        told.append("from " + _spans(regions.bands_hz, 1.0, "Hz"))
+        where.append(Message("gap.at_frequencies", "from {spans}", spans=_spans(regions.bands_hz, 1.0, "Hz")))
     if regions.depth_m:
-        told.append("at depths of " + _spans(regions.depth_m, 1e3, "mm"))
+        where.append(Message("gap.at_depths", "at depths of {spans}", spans=_spans(regions.depth_m, 1e3, "mm")))
     if regions.current_a:
-        told.append("at currents of " + _spans(regions.current_a, 1.0, "A"))
+        where.append(Message("gap.at_currents", "at currents of {spans}", spans=_spans(regions.current_a, 1.0, "A")))
     if regions.amplitude_n:
-        told.append("at an amplitude (of the stimulus over the last 0.1 s) of " + _spans(regions.amplitude_n, 1.0, "N"))
-    if regions.mains_phase_rad:
-        told.append(
-            f"at phases of the mains ({number(regions.mains_hz, 3)} Hz) of "
-            + _spans(regions.mains_phase_rad, 180.0 / np.pi, "degrees")
+        where.append(
+            Message(
+                "gap.at_amplitudes",
+                "at an amplitude (of the stimulus over the last 0.1 s) of {spans}",
+                spans=_spans(regions.amplitude_n, 1.0, "N"),
+            )
         )
-    if told:
-        words = _listed(told)
-        yield f"It shows most in the {regions.channel}, {words}, {_DIRECTIONS[regions.direction]}."
+    if regions.mains_phase_rad:
+        where.append(
+            Message(
+                "gap.at_mains_phases",
+                "at phases of the mains ({hertz} Hz) of {spans}",
+                hertz=number(regions.mains_hz, 3),
+                spans=_spans(regions.mains_phase_rad, 180.0 / np.pi, marked("degrees")),
+            )
+        )
+    if where:
+        yield Message(
+            "gap.shows_most",
+            "It shows most in the {channel}, {where}, {direction}.",
+            channel=regions.channel,
+            where=Listing(tuple(where), _AND),
+            direction=_DIRECTIONS[regions.direction],
+        )
 
 
 def next_steps_of(found: Diagnosis, file: Path | None = None) -> Iterator[str]:
-    """Yield what to do now, a sentence each; with what to type at a shell where the session's file is given."""
+    """Yield what to do next, one text each; with the shell's command where the session's file is given."""
     if found.verdict == "no_gap":
-        yield "Nothing needs to be done: the twin may be used as it is."
+        yield Message("gap.nothing_to_do", "Nothing needs to be done: the twin can be used as it is.")
         return
     known = all_effects()
     for name in found.combination:
         if name in known and known[name].remedy:
             yield known[name].remedy
     if found.next_experiment is not None:
-        step = found.next_experiment
-        separates = " from ".join(effect_words(name) for name in step.separates[:2])
-        words = f", which tells {separates}" if len(step.separates) > 1 else ""
-        yield f"Play a test of the kind “{step.kind.replace('_', ' ')}”{words}: {step.why.rstrip('.')}."
+        yield _next_test(found.next_experiment.kind, found.next_experiment.separates, found.next_experiment.why)
     if found.verdict == "effect":
-        named = "Add the effect to a named twin, so that simulation and later diagnoses have it"
-        quoted = "" if file is None else shlex.quote(str(file))
-        yield f"{named}: tissueid gap accept {quoted} --out TWIN.toml" if quoted else f"{named}."
+        if file is None:
+            yield Message(
+                "gap.accept", "Add the effect to a named twin, so that simulation and later diagnoses include it."
+            )
+        else:
+            yield Message(
+                "gap.accept_file",
+                "Add the effect to a named twin, so that simulation and later diagnoses include it: {command}",
+                command=f"tissueid gap accept {shlex.quote(str(file))} --out TWIN.toml",
+            )
     elif found.next_experiment is None and found.at_fault:
-        yield f"Look at {STAGE_WORDS[found.at_fault[0]]}: the cause is there, and none of the known effects fits it."
+        yield Message(
+            "gap.look_at_stage",
+            "Check the stage: {stage}. The cause is there, and none of the known effects fits it.",
+            stage=STAGE_NAMES[found.at_fault[0]],
+        )
 
 
-def _listed(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+def _next_test(kind: str, separates: Sequence[str], why: str) -> Message:
+    named = KINDS.get(kind, kind.replace("_", " "))
+    if len(separates) < 2:
+        return sentences(Message("gap.run_test", "Run a test of the kind “{kind}”.", kind=named), why)
+    first, second = map(effect_title, separates[:2])
+    return sentences(
+        Message(
+            "gap.run_separating_test",
+            "Run a test of the kind “{kind}”, which separates these causes: {cause}; {rival}.",
+            kind=named,
+            cause=first,
+            rival=second,
+        ),
+        why,
+    )
 
 
 def _alike(found: Diagnosis) -> tuple[str, ...]:
@@ -222,9 +289,16 @@ def _alike(found: Diagnosis) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for item in named for name in item.indistinguishable))
 
 
-def _spans(intervals: tuple[tuple[float, float], ...], scale: float, unit: str) -> str:
-    return _listed([f"{number(scale * low, 2)} to {number(scale * high, 2)} {unit}" for low, high in intervals])
+def _spans(intervals: tuple[tuple[float, float], ...], scale: float, unit: str) -> Listing:
+    items = (_interval(number(scale * low, 2), number(scale * high, 2), unit) for low, high in intervals)
+    return Listing(tuple(items), _AND)
+
+
+def _interval(low: str, high: str, unit: str) -> Message:
+    return Message("gap.interval", "{low} to {high} {unit}", low=low, high=high, unit=unit)
 
 
 def _share(share: float) -> str:
-    return "nothing that can be told" if not np.isfinite(share) else f"{fixed(100.0 * share, 0)} %"
+    if not np.isfinite(share):
+        return marked("an unknown share")
+    return Message("gap.share", "{percent:.0f} %", percent=100.0 * share)

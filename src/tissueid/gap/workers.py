@@ -1,4 +1,4 @@
-"""Fits in parallel processes, with progress and a way to stop."""
+"""Executors of fits, serial and in parallel processes, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess, parent_process
 from typing import Any, Protocol, TypeVar
 
-from tissueid.children import spawning
+from tissueid.child_process import spawn_context
 from tissueid.gap.fitting import Cancelled
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 POLL_S = 0.2
-"""How often a wait for other processes looks whether the work was cancelled."""
+"""Interval of the check for cancellation, s."""
 LEAVING_S = 2.0
-"""How long a process may take to end once it is asked to, before it is killed."""
+"""Time for a process to end on request before it is killed, s."""
 
 
-class Crew(Protocol):
-    """What does the same piece of work for many things."""
+class Executor(Protocol):
+    """Interface of an executor, which applies one function to many items."""
 
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
-        """Return results in the order of ``things``; call ``done`` with each that is finished.
+        """Return results in the order of ``things``; call ``done`` with each finished item.
 
         Raises:
-            Cancelled: ``cancelled`` said so.
+            Cancelled: ``cancelled`` returned True.
         """
         ...
 
 
-class Alone:
-    """Does everything in this process, one after the other."""
+class SerialExecutor:
+    """Serial executor in this process."""
 
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
@@ -56,10 +56,10 @@ class Alone:
 
 
 class Pool:
-    """Does the work in processes of its own, each at the other end of a pipe.
+    """Pool of worker processes, each with a pipe.
 
-    One thread sends and receives, and a process gets the next thing when it has answered the last: nothing is queued,
-    no lock is shared, and a process that dies closes its pipe. A signal may therefore interrupt anything here, or end
+    One thread sends and receives, and a process gets the next item after it has answered the last: nothing is queued,
+    no lock is shared, and a process that dies closes its pipe. A signal can therefore interrupt anything here, or end
     the processes first, and ``close`` still returns.
     """
 
@@ -75,12 +75,12 @@ class Pool:
     def do(
         self, work: Callable[[T], R], things: Sequence[T], cancelled: Callable[[], bool], done: Callable[[T], None]
     ) -> list[R]:
-        """Return results in the order of ``things``; what is under way is dropped when cancelled.
+        """Return results in the order of ``things``; drop unfinished items when cancelled.
 
         Raises:
-            Cancelled: ``cancelled`` said so.
+            Cancelled: ``cancelled`` returned True.
             RuntimeError: a process died.
-            Exception: whatever the work raised first in the order of ``things``.
+            Exception: the first exception of the work in the order of ``things``.
         """
         answers: dict[int, tuple[bool, Any]] = {}
         doing: dict[Connection, int] = {}
@@ -111,12 +111,12 @@ class Pool:
         return [answers[place][1] for place in range(len(things))]
 
     def close(self) -> None:
-        """End all processes, whatever they do."""
+        """End all processes."""
         self._dismiss([pipe for _, pipe in self._members])
 
     def _staff(self, wanted: int) -> list[Connection]:
-        # The pipes of at least so many processes, with new ones where there are fewer.
-        context = spawning()
+        # Pipes of at least this number of processes; start processes where there are fewer.
+        context = spawn_context()
         while len(self._members) < wanted:
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(theirs,), daemon=True)
@@ -128,7 +128,7 @@ class Pool:
         return [pipe for _, pipe in self._members]
 
     def _dismiss(self, pipes: Collection[Connection]) -> None:
-        # End the processes behind these pipes; a process in the midst of work would answer a question of the past.
+        # End the processes of these pipes: a busy process would answer an outdated request.
         leaving = [(process, pipe) for process, pipe in self._members if pipe in pipes]
         for process, _ in leaving:
             process.terminate()
@@ -142,18 +142,18 @@ class Pool:
 
 
 @contextmanager
-def crew(workers: int | None = None) -> Iterator[Crew]:
-    """Workers by number, or as many as there are processors; one works in this process."""
+def executor(workers: int | None = None) -> Iterator[Executor]:
+    """Yield an executor with this number of processes, one for each processor by default; 1 runs in this process."""
     count = workers or os.cpu_count() or 1
     if count == 1:
-        yield Alone()
+        yield SerialExecutor()
         return
     with contextlib.closing(Pool(count)) as pool:
         yield pool
 
 
 def _serve(pipe: Connection) -> None:
-    # Runs in a process of the pool until the pipe is closed. Ctrl+C reaches the whole group; the parent heeds it.
+    # Main function of a worker process until the pipe is closed. Ctrl+C reaches the whole group; the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if (parent := parent_process()) is not None:
         threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -175,6 +175,6 @@ def _answer(work: Callable[[Any], Any], thing: Any) -> tuple[bool, Any]:
 
 
 def _end_with(parent: BaseProcess) -> None:
-    # A process in the midst of a fit would outlive a parent that was killed.
+    # A busy process would outlive a killed parent.
     parent.join()
     os._exit(0)

@@ -1,21 +1,26 @@
-"""Identification: engines that turn a record into a model, and the scores that say how good it is."""
+"""Identification: engines that turn a record into a model, and scores of its quality."""
 
-from tissueid.identification.base import Engine, FitReport, Model
-from tissueid.identification.family import Family
-from tissueid.identification.registry import engine, engine_names, get_engine
+from tissueid.identification.base import Curve, Engine, FitReport, LineFigure, Model
+from tissueid.identification.model_family import Family
+from tissueid.identification.registry import engine, engine_label, engine_names, get_engine, label_of, report_engines
 from tissueid.identification.validation import Score, aic, aicc, vaf_percent, validate, validated
 
 __all__ = [
+    "Curve",
     "Engine",
     "Family",
     "FitReport",
+    "LineFigure",
     "Model",
     "Score",
     "aic",
     "aicc",
     "engine",
+    "engine_label",
     "engine_names",
     "get_engine",
+    "label_of",
+    "report_engines",
     "vaf_percent",
     "validate",
     "validated",

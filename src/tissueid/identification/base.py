@@ -1,17 +1,16 @@
-"""The interface of every identification engine: a frozen specification, a frozen model, a frozen report.
+"""Interface of every identification engine: a frozen specification, a frozen model and a frozen report.
 
-An engine is a declaration of options; ``fit`` turns a record into a model. Nothing is half fitted, nothing
-changes afterwards, and nothing here reads a clock or a file: the caller who timed a fit adds the seconds with
-:meth:`Model.with_report`.
+An engine declares its options; ``fit`` turns a record into a model. Fits read no clock and no file: the caller adds
+the time of a fit by :meth:`Model.with_report`.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +18,21 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.family import Family
-from tissueid.options import refused
+from tissueid.identification.model_family import Family
+from tissueid.messages import Message, stored
+from tissueid.option_errors import option_error
 from tissueid.records import Estimate, Record
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SIGNIFICANT = 0.05
-"""Chance of an unrelated simulation doing as well on held-out data beyond which a fit does not count as predicting."""
+"""Largest p-value of the held-out score at which a fit counts as predictive."""
 
-PREDICTS_NOTHING = "the model predicts nothing of data that it was not fitted to: its parameters are no results"
+PREDICTS_NOTHING = Message(
+    "engine.predicts_nothing",
+    "the model predicts nothing of held-out data: its parameters are no results",
+)
 """Warning in the report of a fit that ``predicts_nothing``."""
 
 
@@ -39,14 +42,14 @@ def _finite_or_none(value: float | None) -> float | None:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit says about itself.
+    """Scores, parameters, findings and warnings of a fit.
 
     ``vaf_percent`` is the variance accounted for (Eq. 3.13) of the free-run simulation on the fitted samples;
-    ``vaf_validation_percent`` the same on samples that were not fitted; ``vaf_scheduled_percent`` is filled only
-    by engines that can be driven by the measured output. ``validation_p_value`` is the chance that a simulation
-    unrelated to the measurement follows it as well on those samples. ``findings`` says in words what the fit
-    found, ``warnings`` what to know before trusting it. ``details`` holds further figures of one engine, such as the
-    condition number. Figures that cannot be had are None.
+    ``vaf_validation_percent`` the same on held-out samples; ``vaf_scheduled_percent`` is the held-out score with the
+    measured output as the schedule, for engines that have one. ``validation_p_value`` is the probability that a
+    simulation unrelated to the measurement scores as well on held-out samples. ``findings`` are results in words,
+    ``warnings`` limits of their validity. ``details`` holds further figures of one engine, such as the condition
+    number. Unknown figures are None.
     """
 
     engine: str
@@ -67,7 +70,7 @@ class FitReport:
 
     @property
     def predicts_nothing(self) -> bool:
-        """Whether the free run tells nothing of held-out data: its VAF is 0 or less, or not significant."""
+        """Whether the free run fails on held-out data: its VAF is 0 or less, or not significant."""
         found, p_value = self.vaf_validation_percent, self.validation_p_value
         if found is None or math.isnan(found):
             return False
@@ -75,11 +78,11 @@ class FitReport:
 
     @property
     def reportable_parameters(self) -> dict[str, Estimate]:
-        """The parameters, or none where the fit predicts nothing: those are no results."""
+        """The parameters; empty where the fit predicts nothing."""
         return {} if self.predicts_nothing else self.parameters
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the keys of ``tissueid identify --json``: SI units, and None for what is not finite."""
+        """Return the keys of ``tissueid identify --json`` in SI units. What is not finite is None."""
         return {
             "engine": self.engine,
             "options": dict(self.options),
@@ -99,16 +102,20 @@ class FitReport:
             "warnings": list(self.warnings),
             "findings": list(self.findings),
             "details": {name: _finite_or_none(value) for name, value in self.details.items()},
+            "messages": {
+                "warnings": [stored(text) for text in self.warnings],
+                "findings": [stored(text) for text in self.findings],
+            },
         }
 
 
 @dataclass(frozen=True, eq=False)
 class Model(ABC):
-    """What a fit leaves: a system that can be simulated.
+    """Fitted system that can be simulated.
 
-    ``memory_samples`` is how many input samples, the present one included, an output sample depends on. Scores
-    leave out the ``memory_samples - 1`` outputs after the start of a record and after every gap in its input,
-    because there the model is asked about an input that nobody recorded.
+    ``memory_samples`` is the number of input samples, including the present one, that an output sample depends on.
+    Scores exclude the ``memory_samples - 1`` outputs after the start of a record and after every gap in its input,
+    because the input that they depend on was not recorded.
     """
 
     report: FitReport
@@ -117,27 +124,25 @@ class Model(ABC):
 
     @abstractmethod
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input of shape (n,) in, output of shape (n,) out, and nothing else seen.
+        """Simulate in free run: return the output (n,) for an input (n,), without the measured output.
 
-        The system is taken to rest at the input's operating point before the first sample. Where the memory
-        holds an input that is NaN, the output is NaN.
+        The system is at rest at the input's operating point before the first sample. The output is NaN where the
+        memory contains an input that is NaN.
         """
 
     def simulate_scheduled(self, record: Record) -> Array | None:
-        """Simulate with the measured output as the schedule, shape (n,); None for models without a schedule."""
+        """Simulate with the measured output as the schedule; return (n,), or None for models without a schedule."""
         return None
 
     def depth_profile(self) -> DepthProfile | None:
-        """Mass, damping and stiffness against depth, None for models that hold no depth."""
+        """Return mass, damping and stiffness against depth; None for models that do not depend on depth."""
         return None
 
     def predict(self, record: Record, horizon: int) -> Array:
         """Predict each output from the input up to now and the output up to ``horizon`` samples ago.
 
-        Models of this kind hold that what they do not explain is noise added to the output and unrelated to
-        its own past (output error). Under that belief past outputs tell nothing that the input did not, and the
-        best prediction is the simulation, whatever the horizon. It is returned as such: a smaller error at short
-        horizons would need a noise model, which an engine that has one gives by overriding this method.
+        The default is that of an output-error model: noise is added to the output and independent of its past, so the
+        best prediction at any horizon is the simulation. An engine with a noise model overrides this method.
 
         Raises:
             UnusableInputError: the horizon is less than one sample, or the record has another sample rate.
@@ -147,16 +152,16 @@ class Model(ABC):
         return self.simulate(record.input)
 
     def residuals(self, record: Record) -> Array:
-        """Measured output less free-run simulation, shape (n,); NaN where either is unknown."""
+        """Return measured output minus free-run simulation, (n,); NaN where either is unknown."""
         self.check_rate(record)
         return record.output - self.simulate(record.input)
 
     def with_report(self, **changes: Any) -> Self:
-        """Return the same model with fields of its report replaced, for example ``seconds``."""
+        """Return a copy with fields of its report replaced, for example ``seconds``."""
         return replace(self, report=replace(self.report, **changes))
 
     def with_validation(self, vaf_percent: float, p_value: float, scheduled_percent: float | None = None) -> Self:
-        """Return the same model with its scores on held-out samples, and a warning where it predicts nothing there."""
+        """Return a copy with its scores on held-out samples, and a warning where it predicts nothing there."""
         report = replace(
             self.report,
             vaf_validation_percent=vaf_percent,
@@ -169,37 +174,89 @@ class Model(ABC):
         return replace(self, report=replace(report, warnings=warnings))
 
     def check_rate(self, record: Record) -> None:
-        """Refuse a record that was not sampled as the fitted one was.
+        """Raise for a record with another sample rate than the fitted one.
 
         Raises:
             UnusableInputError: the sample rates differ by more than one part in a million.
         """
         if not math.isclose(record.sample_rate_hz, self.sample_rate_hz, rel_tol=1e-6):
             raise UnusableInputError(
-                f"the model was fitted at {self.sample_rate_hz:g} Hz and cannot be run at "
-                f"{record.sample_rate_hz:g} Hz: resample the record"
+                Message(
+                    "engine.other_sample_rate",
+                    "the model was fitted at {fitted:g} Hz and cannot be run at {given:g} Hz: resample the record",
+                    fitted=self.sample_rate_hz,
+                    given=record.sample_rate_hz,
+                )
             )
 
 
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One line of a figure: ``x`` and ``y`` (n,), its ``label`` in the legend, points in place of a line."""
+
+    x: Array
+    y: Array
+    label: str = ""
+    points: bool = False
+
+
+@dataclass(frozen=True)
+class LineFigure:
+    """A figure of curves that an engine declares without drawing code; reports draw it for each of its models.
+
+    ``key`` is a short name of lower-case letters, digits and hyphens. ``curves`` returns the curves of a model and
+    raises ``UnusableInputError`` where it has none. ``group`` is the part of the page where the figure stands.
+    """
+
+    key: str
+    heading: str
+    alt: str
+    caption: str
+    x_label: str
+    y_label: str
+    curves: Callable[[Any], Sequence[Curve]]
+    group: Literal["record", "linear", "nonlinear", "validation"] = "linear"
+
+
 class Engine(BaseModel, ABC):
-    """The specification of a fit: options with bounds, which double as the limits of a form."""
+    """Specification of a fit: options with bounds, titles and descriptions, from which forms and help are made.
+
+    A subclass needs ``name``, ``fit`` and its options. The other declarations are optional: ``label`` is the name as
+    people write it (default: ``name`` with a capital), ``title`` one sentence that says what is fitted (default: the
+    first paragraph of the docstring), ``family`` its kind for the recommendation. Texts in ``marked("...")`` are
+    translated. ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: ClassVar[str]
+    label: ClassVar[str] = ""
+    title: ClassVar[str] = ""
     family: ClassVar[Family] = Family.OTHER
+    figures: ClassVar[tuple[LineFigure, ...]] = ()
+    in_report: ClassVar[bool] = False
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Fill label and title of an engine that does not declare them."""
+        super().__pydantic_init_subclass__(**kwargs)
+        name = getattr(cls, "name", "")
+        if "label" not in cls.__dict__:
+            cls.label = name[:1].upper() + name[1:]
+        if "title" not in cls.__dict__:
+            cls.title = " ".join((cls.__doc__ or "").split("\n\n")[0].split())
 
     @abstractmethod
     def fit(self, record: Record, fit_part: slice | None = None) -> Model:
         """Fit the engine to a record, or to a contiguous part of it, and return the model.
 
         Raises:
-            UnusableInputError: the record cannot carry this fit; the line says why.
+            UnusableInputError: the record cannot carry this fit; the message says why.
         """
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
-        """Build the specification from named options, as a command line or a form gives them.
+        """Return the specification with options from a command line or a form.
 
         Raises:
             UnusableInputError: an option is unknown or out of its bounds.
@@ -207,18 +264,23 @@ class Engine(BaseModel, ABC):
         try:
             return cls(**options)
         except ValidationError as error:
-            raise UnusableInputError(refused(f"engine {cls.name}", cls.model_fields, error)) from error
+            what = Message("engine.named", "engine {name}", name=cls.name)
+            raise UnusableInputError(option_error(what, cls.model_fields, error)) from error
 
     def options(self) -> dict[str, Any]:
-        """Return the options as plain values, fit for JSON."""
+        """Return the options as plain values for JSON."""
         return self.model_dump(mode="json")
 
 
 def check_horizon(horizon: int) -> None:
-    """Refuse a prediction horizon below one sample.
+    """Raise for a prediction horizon below one sample.
 
     Raises:
         UnusableInputError: ``horizon`` is less than 1.
     """
     if horizon < 1:
-        raise UnusableInputError(f"the prediction horizon must be at least one sample, not {horizon}")
+        raise UnusableInputError(
+            Message(
+                "engine.horizon", "the prediction horizon must be at least one sample, got {horizon}", horizon=horizon
+            )
+        )

@@ -18,11 +18,11 @@ from tissueid.identification.base import Array, Mask
 ROWS_AT_ONCE = 8192
 
 _SOLVED = 1e-6
-"""Error in a unit of the right-hand side above which a solution is not one."""
+"""Largest error of a solution, relative to the right-hand side."""
 
 
 class Correlator:
-    """Correlations and convolutions of one input x (n,), its mean removed, over so many lags."""
+    """Correlations and convolutions of one input x (n,), without its mean, over ``lags`` lags."""
 
     def __init__(self, x: Array, lags: int) -> None:
         self._n = x.size
@@ -31,15 +31,15 @@ class Correlator:
         self._spectrum = fft.rfft(x, self._length)
 
     def auto(self) -> Array:
-        """Biased correlation of x with itself at lags 0 .. lags - 1, shape (lags,) (Eq. 3.3)."""
+        """Return the biased correlation of x with itself at lags 0 .. lags - 1, shape (lags,) (Eq. 3.3)."""
         return self._at_lags(self._spectrum.real**2 + self._spectrum.imag**2)
 
     def cross(self, y: Array) -> Array:
-        """Biased correlation of x with the later y (n,) at lags 0 .. lags - 1, shape (lags,) (Eq. 3.4)."""
+        """Return the biased correlation of x with the later y (n,) at lags 0 .. lags - 1, shape (lags,) (Eq. 3.4)."""
         return self._at_lags(np.conj(self._spectrum) * fft.rfft(y, self._length))
 
     def convolve(self, kernel: Array) -> Array:
-        """First n samples of kernel (lags,) * x, shape (n,): the response of a system at rest before them."""
+        """Return the first n samples of kernel (lags,) * x: the response of a system at rest before them."""
         product = self._spectrum * fft.rfft(kernel, self._length)
         return np.asarray(fft.irfft(product, self._length)[: self._n], dtype=np.float64)
 
@@ -57,7 +57,7 @@ def toeplitz_solve(first_column: Array, right: Array) -> Array:
 
 
 def toeplitz_inverse(first_column: Array) -> Array:
-    """Inverse (m, m) of a symmetric positive definite Toeplitz matrix, in O(m^2) (Gohberg and Semencul 1972)."""
+    """Return the inverse of a symmetric positive definite Toeplitz matrix in O(m^2) (Gohberg and Semencul 1972)."""
     m = first_column.size
     unit = np.zeros(m)
     unit[0] = 1.0
@@ -93,7 +93,7 @@ def condition_number(first_column: Array) -> float:
 
 
 def lagged_products(x: Array, used: Mask, lags: int) -> Array:
-    """R (lags, lags): mean over the used samples n of the products of x[n - i] and x[n - j].
+    """Return the r (lags, lags): mean over the used samples n of the products of x[n - i] and x[n - j].
 
     ``used`` (n,) must mark only samples whose window of ``lags`` inputs is complete.
     """
@@ -108,7 +108,7 @@ def lagged_products(x: Array, used: Mask, lags: int) -> Array:
 
 
 def convolve_at_rest(kernel: Array, x: Array) -> Array:
-    """First n samples of kernel (m,) * x (n,): the response of a system at rest before the first sample.
+    """Return the first n samples of kernel (m,) * x (n,): the response of a system at rest before the first sample.
 
     Output samples whose memory holds a NaN are NaN.
     """

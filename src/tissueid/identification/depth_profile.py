@@ -1,4 +1,4 @@
-"""Mass, damping and stiffness against depth: what all engines that see depth leave."""
+"""Mass, damping and stiffness against depth, common to all engines that depend on depth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class DepthProfile:
         return int(self.position.size)
 
     def as_rows(self) -> list[dict[str, Any]]:
-        """One mapping a row with the unit in each name, fit for JSON: what is not finite is None."""
+        """Return one mapping a row with the unit in each name, fit for JSON: what is not finite is None."""
         columns = {
             "position_m": self.position,
             "low_m": self.low,

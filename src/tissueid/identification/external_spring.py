@@ -1,7 +1,7 @@
-"""A spring that stands beside the tissue on purpose, taken off what was identified with it (thesis 2.2.3).
+"""Correction of parameters for an external spring parallel to the tissue (thesis 2.2.3).
 
-It is in parallel: probe, tissue and spring move together and their forces add, so stiffnesses do too. Mass and damping
-of the spring are taken for none.
+Probe, tissue and spring move together, so their forces and stiffnesses add. Mass and damping of the spring are
+neglected.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ _STIFFNESS = "stiffness_n_per_m"
 
 
 def has_stiffness(parameters: Mapping[str, Estimate]) -> bool:
-    """Whether a stiffness in N/m is among these."""
+    """Return whether the parameters include a stiffness in N/m."""
     return any(name.endswith(_STIFFNESS) for name in parameters)
 
 
 def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -> dict[Name, Estimate]:
-    """Parameters with the spring taken off every stiffness in N/m; the deviation stays as it is.
+    """Return the parameters with the spring subtracted from every stiffness in N/m; standard deviations are unchanged.
 
-    What describes the whole is left as it is: natural frequency, damping ratio, and how fast stiffness grows with
-    depth as a share of itself.
+    Natural frequency, damping ratio and relative growth of stiffness with depth still describe tissue and spring.
     """
     return {
         name: replace(found, value=found.value - spring_n_per_m) if _is_stiffness(name) else found
@@ -36,7 +35,7 @@ def without_spring(parameters: Mapping[Name, Estimate], spring_n_per_m: float) -
 
 
 def profile_without_spring(profile: DepthProfile, spring_n_per_m: float) -> DepthProfile:
-    """A profile along the way of the probe with the spring taken off its stiffness."""
+    """Return the depth profile with the spring subtracted from its stiffness."""
     return replace(profile, stiffness=profile.stiffness - spring_n_per_m)
 
 

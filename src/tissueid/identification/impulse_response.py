@@ -21,7 +21,8 @@ from tissueid.identification.correlation import (
     toeplitz_solve,
 )
 from tissueid.identification.preparation import Prepared
-from tissueid.identification.validation import scored_samples
+from tissueid.identification.sample_masks import scored_samples
+from tissueid.messages import Message
 
 RIDGE = 1e-3
 """Share of the input's power added to the diagonal of R, except for the plain biased correlations.
@@ -41,13 +42,13 @@ there are, over the correlation time of the input: 5 ms for a force without powe
 
 
 _AT_REST = 0.1
-"""Share of its peak under which a kernel counts as over."""
+"""Share of the peak below which a kernel has decayed."""
 
 _SMALL = 500
 """Lags up to which a Toeplitz matrix is multiplied as any other."""
 
 _FEWEST_LAGS = 5
-"""A memory of fewer samples holds no response."""
+"""Shortest memory, samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +73,11 @@ class ImpulseResponses:
     ridge: float = 0.0
 
     def kernel(self, output: Array) -> Array:
-        """Impulse response per sample (lags,) to an output (n,), whose mean over the fitted samples is removed."""
+        """Return the impulse response per sample (lags,) for an output (n,); its mean is removed."""
         return self.solve(self.products(output))
 
     def products(self, output: Array) -> Array:
-        """The right-hand side of Eq. 3.2, (lags,), for an output (n,) whose mean over the fitted samples is removed."""
+        """Return the right-hand side of Eq. 3.2, (lags,), for an output (n,); its mean is removed."""
         prepared = self.prepared
         if prepared.gapless:
             y = output[prepared.part]
@@ -85,11 +86,11 @@ class ImpulseResponses:
         return self.correlator.cross(y) * (y.size / int(prepared.used.sum()))
 
     def solve(self, right: Array) -> Array:
-        """Solution h (lags,) of R h = right (lags,)."""
+        """Return the solution h (lags,) of R h = right (lags,)."""
         return self.inverse @ right if self.column is None else toeplitz_solve(self.column, right)
 
     def without_unexcited(self, kernel: Array) -> Array:
-        """A kernel (lags,) less what it holds where the input has hardly any power, and so hardly answers it."""
+        """Return a kernel (lags,) less what it holds where the input has hardly any power, and so hardly answers it."""
         return kernel - self.ridge * (self.inverse @ kernel)
 
     @cached_property
@@ -151,7 +152,12 @@ def factor_input(
         try:
             return ImpulseResponses(prepared, x, correlator, fade, column, None, condition_number(column), ridge=ridge)
         except np.linalg.LinAlgError:
-            warnings = ("the input does not excite every lag of the memory: the pseudo-inverse was taken",)
+            warnings = (
+                Message(
+                    "impulse_response.pseudo_inverse",
+                    "the input does not excite every lag of the memory: the pseudo-inverse is used",
+                ),
+            )
     inverse, condition = _pseudo_inverse(linalg.toeplitz(column), tolerance)
     return ImpulseResponses(prepared, x, correlator, fade, None, inverse, condition, warnings)
 
@@ -164,18 +170,29 @@ def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:
     return inverse, float(values[-1] / values[0]) if values[0] > 0.0 else float("inf")
 
 
-def doubt_memory(kernel: Array) -> tuple[str, ...]:
-    """A warning when a kernel (lags,) has not come to rest towards its end: the memory is shorter than the response."""
+def memory_warnings(kernel: Array) -> tuple[str, ...]:
+    """Return a warning where a kernel (lags,) has not decayed at its end: the memory is too short."""
     if kernel.size < _FEWEST_LAGS:
-        return (f"the memory holds {kernel.size} samples only: lengthen it, or the parameters cannot be trusted",)
+        return (
+            Message(
+                "impulse_response.few_lags",
+                "the memory is only {samples} samples long: lengthen it, or do not rely on the parameters",
+                samples=int(kernel.size),
+            ),
+        )
     late = kernel[int(0.8 * kernel.size) : int(0.95 * kernel.size)]
     if late.size < 3 or abs(float(np.mean(late))) <= _AT_REST * float(np.max(np.abs(kernel))):
         return ()
-    return ("the response is not over within the memory: lengthen it, or the parameters cannot be trusted",)
+    return (
+        Message(
+            "impulse_response.short_memory",
+            "the response has not decayed within the memory: lengthen it, or do not rely on the parameters",
+        ),
+    )
 
 
 def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
-    """Standard deviation of each lag of a kernel, shape (lags,), for noise unrelated to the input but coloured.
+    """Return standard deviations of a kernel (lags,) for coloured noise that is unrelated to the input.
 
     The covariance is inv(R) S inv(R) / n, where S is the Toeplitz matrix of the product spectrum of input x (n,)
     and residuals (n,). NaN residuals are unknown, not zero: the sums are scaled to those that are known.

@@ -1,4 +1,4 @@
-"""Regressors that are lags of a few channels, and their Gram matrix without multiplying every column by every other.
+"""Regressors of lagged channels, and their Gram matrix from a few products.
 
 A product of two lagged columns, both moved one lag further, sums over the same samples but those at the two ends of
 each uninterrupted run of rows. So only the products with columns at lag 0 are summed over all rows, and the rest of the
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.validation import finite_runs
+from tissueid.identification.sample_masks import finite_runs
 
 _ROWS_AT_ONCE = 2048
 
@@ -48,12 +48,12 @@ class LaggedRegressors:
         return finite_runs(self.used)
 
     def split(self, theta: Array) -> tuple[float, tuple[Array, ...]]:
-        """The constant (0 without one) and the kernel (lags,) of each channel, from coefficients (p,)."""
+        """Return the constant (0 without one) and the kernel (lags,) of each channel, from coefficients (p,)."""
         kernels = np.split(theta[int(self.constant) :], np.cumsum(self.lags)[:-1])
         return (float(theta[0]) if self.constant else 0.0), tuple(kernels)
 
     def apply(self, theta: Array) -> Array:
-        """P theta: (p,) to (rows,)."""
+        """Return P theta: (p,) to (rows,)."""
         level, kernels = self.split(theta)
         taps = np.zeros((max(self.lags), len(self.lags)))
         for k, kernel in enumerate(kernels):
@@ -68,7 +68,7 @@ class LaggedRegressors:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def adjoint(self, r: Array) -> Array:
-        """P'r: (rows,) to (p,)."""
+        """Return P'r: (rows,) to (p,)."""
         taps = np.zeros((max(self.lags), len(self.lags)))
         lagged = _channels_by_lag(self.lags)
         done = 0
@@ -81,7 +81,7 @@ class LaggedRegressors:
         return np.concatenate([[r.sum()], *kernels] if self.constant else kernels)
 
     def matrix(self) -> Array:
-        """P itself, (rows, p)."""
+        """Return P itself, (rows, p)."""
         rows = np.flatnonzero(self.used)
         explicit = np.empty((rows.size, self.columns))
         explicit[:, : int(self.constant)] = 1.0
@@ -93,7 +93,7 @@ class LaggedRegressors:
         return explicit
 
     def gram(self, order: NDArray[np.intp] | None = None) -> Array:
-        """P'P, (p, p), or with its rows and columns in the given order (p,) of columns."""
+        """Return P'P, (p, p), or with its rows and columns in the given order (p,) of columns."""
         sums = _Sums.of(self)
         total = sums.gram()  # lag by lag
         by_channel = np.lexsort((sums.lag, sums.channel))
@@ -102,7 +102,7 @@ class LaggedRegressors:
 
 
 def _channels_by_lag(lags: tuple[int, ...]) -> list[tuple[int, slice | NDArray[np.intp]]]:
-    """Each lag with the channels that have it, as a slice where they stand together."""
+    """Return each lag with the channels that have it, as a slice where they stand together."""
     counts = np.array(lags)
     found: list[tuple[int, slice | NDArray[np.intp]]] = []
     for lag in range(int(counts.max(initial=0))):
@@ -139,7 +139,7 @@ class _Sums:
         return cls(regressors, channel, lag, starts, before)
 
     def gram(self) -> Array:
-        """P'P (p, p), with the columns lag by lag."""
+        """Return P'P (p, p), with the columns lag by lag."""
         regressors = self.regressors
         rows = int(np.diff(regressors.runs, axis=1).sum())
         if 2 * regressors.spacing * len(regressors.runs) > _ENDS * rows:
@@ -152,7 +152,7 @@ class _Sums:
         return self._stepped(self._at_lag_zero(), self._ends())
 
     def _at_lag_zero(self) -> Array:
-        """Sums over the rows of the products of the columns at lag 0 with all columns, (channels, p)."""
+        """Return the sums over the rows of the products of the columns at lag 0 with all columns, (channels, p)."""
         regressors = self.regressors
         count = int(self.starts[1])
         constant = int(regressors.constant)
@@ -181,7 +181,7 @@ class _Sums:
         return np.asarray(np.hstack([gained, lost]) @ np.hstack([gained, -lost]).T, dtype=np.float64)
 
     def _stepped(self, first: Array, ends: Array) -> Array:
-        """All products (p, p) from those with lag 0 (channels, p) and what they gain with each lag (p, p)."""
+        """Return all products (p, p) from those with lag 0 (channels, p) and what they gain with each lag (p, p)."""
         total = np.empty_like(ends)
         total[: self.starts[1]] = first
         for lag in range(self.starts.size - 1):

@@ -1,4 +1,4 @@
-"""Exact least squares, as stable as Householder's QR and fast wherever the Gram matrix is cheap.
+"""Exact least squares: as stable as Householder's QR, and fast where the Gram matrix is cheap.
 
 The Gram matrix P'P of regressors P (rows, p) squares their condition number, so its Cholesky factor alone gives half
 the digits. Refined through the regressors themselves it gives all of them (the corrected semi-normal equations of
@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from tissueid.identification.base import Array
+from tissueid.messages import Message
 
 Route = Literal["semi-normal", "householder"]
 
 _CONDITION = 1e7
-"""Condition number of the scaled regressors from which the Gram matrix is not worth a trial."""
+"""Condition number of the scaled regressors above which QR is used without trying the Gram matrix."""
 
 _CONTRACTION = 1e-2
-"""What a correction may leave of an error; more, and QR is taken."""
+"""Largest remaining share of an error after one correction; QR is used above it."""
 
 _PRECISION = float(np.finfo(np.float64).eps)
 _TRIALS = 2
@@ -36,13 +37,13 @@ class Regressors(Protocol):
     """A matrix P (rows, p) that need not exist as one."""
 
     def apply(self, theta: Array) -> Array:
-        """P theta: (p,) to (rows,)."""
+        """Return P theta: (p,) to (rows,)."""
 
     def adjoint(self, r: Array) -> Array:
-        """P'r: (rows,) to (p,)."""
+        """Return P'r: (rows,) to (p,)."""
 
     def matrix(self) -> Array:
-        """P itself, (rows, p); asked for only when QR has to be taken."""
+        """Return P itself, (rows, p); asked for only when QR has to be taken."""
 
 
 class _Solver(Protocol):
@@ -51,7 +52,7 @@ class _Solver(Protocol):
     def solve(self, y: Array) -> Array: ...
 
     def half_inverse(self) -> Array:
-        """W (p, rank) with W W' the (pseudo-)inverse of the scaled Gram matrix."""
+        """Return the w (p, rank) with W W' the (pseudo-)inverse of the scaled Gram matrix."""
 
     def gram_solve(self, right: Array) -> Array: ...
 
@@ -75,21 +76,21 @@ class Factor:
     solver: _Solver
 
     def solve(self, y: Array) -> Array:
-        """Coefficients (p,) with the least sum of squares of y - P theta, for an output y (rows,)."""
+        """Return the coefficients (p,) with the least sum of squares of y - P theta, for an output y (rows,)."""
         return self.scale * self.solver.solve(y)
 
     def gram_solve(self, right: Array) -> Array:
-        """Inverse of P'P, or its pseudo-inverse, times (p,) or (p, m)."""
+        """Return the inverse of P'P, or its pseudo-inverse, times (p,) or (p, m)."""
         scale = self.scale if right.ndim == 1 else self.scale[:, None]
         return scale * self.solver.gram_solve(scale * right)
 
     def inverse(self) -> Array:
-        """Inverse of P'P, or its pseudo-inverse, (p, p): the covariance of theta for white noise of variance one."""
+        """Return the (pseudo-)inverse of P'P, (p, p): the covariance of theta for white noise of unit variance."""
         half = self.scale[:, None] * self.solver.half_inverse()
         return np.asarray(half @ half.T, dtype=np.float64)
 
     def diag_of_inverse(self) -> Array:
-        """Diagonal (p,) of :meth:`inverse`."""
+        """Return the diagonal (p,) of :meth:`inverse`."""
         half = self.scale[:, None] * self.solver.half_inverse()
         return np.asarray(np.einsum("ij,ij->i", half, half), dtype=np.float64)
 
@@ -132,7 +133,7 @@ class _SemiNormal:
 
 
 def _semi_normal(scaled: Array, regressors: Regressors, scale: Array) -> Factor | None:
-    """The factor by way of the scaled Gram matrix (p, p); None where that does not reach far enough."""
+    """Return the factor by way of the scaled Gram matrix (p, p); None where that does not reach far enough."""
     norm = float(np.max(np.abs(scaled).sum(axis=0)))
     try:
         upper = linalg.cholesky(scaled, overwrite_a=True, check_finite=False)
@@ -207,7 +208,7 @@ class _Householder:
 
 
 def _householder(regressors: Regressors, scale: Array) -> Factor:
-    """The factor by way of the explicit matrix.
+    """Return the factor by way of the explicit matrix.
 
     The tall matrix is reduced without pivots, where nearly all work is in blocks, and its small triangle with them.
     """
@@ -224,8 +225,13 @@ def _householder(regressors: Regressors, scale: Array) -> Factor:
     if rank < p:
         row_space, triangle = linalg.qr(second[:rank].T, mode="economic", check_finite=False)
         warnings = (
-            f"the input does not excite every combination of lags: only {rank} of {p} coefficients are determined, "
-            "and the shortest solution is given",
+            Message(
+                "least_squares.rank",
+                "the input does not excite every combination of lags: only {rank} of {coefficients} coefficients are "
+                "determined, and the solution of smallest norm is given",
+                rank=rank,
+                coefficients=p,
+            ),
         )
     reciprocal, _ = linalg.lapack.dtrcon(triangle) if rank else (0.0, 0)
     condition = 1.0 / float(reciprocal) if rank == p and reciprocal > 0.0 else math.inf

@@ -1,4 +1,4 @@
-"""From a record to what a fit with a finite memory can use, with one line of refusal where it cannot."""
+"""Preparation of a record for a fit with finite memory: usable samples, means and warnings."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.validation import scored_samples
+from tissueid.identification.sample_masks import scored_samples
+from tissueid.messages import Message
 from tissueid.records import Record
 
 SAMPLES_PER_PARAMETER = 3
-"""Below this many samples a parameter a fit is warned of (Chen 2010, 3.1.1, test length)."""
+"""Samples per parameter below which a fit gets a warning (Chen 2010, 3.1.1, test length)."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A record looked over for a fit.
+    """A record prepared for a fit.
 
-    ``part`` is the stretch to fit. ``used`` masks, shape (n,), the outputs that may be fitted: in that part,
-    received, and with every input of their memory received. ``input_mean`` is taken over the received samples of the
-    part, ``output_mean`` over those too, or with gaps over the used ones.
+    ``part`` is the part to fit. ``used`` (n,) marks the outputs that can be fitted: in that part, received, and with
+    all inputs of their memory received. ``input_mean`` is the mean of the received samples of the part, and so is
+    ``output_mean`` in a record without gaps; with gaps it is the mean of the used samples.
     """
 
     record: Record
@@ -35,18 +36,18 @@ class Prepared:
 
 
 def memory_in_samples(memory: float, sample_rate_hz: float) -> int:
-    """Return the number of lags that a memory in seconds holds, at least one."""
+    """Return the number of lags of a memory in seconds, at least one."""
     return max(1, round(memory * sample_rate_hz))
 
 
 def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters: int | None = None) -> Prepared:
-    """Look a record over: what can be fitted, and whether that is enough.
+    """Return which samples can be fitted, after checking that they are enough.
 
     Args:
         record: the data.
         fit_part: contiguous part of the record to fit; inputs before it still count as memory.
         memory: seconds.
-        n_parameters: parameters of the fit; None for one a lag.
+        n_parameters: parameters of the fit; None for one per lag.
 
     Raises:
         UnusableInputError: nothing was received, the input or output does not vary, the memory is longer than the
@@ -55,29 +56,54 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
     part = slice(*(fit_part or slice(None)).indices(len(record))[:2])
     lags = memory_in_samples(memory, record.sample_rate_hz)
     parameters = lags if n_parameters is None else n_parameters
-    input_mean = _mean(record.input[part], f"the input ({record.input_name})")
-    output_mean = _mean(record.output[part], f"the output ({record.output_name})")
+    which_input = Message("record.input", "the input ({name})", name=record.input_name)
+    which_output = Message("record.output", "the output ({name})", name=record.output_name)
+    input_mean = _mean(record.input[part], which_input)
+    output_mean = _mean(record.output[part], which_output)
     length = part.stop - part.start
     if lags > length:
         raise UnusableInputError(
-            f"the memory of {memory:g} s is longer than the {length / record.sample_rate_hz:g} s of record to fit"
+            Message(
+                "record.shorter_than_memory",
+                "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
+                memory=memory,
+                seconds=length / record.sample_rate_hz,
+            )
         )
     used = scored_samples(record, lags, fit_part)
     count = int(used.sum())
     if count < parameters:
         raise UnusableInputError(
-            f"{count} usable samples cannot carry {parameters} parameters: record longer, or shorten the memory"
+            Message(
+                "record.too_few_samples",
+                "{count} usable samples are too few for {parameters} parameters: record longer, or shorten the memory",
+                count=count,
+                parameters=parameters,
+            )
         )
-    warnings = []
+    warnings: list[str] = []
     if count < SAMPLES_PER_PARAMETER * parameters:
         warnings.append(
-            f"{count} usable samples for {parameters} parameters is fewer than {SAMPLES_PER_PARAMETER} each: "
-            "record longer, or shorten the memory"
+            Message(
+                "record.few_samples",
+                "{count} usable samples for {parameters} parameters are fewer than {fewest} for each: record longer, "
+                "or shorten the memory",
+                count=count,
+                parameters=parameters,
+                fewest=SAMPLES_PER_PARAMETER,
+            )
         )
     missing = length - int(record.valid[part].sum())
     lost = missing - len(record[part].joints)
     if lost:
-        warnings.append(f"{lost} of {length} samples were not received; they and what depends on them are left out")
+        warnings.append(
+            Message(
+                "record.lost_samples",
+                "{lost} of {length} samples were not received; outputs that depend on them are not fitted",
+                lost=lost,
+                length=length,
+            )
+        )
     return Prepared(
         record=record,
         part=part,
@@ -90,12 +116,14 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
     )
 
 
-def _mean(values: Array, name: str) -> float:
-    """Mean of the received values (n,) of a signal that is fit to be identified."""
+def _mean(values: Array, signal: str) -> float:
+    """Return the mean of the received values (n,). Raise where there are none, or where they do not vary."""
     received = values[np.isfinite(values)]
     if received.size == 0:
-        raise UnusableInputError(f"{name} holds no received sample")
+        raise UnusableInputError(Message("record.no_sample", "{signal} has no received sample", signal=signal))
     low, high = float(received.min()), float(received.max())
     if high - low <= 1e-12 * max(abs(low), abs(high)):
-        raise UnusableInputError(f"{name} is constant: there is nothing to identify")
+        raise UnusableInputError(
+            Message("record.constant", "{signal} is constant: there is nothing to identify", signal=signal)
+        )
     return float(received.mean())

@@ -1,9 +1,9 @@
-"""Which description a record supports: the simplest one that no other beats on samples that were not fitted.
+"""Recommendation of an engine: the simplest model that no other beats on held-out data.
 
-Every engine is judged by its free run on the same held-out samples. A simpler description is given up only for a
-lead that chance does not explain and that matters. AICc decides between descriptions of one family that the held-out
-samples do not tell apart, and is told where it disagrees; it does not decide more, because it takes residuals for
-independent, which those of tissue at kilohertz rates are not.
+Every engine is judged by its free run on the same held-out samples. A simpler model is rejected only for a lead that
+is significant and large enough to matter. AICc decides between models of one family that held-out samples cannot
+separate. It decides nothing else, because it assumes independent residuals, which residuals of tissue at kilohertz
+sample rates are not; where it disagrees, a doubt says so.
 """
 
 from __future__ import annotations
@@ -16,80 +16,33 @@ from typing import Any
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification import recommendation_words as words
+from tissueid.identification import recommendation_messages as messages
 from tissueid.identification.base import Array
-from tissueid.identification.family import Family
+from tissueid.identification.candidates import Candidate, Standing, SufficientOption
+from tissueid.identification.model_family import Family
 from tissueid.identification.validation import vaf_percent
-from tissueid.identification.validation.paired import Difference, difference
+from tissueid.identification.validation.paired_difference import Difference, difference
+from tissueid.language import marked
+from tissueid.messages import Message, stored
 from tissueid.records import Record
 
 LEVEL = 0.05
-"""A lead that chance gives more often than this (one-sided) does not count."""
+"""Significance level (one-sided) of a lead."""
 
 RELEVANT = 0.05
-"""Nor does one that takes away less than this share of the error variance, such as what fewer parameters save."""
+"""Smallest share of the error variance that a lead must remove to count."""
 
 WORTH_POINTS = 0.1
-"""Nor one of fewer percentage points of VAF: where two models account for nearly all, the simpler one is enough."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """An engine fitted to the record.
-
-    ``error`` (n,) is measured less free-run simulated output on the held-out record, NaN where it is not scored.
-    ``parameters`` counts the effective ones. ``vaf_percent`` and ``aicc`` are those of the fitted samples,
-    ``scheduled_percent`` is the held-out VAF with the measured output as the schedule. ``second_order`` marks a linear
-    model reduced to mass, damping and stiffness.
-    """
-
-    engine: str
-    family: Family
-    error: Array
-    parameters: float
-    vaf_percent: float
-    aicc: float | None = None
-    scheduled_percent: float | None = None
-    second_order: bool = False
-
-
-@dataclass(frozen=True)
-class Standing:
-    """A candidate among the others, with its scores as in :class:`Candidate` and on the held-out samples.
-
-    ``behind`` is the lead of the best candidate on it, ``below`` that of the recommended one; ``beaten`` says whether
-    any candidate has a lead on it that counts.
-    """
-
-    engine: str
-    family: Family
-    second_order: bool
-    vaf_percent: float
-    vaf_fitted_percent: float
-    scheduled_percent: float | None
-    aicc: float | None
-    behind: Difference
-    below: Difference
-    beaten: bool
-
-
-@dataclass(frozen=True)
-class Choice:
-    """An option of the recommended engine: the smallest value that does as well as any that was tried."""
-
-    option: str
-    value: float
-    tried: tuple[float, ...]
-    vaf_percent: tuple[float, ...]
+"""Smallest lead that counts, percentage points of VAF: of two models that explain nearly all, the simpler suffices."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The description that the record supports, in words and numbers.
+    """The recommended engine, with reasons and scores.
 
     ``judged_on`` names the samples that decided. ``standings`` are all candidates: first the one that leads most others
-    on the held-out samples that both are judged on, then the others by how far it leads them. ``headline`` is one
-    sentence; ``reasons``, ``doubts`` and ``experiments`` (what to measure to know more) are sentences too.
+    on their common held-out samples, then the others by the size of that lead. ``headline``, ``reasons``, ``doubts``
+    and ``experiments`` (proposed measurements) are sentences.
     """
 
     engine: str
@@ -101,21 +54,23 @@ class Recommendation:
     doubts: tuple[str, ...]
     experiments: tuple[str, ...]
     standings: tuple[Standing, ...]
-    choices: tuple[Choice, ...] = field(default=())
+    choices: tuple[SufficientOption, ...] = field(default=())
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Headline, what was found of the options, and reasons."""
-        return (self.headline, *map(words.choice, self.choices), *self.reasons)
+        """Headline, sufficient option values, and reasons."""
+        return (self.headline, *map(messages.choice, self.choices), *self.reasons)
 
     def with_choice(self, option: str, trials: Sequence[tuple[float, Array]], held_out: Record) -> Recommendation:
-        """The same with an option chosen from held-out errors (n,) at several values; see :func:`sufficient`."""
+        """Return a copy with an option chosen from held-out errors (n,) at several values; see :func:`sufficient`."""
         tried = tuple((value, _vaf(error, held_out)) for value, error in trials)
-        found = Choice(option, sufficient(trials, held_out), *(tuple(column) for column in zip(*tried, strict=True)))
+        found = SufficientOption(
+            option, sufficient(trials, held_out), *(tuple(column) for column in zip(*tried, strict=True))
+        )
         return replace(self, choices=(*self.choices, found))
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything as plain values, fit for JSON."""
+        """Return plain values for JSON; ``messages`` holds code, template and values of each sentence."""
         return {
             "engine": self.engine,
             "family": str(self.family),
@@ -142,6 +97,14 @@ class Recommendation:
                 }
                 for s in self.standings
             ],
+            "messages": {
+                "judged_on": stored(self.judged_on),
+                "headline": stored(self.headline),
+                "choices": [stored(messages.choice(c)) for c in self.choices],
+                "reasons": [stored(text) for text in self.reasons],
+                "doubts": [stored(text) for text in self.doubts],
+                "experiments": [stored(text) for text in self.experiments],
+            },
         }
 
 
@@ -150,17 +113,17 @@ def recommend(
     held_out: Record,
     fitted: Record,
     *,
-    judged_on: str = "the held-out part",
+    judged_on: str = marked("the held-out part"),
     ceiling_percent: float | None = None,
 ) -> Recommendation:
-    """Recommend the simplest description that is not beaten.
+    """Recommend the simplest model that is not beaten.
 
     Args:
-        candidates: engines that were fitted to one and the same record.
-        held_out: what they are judged on, (n,); outputs that were fitted are NaN.
-        fitted: the part that was fitted, for what the two parts have in common.
-        judged_on: what ``held_out`` is, in words.
-        ceiling_percent: highest held-out VAF that anyone could reach, from repeats; None when there are none.
+        candidates: engines fitted to the same record.
+        held_out: record on which they are judged, (n,); fitted outputs are NaN.
+        fitted: the fitted part, to compare the ranges of the output.
+        judged_on: description of ``held_out``.
+        ceiling_percent: highest held-out VAF that a model can reach, from repeats; None without repeats.
 
     Raises:
         UnusableInputError: no candidate could be scored on held-out samples.
@@ -168,7 +131,10 @@ def recommend(
     scored = [c for c in candidates if math.isfinite(_vaf(c.error, held_out))]
     if not scored:
         raise UnusableInputError(
-            "no engine could be scored on samples that were not fitted: hold out more of the record"
+            Message(
+                "recommendation.nothing_held_out",
+                "no engine could be scored on held-out samples: hold out more of the record",
+            )
         )
     leads = {(a, b): _lead(a, b, held_out) for a in scored for b in scored}
     leader = max(scored, key=lambda c: (sum(leads[c, other].points > 0.0 for other in scored), _vaf(c.error, held_out)))
@@ -177,35 +143,37 @@ def recommend(
     standings = {c: _standing(c, leads[leader, c], leads[choice, c], c not in unbeaten, held_out) for c in scored}
     chosen, best = standings[choice], standings[leader]
     ordered = [best, *sorted((s for s in standings.values() if s is not best), key=lambda s: s.behind.points)]
-    told = words.Told(chosen, tuple(ordered), held_out, fitted, ceiling_percent)
+    basis = messages.Basis(chosen, tuple(ordered), held_out, fitted, ceiling_percent)
     return Recommendation(
         engine=chosen.engine,
         family=chosen.family,
         second_order=chosen.second_order,
         judged_on=judged_on,
-        headline=words.headline(told),
-        reasons=tuple(words.reasons(told)),
-        doubts=tuple(words.doubts(told)),
-        experiments=tuple(words.experiments(told)),
+        headline=messages.headline(basis),
+        reasons=tuple(messages.reasons(basis)),
+        doubts=tuple(messages.doubts(basis)),
+        experiments=tuple(messages.experiments(basis)),
         standings=tuple(ordered),
     )
 
 
 def beaten(lead: Difference, level: float = LEVEL) -> bool:
-    """Whether a lead is one that chance does not explain and that matters."""
+    """Return whether a lead is significant at ``level`` and large enough to matter."""
     sure = lead.p_value is not None and lead.p_value < level
     return sure and lead.reduction > RELEVANT and lead.points > WORTH_POINTS
 
 
 def sufficient(trials: Sequence[tuple[float, Array]], held_out: Record) -> float:
-    """The smallest value of an option whose held-out errors (n,) no other value's beat.
+    """Return the smallest value of an option whose held-out errors (n,) are not beaten by those of the best value.
 
     Raises:
         UnusableInputError: none of the trials could be scored.
     """
     scored = [(value, error) for value, error in trials if math.isfinite(_vaf(error, held_out))]
     if not scored:
-        raise UnusableInputError("no value of the option could be scored on samples that were not fitted")
+        raise UnusableInputError(
+            Message("recommendation.no_value", "no value of the option could be scored on held-out samples")
+        )
     _, best = max(scored, key=lambda trial: _vaf(trial[1], held_out))
     rate = held_out.sample_rate_hz
     return min(v for v, error in scored if not beaten(difference(best, error, held_out.output, rate)))
@@ -216,10 +184,10 @@ def _lead(candidate: Candidate, other: Candidate, held_out: Record) -> Differenc
 
 
 def _unbeaten(scored: Sequence[Candidate], leads: Mapping[tuple[Candidate, Candidate], Difference]) -> list[Candidate]:
-    """Those on which nobody has a lead that counts, and who lead everyone on whom somebody has.
+    """Return candidates over which no other has a lead that counts, and that lead every candidate that is beaten.
 
-    Without the second condition a model that errs wildly in one stretch would be let through: the wilder the errors,
-    the wider the chance that the lead on them is measured by.
+    The second condition excludes models with very large errors in one stretch: large errors also widen the spread of
+    the lead over them, so that the lead is not significant.
     """
     left = list(scored)
     out = [c for c in left if any(beaten(leads[other, c]) for other in scored)]
@@ -247,7 +215,7 @@ def _standing(
 
 
 def _simplicity(candidate: Candidate) -> tuple[int, bool, float]:
-    """What is preferred among those that are not beaten, least first; of equals the one with the better score."""
+    """Return the sort key of candidates that are not beaten: simpler family first, then lower AICc."""
     aicc = math.inf if candidate.aicc is None or math.isnan(candidate.aicc) else candidate.aicc
     return candidate.family.rank, not candidate.second_order, aicc
 

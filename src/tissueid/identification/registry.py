@@ -1,4 +1,4 @@
-"""Which engines there are. An engine registers by one declaration in a file of its own.
+"""Registry of engines. An engine registers by one declaration in a file of its own.
 
 Built-in engines are found by scanning ``tissueid.identification.engines``; other packages add theirs by an entry
 point in the group ``tissueid.engines`` that names the engine class, or the module that declares it.
@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import TypeVar
 
 from tissueid.identification.base import Engine
+from tissueid.language import _, marked
 from tissueid.plugins import Registry
 
 _EngineType = TypeVar("_EngineType", bound=type[Engine])
-_engines: Registry[Engine] = Registry("engine", Engine, "tissueid.identification.engines", "tissueid.engines")  # type: ignore[type-abstract]
+_engines: Registry[Engine] = Registry(marked("engine"), Engine, "tissueid.identification.engines", "tissueid.engines")  # type: ignore[type-abstract]
 
 
 def engine(declared: _EngineType) -> _EngineType:
@@ -29,7 +30,7 @@ def get_engine(name: str) -> type[Engine]:
     """Return the engine class registered under a name.
 
     Raises:
-        UnusableInputError: there is no engine of that name; the line lists those that there are.
+        UnusableInputError: there is no engine of that name; the message lists the existing ones.
     """
     return _engines.get(name)
 
@@ -37,3 +38,19 @@ def get_engine(name: str) -> type[Engine]:
 def engine_names() -> tuple[str, ...]:
     """Return the names of all engines, in alphabetical order."""
     return _engines.names()
+
+
+def label_of(name: str) -> str:
+    """Return the English label of an engine: its name with a capital where no such engine is installed."""
+    return _engines.get(name).label if name in _engines.names() else name[:1].upper() + name[1:]
+
+
+def engine_label(name: str) -> str:
+    """Return the label of an engine in the active language."""
+    return _(label_of(name))
+
+
+def report_engines() -> tuple[str, ...]:
+    """Return the names of the engines of the standard report of a test, simplest family first."""
+    kinds = [_engines.get(name) for name in _engines.names()]
+    return tuple(kind.name for kind in sorted(kinds, key=lambda kind: kind.family.rank) if kind.in_report)

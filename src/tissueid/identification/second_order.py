@@ -1,7 +1,7 @@
-"""The second-order system: mass, damping, stiffness, and the thesis' three impulse-response coefficients.
+"""Second-order system: mass, damping, stiffness, and the three impulse-response coefficients of the thesis.
 
-Chen 2010, Eqs. 3.6-3.12. The thesis writes the underdamped case; tissue can be overdamped, and here one pair of
-numbers, natural frequency and damping ratio, covers both.
+Chen 2010, Eqs. 3.6-3.12. The thesis treats the underdamped case; natural frequency and damping ratio also describe
+overdamped tissue.
 """
 
 from __future__ import annotations
@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.identification.base import Array
+from tissueid.language import marked
 
 Complex = NDArray[np.complex128]
 Hold = Literal["band-limited", "zero-order"]
+_HOLDS = (marked("band-limited"), marked("zero-order"))
+"""Choices of the option as a form shows them, for translation."""
+HOLD_TITLE = marked("Hold")
+HOLD_DESCRIPTION = marked("Course of the input between samples: a measured force is band-limited, a command is held")
+"""Title and description of the option ``hold`` of engines."""
 
 _ALIASES = 6
 """Images of the base band on either side that a held input is summed over; the rest is below one part in 1e5."""
@@ -56,7 +62,7 @@ class SecondOrder:
         return decay, self.stiffness / self.mass - decay**2
 
     def impulse_coefficients(self, sample_rate_hz: float) -> tuple[float, float, float] | None:
-        """A1, A2, A3 of Eq. 3.6 per sample; None for an overdamped system, which that form cannot write."""
+        """Return A1, A2, A3 of Eq. 3.6 per sample; None for an overdamped system, which that form cannot write."""
         decay, squared = self.decay_and_frequency
         if squared <= 0.0:
             return None
@@ -64,17 +70,17 @@ class SecondOrder:
         return 1.0 / (self.mass * frequency * sample_rate_hz), frequency, -decay
 
     def impulse_response(self, t: Array) -> Array:
-        """h(t) in output units per input unit and second, shape of t (s); zero before t = 0."""
+        """Return h(t) in output units per input unit and second, shape of t (s); zero before t = 0."""
         decay, squared = self.decay_and_frequency
         return np.where(t >= 0.0, free_velocity(np.maximum(t, 0.0), decay, squared) / self.mass, 0.0)
 
     def frequency_response(self, frequency_hz: Array) -> Complex:
-        """H at the given frequencies, shape of ``frequency_hz``."""
+        """Return H at the given frequencies, shape of ``frequency_hz``."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.complex128)
         return np.asarray(1.0 / (self.mass * s**2 + self.damping * s + self.stiffness))
 
     def simulate(self, u: Array, sample_rate_hz: float, hold: Hold = "band-limited") -> Array:
-        """Response (n,) to an input (n,) without NaN, at rest and with zero input before the first sample."""
+        """Return the response (n,) of the system to an input (n,), which must not hold NaN; it is at rest before."""
         decay, squared = self.decay_and_frequency
         slowest = decay - float(np.sqrt(max(0.0, -squared)))
         settle = min(u.size, round(12.0 * sample_rate_hz / slowest)) if slowest > 0.0 else u.size
@@ -84,7 +90,7 @@ class SecondOrder:
 
 
 def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, hold: Hold) -> tuple[Complex, Complex]:
-    """Sampled frequency response, shape (bins,), and its derivatives (3, bins) by log M, log B, log K.
+    """Return the sampled frequency response, shape (bins,), and its derivatives (3, bins) by log M, log B, log K.
 
     ``length`` is that of the real FFT. A band-limited input passes through H(j w) itself, with no error of
     discretisation; one held between samples also reaches the samples through the images of the base band, each
@@ -110,7 +116,7 @@ def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, ho
 
 
 def free_velocity(t: Array, decay: float, squared: float) -> Array:
-    """exp(-a t) sin(b t) / b for t >= 0, with b^2 = ``squared`` of either sign: the free response to a push."""
+    """Return exp(-a t) sin(b t) / b for t >= 0, with b^2 = ``squared`` of either sign: the free response to a push."""
     if squared > 0.0:
         b = np.sqrt(squared)
         return np.asarray(np.exp(-decay * t) * np.sin(b * t) / b, dtype=np.float64)
@@ -121,7 +127,7 @@ def free_velocity(t: Array, decay: float, squared: float) -> Array:
 
 
 def free_position(t: Array, decay: float, squared: float) -> Array:
-    """Free response to an initial position of one at rest, for t >= 0; arguments as :func:`free_velocity`."""
+    """Return the free response from an initial position of one; arguments as :func:`free_velocity`."""
     if squared > 0.0:
         even = np.exp(-decay * t) * np.cos(np.sqrt(squared) * t)
     else:

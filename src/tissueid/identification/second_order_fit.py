@@ -1,4 +1,4 @@
-"""Mass, damping and stiffness from a record, with standard deviations that hold.
+"""Mass, damping and stiffness from a record, with standard deviations valid for coloured residuals.
 
 The thesis fits Eq. 3.6 to the estimated impulse response. That response carries the edge effects of biased
 correlations and errors that depend on each other, so its scatter does not say how far the three numbers may be
@@ -21,7 +21,8 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import Correlator
-from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.second_order import (
     Complex,
     Hold,
@@ -30,14 +31,16 @@ from tissueid.identification.second_order import (
     free_velocity,
     sampled_response,
 )
-from tissueid.identification.validation import finite_runs, vaf_percent
+from tissueid.identification.validation import vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 from tissueid.records import Estimate, Record
 
 _KNOWN = 0.5
-"""Relative standard deviation from which a parameter is called undetermined."""
+"""Relative standard deviation above which a parameter is undetermined."""
 
 _FELT = 1e-7
-"""A parameter whose effect on the output is below this share of the strongest is not in the record at all."""
+"""Share of the strongest effect on the output below which a parameter is undetermined."""
 
 _ITERATIONS = 40
 _SETTLED_STEP, _SMALLEST_STEP = 1e-7, 1e-9
@@ -82,7 +85,7 @@ class SecondOrderFit:
         } | named
 
     def estimate(self, value: float, log_slopes: tuple[float, float, float]) -> Estimate:
-        """A positive function of M, B, K with its standard deviation, from its slopes by log M, log B, log K."""
+        """Return a positive function of M, B, K with its standard deviation, from its slopes by log M, log B, log K."""
         if self.log_covariance is None:
             return Estimate(value)
         slopes = np.array(log_slopes)
@@ -91,7 +94,7 @@ class SecondOrderFit:
         return Estimate(value, abs(value) * math.sqrt(variance) if math.isfinite(variance) else None)
 
     def simulate(self, u: Array) -> Array:
-        """Response (n,) to a zero-mean input (n,) without NaN, at rest before the first sample."""
+        """Return the response (n,) to a zero-mean input (n,) without NaN, at rest before the first sample."""
         return self.sign * self.system.simulate(u, self.sample_rate_hz, self.hold)
 
 
@@ -141,16 +144,30 @@ def fit_second_order(
     mass, damping, stiffness = np.exp(theta)
     fitted = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     covariance = _sandwich(slopes, error, dependence_samples(error, rate)) if settled else None
-    warnings = []
+    warnings: list[str] = []
     if covariance is None:
-        warnings.append("the second-order fit did not settle: mass, damping and stiffness have no uncertainty")
+        warnings.append(
+            Message(
+                "second_order.not_converged",
+                "the second-order fit did not converge: mass, damping and stiffness have no uncertainty",
+            )
+        )
     else:
         known = np.sqrt(np.diag(covariance)) < _KNOWN
-        names = [name for name, ok in zip(("mass", "damping", "stiffness"), known, strict=True) if not ok]
-        if names:
-            warnings.append(f"this record does not determine the second-order {' and '.join(names)}")
+        names = (marked("mass"), marked("damping"), marked("stiffness"))
+        unknown = tuple(name for name, ok in zip(names, known, strict=True) if not ok)
+        if unknown:
+            warnings.append(
+                Message(
+                    "second_order.undetermined",
+                    "this record does not determine the second-order {names}",
+                    names=Listing(unknown, marked(" and ")),
+                )
+            )
     if sign < 0.0:
-        warnings.append("the output falls as the input rises: check the signs of the two signals")
+        warnings.append(
+            Message("second_order.reversed", "the output falls as the input rises: check the signs of the two signals")
+        )
     return SecondOrderFit(
         system=fitted,
         sign=sign,
@@ -189,7 +206,7 @@ def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) ->
 
 
 def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
-    """Covariance (3, 3) of log M, log B, log K; NaN for one that leaves no trace in the output, None for failure."""
+    """Return the covariance (3, 3) of log M, log B, log K; NaN where one has no effect, None on failure."""
     size = np.linalg.norm(slopes, axis=0)
     felt = size > _FELT * np.max(size)
     if not felt.any():
@@ -228,7 +245,7 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
 
 
 def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: float, hold: Hold) -> tuple[Array, Array]:
-    """Weighted simulation error (m,) and slopes (m, 3) by log M, log B, log K, less offset and free responses."""
+    """Return the weighted error (m,) and its derivatives (m, 3), without offset and free responses."""
     mass, damping, stiffness = np.exp(theta)
     system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     decay, squared = system.decay_and_frequency
@@ -254,7 +271,7 @@ def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: fl
 
 
 def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:
-    """Best of a grid of systems against the correlations of the longest run of input.
+    """Return the best of a grid of systems against the correlations of the longest run of input.
 
     Each is judged by how much output it explains at its best gain: the fit of Eq. 3.6 to the impulse response, in
     the metric of that response's own uncertainty, over a grid that no poor start can lead astray.
@@ -272,7 +289,12 @@ def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[Se
     best = int(np.argmax(merit))
     gain = explained[best] / energy[best] if energy[best] > 0.0 else 0.0
     if gain == 0.0 or not np.isfinite(gain):
-        raise UnusableInputError("the output does not answer the input: no second-order system can be fitted")
+        raise UnusableInputError(
+            Message(
+                "second_order.no_response",
+                "the output does not respond to the input: no second-order system can be fitted",
+            )
+        )
     unit = systems[best]
     scale = 1.0 / abs(gain)
     return SecondOrder(unit.mass * scale, unit.damping * scale, unit.stiffness * scale), float(np.sign(gain))
@@ -280,7 +302,7 @@ def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[Se
 
 @lru_cache(maxsize=8)
 def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
-    """Systems of unit stiffness over natural frequency and damping ratio, with kernels h (systems, lags).
+    """Return the systems of unit stiffness over natural frequency and damping ratio, with kernels h (systems, lags).
 
     The last array (systems, lags) holds the sums of products of each kernel with itself, so that times the input's
     correlation they make h' R h.
@@ -299,7 +321,7 @@ def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
 
 
 def _free_run_vaf(record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold) -> float:
-    """VAF of the system run from rest at the mean input; a gap in the input holds only unfitted samples."""
+    """Return VAF of the system run from rest at the mean input; a gap in the input holds only unfitted samples."""
     u = np.where(np.isfinite(record.input), record.input - mean_u, 0.0)
     simulated = sign * system.simulate(u, record.sample_rate_hz, hold)
     return vaf_percent(record.output[used], simulated[used])

@@ -13,13 +13,64 @@ from functools import cached_property
 from typing import Literal, NamedTuple, Self
 
 import numpy as np
+from numba import njit
 from numpy.polynomial import legendre
 from scipy import interpolate, optimize
 
 from tissueid.identification.base import Array
-from tissueid.identification.bend_sums import bend_sums
+from tissueid.language import marked
+
+_STRAIGHT = 1e-4
+"""C2 times the reach of t below which the derivative by C2 is taken from its series."""
+
+
+# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def exponential_sums(
+    t: Array, y: Array, fallen: Array, c2: float, reach: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return the sums over the samples of the bend b = (1 - exp(-C2 t)) / C2 and of its derivative d by C2.
+
+    Args:
+        t: shape (n,), within ``reach`` of zero.
+        y: shape (n,).
+        fallen: exp(-C2 t) - 1, shape (n,).
+        c2: C2; zero for a straight line.
+        reach: largest absolute value of t.
+
+    Returns:
+        The sums of b, b b, b y, d, d d, d b and d y.
+    """
+    b_sum = b_b = b_y = d_sum = d_d = d_b = d_y = 0.0
+    if abs(c2) * reach < _STRAIGHT:
+        for n in range(t.size):
+            b = t[n] * (1.0 - c2 * t[n] * (0.5 - c2 * t[n] / 6.0))
+            d = t[n] * t[n] * (c2 * t[n] / 3.0 - 0.5)
+            b_sum += b
+            b_b += b * b
+            b_y += b * y[n]
+            d_sum += d
+            d_d += d * d
+            d_b += d * b
+            d_y += d * y[n]
+    else:
+        per_c2 = 1.0 / c2
+        for n in range(t.size):
+            b = -fallen[n] * per_c2
+            d = (t[n] * (1.0 + fallen[n]) - b) * per_c2
+            b_sum += b
+            b_b += b * b
+            b_y += b * y[n]
+            d_sum += d
+            d_d += d * d
+            d_b += d * b
+            d_y += d * y[n]
+    return b_sum, b_b, b_y, d_sum, d_d, d_b, d_y
+
 
 Form = Literal["exponential", "polynomial", "spline"]
+_FORMS = (marked("exponential"), marked("polynomial"), marked("spline"))
+"""Choices of the option as a form shows them, for translation."""
 
 _STEEPEST = 20.0
 """Largest C2 times the reach of z from its middle: a curve that falls by e to the twentieth is a step."""
@@ -56,7 +107,7 @@ class StaticNonlinearity(ABC):
 
     @abstractmethod
     def refit(self, z: Array, y: Array) -> Self:
-        """Fit the same form anew to z (n,) and y (n,)."""
+        """Refit the same form to z (n,) and y (n,)."""
 
     def with_coefficients(self, coefficients: Array) -> Self:
         """Return the same form with other coefficients, for derivatives by them."""
@@ -135,15 +186,15 @@ class Exponential(StaticNonlinearity):
         low, high = self.monotone_range
         bend = (y - y0) / s
         if c2 != 0.0:
-            bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # past the asymptote, as far as can be told
+            bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # past the asymptote, to rounding
         return np.asarray(np.clip(self.centre + bend, low, high))
 
     def refit(self, z: Array, y: Array) -> Exponential:
-        """Fit y0, s and C2 anew, starting from these."""
+        """Refit y0, s and C2 from their present values."""
         return fit_exponential(z, y, start=self.coefficients[2])
 
     def thesis_constants(self, surface: float | None, c3: float) -> tuple[float, float, float, float]:
-        """C1, C2, C3 and the offset of y = offset + C1 (1 - exp(-C2 (z + C3))).
+        """Return C1, C2, C3 and the offset of y = offset + C1 (1 - exp(-C2 (z + C3))).
 
         The curve has three degrees of freedom and this form four. Known is either the offset, as ``surface``, and
         C3 follows; or, with ``surface`` None, C3, and the offset follows. NaN where no such curve exists.
@@ -183,7 +234,7 @@ class Polynomial(StaticNonlinearity):
         return np.asarray(legendre.legvander(self._scaled(np.clip(z, self.low, self.high)), self.coefficients.size - 1))
 
     def refit(self, z: Array, y: Array) -> Polynomial:
-        """Fit a series of the same degree anew."""
+        """Refit a series of the same degree."""
         return fit_polynomial(z, y, self.coefficients.size - 1)
 
 
@@ -215,7 +266,7 @@ class MonotoneSpline(Spline):
     """A spline that never turns back: its B-spline coefficients rise, or fall, from one to the next."""
 
     def refit(self, z: Array, y: Array) -> MonotoneSpline:
-        """Fit a spline of as many pieces anew."""
+        """Refit a spline with the same number of pieces."""
         return fit_spline(z, y, self.coefficients.size - 3)
 
 
@@ -278,7 +329,7 @@ def fit_polynomial(z: Array, y: Array, degree: int) -> Polynomial:
 
 
 def fit_spline(z: Array, y: Array, pieces: int) -> MonotoneSpline:
-    """Fit a monotone cubic spline of so many pieces, with knots at quantiles of z (n,), to y (n,).
+    """Fit a monotone cubic spline of ``pieces`` pieces, with knots at quantiles of z (n,), to y (n,).
 
     The increments between neighbouring B-spline coefficients are held to one sign by non-negative least squares
     (I-splines: Ramsay 1988).
@@ -309,7 +360,7 @@ def _bounded(exponent: Array) -> Array:
 
 
 def _bend(t: Array, c2: float) -> Array:
-    """(1 - exp(-C2 t)) / C2, and t for C2 = 0."""
+    """Return (1 - exp(-C2 t)) / C2, and t for C2 = 0."""
     return np.asarray(-np.expm1(_bounded(-c2 * t)) / c2) if c2 != 0.0 else t
 
 
@@ -325,7 +376,7 @@ class _Line(NamedTuple):
 
 def _line_through_bend(t: Array, y: Array, energy: float, reach: float, c2: float) -> _Line:
     """Best s at a given C2 for t (n,) within ``reach`` of zero and y (n,), without its mean, of a sum of squares."""
-    b_sum, b_b, b_y, d_sum, d_d, d_b, d_y = bend_sums(t, y, np.expm1(-c2 * t), c2, reach)
+    b_sum, b_b, b_y, d_sum, d_d, d_b, d_y = exponential_sums(t, y, np.expm1(-c2 * t), c2, reach)
     mean_bend, mean_d = b_sum / t.size, d_sum / t.size
     size = b_b - b_sum * mean_bend
     shared = d_b - d_sum * mean_bend
@@ -336,7 +387,7 @@ def _line_through_bend(t: Array, y: Array, energy: float, reach: float, c2: floa
 
 
 def _bend_of_grid(t: Array, y: Array, bends: Array) -> float:
-    """The C2 of a grid (k,) that fits t (n,) and y (n,) without its mean best."""
+    """Return the C2 of a grid (k,) that fits t (n,) and y (n,) without its mean best."""
     spread = np.array([_bend(t, float(c2)) for c2 in bends])  # (k, n)
     spread -= spread.mean(axis=1, keepdims=True)
     explained = (spread @ y) ** 2 / np.einsum("ij,ij->i", spread, spread)
@@ -344,7 +395,7 @@ def _bend_of_grid(t: Array, y: Array, bends: Array) -> float:
 
 
 def _bend_by_c2(t: Array, c2: float, bend: Array) -> Array:
-    """Derivative of (1 - exp(-C2 t)) / C2, which is ``bend``, by C2."""
+    """Return the derivative of (1 - exp(-C2 t)) / C2, which is ``bend``, by C2."""
     if abs(c2) * max(float(t.max()), -float(t.min())) < 1e-4:
         return np.asarray(t**2 * (c2 / 3.0 * t - 0.5))
     return np.asarray((t * (1.0 - c2 * bend) - bend) / c2)

@@ -1,11 +1,11 @@
-"""Talking to an instrument: a real one on a port, a simulated one in this process, a saved session replayed."""
+"""Instruments: real ones on a port, simulated ones in this process, and replays of saved tests."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from tissueid.instrument.correction import Correction
-from tissueid.instrument.discovery import Found, find_instruments, open_instrument
+from tissueid.instrument.discovery import FoundInstrument, find_instruments, open_instrument
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import (
     SAMPLE,
@@ -15,8 +15,8 @@ from tissueid.instrument.interface import (
     Observer,
     Run,
     force,
-    not_played,
-    until_released,
+    is_not_played,
+    trim_at_release,
 )
 from tissueid.instrument.limits import (
     CLINICAL,
@@ -30,12 +30,12 @@ from tissueid.instrument.limits import (
 )
 from tissueid.instrument.link import Link, SerialLink
 from tissueid.instrument.replay import ReplayInstrument
-from tissueid.lazily import on_first_use
+from tissueid.lazy_import import lazy_attributes
 
 if TYPE_CHECKING:
     from tissueid.instrument.simulated import SimulatedInstrument
 else:
-    __getattr__ = on_first_use(
+    __getattr__ = lazy_attributes(
         __name__,
         {
             "simulated": ("SimulatedInstrument",),
@@ -49,7 +49,7 @@ __all__ = [
     "SAMPLE",
     "SIGNALS",
     "Correction",
-    "Found",
+    "FoundInstrument",
     "Gap",
     "Instrument",
     "Limits",
@@ -66,7 +66,7 @@ __all__ = [
     "check_stimulus",
     "find_instruments",
     "force",
-    "not_played",
+    "is_not_played",
     "open_instrument",
-    "until_released",
+    "trim_at_release",
 ]

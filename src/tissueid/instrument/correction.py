@@ -1,4 +1,4 @@
-"""Corrections of recorded channels by a calibration: what was read is scaled to what was there."""
+"""Corrections of recorded channels by a calibration: offset and gain of the readings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError
+from tissueid.messages import Message
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A channel reads ``gain`` * truth + ``offset``.
+    """The reading of a channel is ``gain`` * true value + ``offset``.
 
     Raises:
-        InstrumentError: the gain is not near one, or a figure is not finite.
+        InstrumentError: the gain is not between 0.5 and 2, or the offset is not finite.
     """
 
     gain: float = 1.0
@@ -25,15 +26,22 @@ class Correction:
 
     def __post_init__(self) -> None:
         if not (0.5 < self.gain < 2.0 and np.isfinite(self.offset)):
-            raise InstrumentError(f"a channel cannot have a gain of {self.gain:g} and an offset of {self.offset:g}")
+            raise InstrumentError(
+                Message(
+                    "calibration.implausible_correction",
+                    "a channel cannot have a gain of {gain:g} and an offset of {offset:g}",
+                    gain=self.gain,
+                    offset=self.offset,
+                )
+            )
 
 
 Corrections = Mapping[str, Correction]
-"""By the channel's name; channels that are missing are right as they are."""
+"""Corrections by channel name. A channel without one needs no correction."""
 
 
 def corrected(samples: NDArray[np.void], corrections: Corrections) -> NDArray[np.void]:
-    """Samples, shape (k,) of SAMPLE, as the calibration in force reads them; the argument is left as it is."""
+    """Return corrected samples, shape (k,) of SAMPLE; the argument is not changed."""
     if not corrections:
         return samples
     result = samples.copy()
@@ -44,17 +52,19 @@ def corrected(samples: NDArray[np.void], corrections: Corrections) -> NDArray[np
 
 
 def check_corrections(corrections: Corrections, channels: Sequence[str]) -> dict[str, Correction]:
-    """A copy of the corrections of some of the recorded ``channels``.
+    """Return a copy of the corrections.
 
     Raises:
-        InstrumentError: one is for a channel that nothing is measured by.
+        InstrumentError: a correction is not for one of the measured ``channels``.
     """
     for name in corrections:
         if name not in channels or name == "command":
-            raise InstrumentError(f"there is no channel {name!r} to be corrected")
+            raise InstrumentError(
+                Message("calibration.unknown_channel", "there is no channel {name} to correct", name=name)
+            )
     return dict(corrections)
 
 
-def most_cautious(nominal: DeviceDescription, device: DeviceDescription) -> tuple[DeviceDescription, ...]:
-    """The descriptions by which limits are judged, one after the other: a calibration never loosens a limit."""
+def checked_descriptions(nominal: DeviceDescription, device: DeviceDescription) -> tuple[DeviceDescription, ...]:
+    """Return the descriptions for which limits must hold, so that a calibration never loosens a limit."""
     return (nominal,) if device is nominal else (nominal, device)

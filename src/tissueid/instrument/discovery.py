@@ -1,4 +1,4 @@
-"""Finding instruments: serial ports, simulated firmware that is running, and the simulation in this process."""
+"""Discovery of instruments: serial ports, running simulated firmware, and simulations in this process."""
 
 from __future__ import annotations
 
@@ -15,58 +15,69 @@ from platformdirs import user_cache_path
 from serial.tools import list_ports
 
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.formatting import clean
 from tissueid.instrument.driver import SerialInstrument
 from tissueid.instrument.interface import Instrument
 from tissueid.instrument.link import SerialLink
 from tissueid.instrument.tissues import TISSUES
 from tissueid.instrument.twin_list import SUFFIX
-from tissueid.wording import clean
+from tissueid.language import marked
+from tissueid.messages import Action, Message, Verbatim, joined
 
 IN_PROCESS = "simulated://"
 DEFAULT_TISSUE = "forearm"
 _SEED_DIGITS = 18
-_STARTED = 19
-"""Place of a process' start among the fields that follow its name (proc(5))."""
+_START_FIELD = 19
+"""Index of the start time among the fields after the process name (proc(5))."""
 _SHOWN = 80
 """Characters of an address that a message repeats."""
+_SIMULATION = Message("discovery.simulation", "simulation in this process")
 
 
 @dataclass(frozen=True)
-class Found:
-    """A place where an instrument is, or may be."""
+class FoundInstrument:
+    """An address where an instrument is, or may be."""
 
     url: str
     what: str
+    """Kind of instrument or port."""
     answers: bool | None
-    """True: it shook hands. False: something is there that did not. None: not asked."""
+    """True: the handshake succeeded. False: it failed. None: not tried."""
     detail: str = ""
+    """Model, serial number and firmware of an instrument that answered, or why it did not answer."""
     name: str = ""
-    """What to call it where people choose: model and serial number of what answered, else what seems to be there."""
+    """Name for lists: model and serial number of an instrument that answered, else the kind of port."""
 
 
 def open_instrument(url: str) -> Instrument:
-    """Open what a URL names: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
+    """Open the instrument at an address: a serial port, ``socket://host:port``, or ``simulated://TISSUE?seed=N``.
 
-    A simulated tissue is the same in every test with a seed, and differs from test to test without.
-    ``simulated:///PATH/twin.toml?seed=N`` plays a twin that a diagnosis left (``gap accept``).
+    With a seed, a simulated instrument always gives the same measurements. ``simulated:///PATH/twin.toml?seed=N``
+    simulates a named twin (``gap accept``).
 
     Raises:
-        InstrumentError, ProtocolVersionError, UnusableInputError: nothing there that can be used.
+        InstrumentError, ProtocolVersionError, UnusableInputError: there is no usable instrument at the address.
     """
     if url.startswith(IN_PROCESS):
         return _simulation(url)
     if not url.strip():
-        raise UnusableInputError("say which instrument; 'tissueid devices' lists them")
+        raise UnusableInputError(
+            Message(
+                "discovery.no_address",
+                "the address of the instrument is empty: {choose}",
+                choose=Action("instrument.list", "tissueid devices", marked("choose one in the list of instruments")),
+            )
+        )
     return SerialInstrument(SerialLink(url))
 
 
 def _simulation(url: str) -> Instrument:
-    """The simulation in this process that a URL names.
+    """Open the simulation at an address.
 
     Raises:
-        UnusableInputError: it names none, or asks for something else than a seed.
+        UnusableInputError: the tissue or a parameter is unknown.
     """
-    # The twin is compiled code, which takes longer to import than all the rest of the instruments.
+    # Imported here: the compiled code of the twin takes longer to import than all other instruments.
     from tissueid.instrument.simulated import SimulatedInstrument
     from tissueid.instrument.twin_file import read_twin
 
@@ -75,54 +86,85 @@ def _simulation(url: str) -> Instrument:
         parts = urlsplit(url)
         query = parse_qs(parts.query, keep_blank_values=True)
     except ValueError as error:
-        raise UnusableInputError(f"{shown} is no address: write simulated://TISSUE?seed=N") from error
+        raise UnusableInputError(
+            Message("simulation.address", "{address} is not an address: write simulated://TISSUE?seed=N", address=shown)
+        ) from error
     if unknown := set(query) - {"seed"}:
-        raise UnusableInputError(f"{shown} asks for {clean(', '.join(sorted(unknown)))[:_SHOWN]}; there is only seed")
+        raise UnusableInputError(
+            Message(
+                "simulation.parameter",
+                "{address} has the unknown parameter {names}; the only one is seed",
+                address=shown,
+                names=clean(", ".join(sorted(unknown)))[:_SHOWN],
+            )
+        )
     given = query.get("seed", [None])[-1]
     if given is not None and not (given.isascii() and given.isdigit() and len(given) <= _SEED_DIGITS):
-        raise UnusableInputError(f"the seed in {shown} must be a whole number of {_SEED_DIGITS} digits at most")
+        raise UnusableInputError(
+            Message(
+                "simulation.seed",
+                "the seed in {address} must be a whole number of at most {digits} digits",
+                address=shown,
+                digits=_SEED_DIGITS,
+            )
+        )
     seed = None if given is None else int(given)
     file = unquote(f"{parts.netloc}{parts.path}")
     if file.endswith(SUFFIX):
         return SimulatedInstrument(read_twin(Path(file)), seed=seed)
     if parts.path.strip("/") or parts.fragment:
         raise UnusableInputError(
-            f"{shown} is neither a tissue nor a twin: write simulated://TISSUE ({', '.join(TISSUES)}), or "
-            f"simulated:///PATH/NAME{SUFFIX}"
+            Message(
+                "simulation.path",
+                "{address} is neither a tissue nor a twin: write simulated://TISSUE ({known}), or "
+                "simulated:///PATH/NAME{suffix}",
+                address=shown,
+                known=joined(map(Verbatim, TISSUES)),
+                suffix=SUFFIX,
+            )
         )
     return SimulatedInstrument(parts.netloc or DEFAULT_TISSUE, seed=seed)
 
 
-def find_instruments(*, probe: bool = True, opener: Callable[[str], Instrument] = open_instrument) -> list[Found]:
-    """Everything that looks like an instrument; with ``probe`` each port is asked to shake hands."""
-    candidates = [
-        (note["url"], f"simulated firmware, {note['preset']}", f"simulated firmware, {note['serial_number']}")
-        for note in _simulated_notes()
+def find_instruments(
+    *, probe: bool = True, opener: Callable[[str], Instrument] = open_instrument
+) -> list[FoundInstrument]:
+    """Return all addresses where an instrument is or may be. With ``probe``, try the handshake on each port."""
+    candidates: list[tuple[str, str, str]] = [
+        (
+            note["url"],
+            Message("discovery.firmware", "simulated firmware, {name}", name=Verbatim(note["preset"])),
+            Message("discovery.firmware", "simulated firmware, {name}", name=Verbatim(note["serial_number"])),
+        )
+        for note in _running_simulators()
     ]
     for port in list_ports.comports():
-        what = port.description or "serial port"
-        candidates.append((port.device, what, what if what != "n/a" else "serial port"))
+        described = port.description and port.description != "n/a"
+        what: str = Verbatim(port.description) if described else Message("discovery.port", "serial port")
+        candidates.append((port.device, what, what))
     found = []
     for url, what, name in candidates:
         if not probe:
-            found.append(Found(url, what, None, name=name))
+            found.append(FoundInstrument(url, what, None, name=name))
             continue
         try:
             instrument = opener(url)
         except TissueIDError as error:
-            found.append(Found(url, what, False, str(error), name))
+            found.append(FoundInstrument(url, what, False, error.message, name))
             continue
         device = instrument.device
         instrument.close()
-        name = f"{device.model}, {device.serial_number}"
-        found.append(Found(url, what, True, f"{name}, firmware {device.firmware_version}", name))
-    what = "simulation in this process"
-    found += [Found(f"{IN_PROCESS}{name}", what, True, name=f"simulation, {name}") for name in TISSUES]
+        name = Verbatim(f"{device.model}, {device.serial_number}")
+        detail = Message("discovery.answered", "{name}, firmware {version}", name=name, version=device.firmware_version)
+        found.append(FoundInstrument(url, what, True, detail, name))
+    for tissue in TISSUES:
+        name = Message("discovery.simulated_tissue", "simulation, {tissue}", tissue=Verbatim(tissue))
+        found.append(FoundInstrument(f"{IN_PROCESS}{tissue}", _SIMULATION, True, name=name))
     return found
 
 
-def _simulated_notes() -> list[dict[str, Any]]:
-    """What running simulators left of themselves; the notes of those that are dead are removed."""
+def _running_simulators() -> list[dict[str, Any]]:
+    """Return the notes of running simulators, and remove the notes of those that ended."""
     folder = user_cache_path("tissueid", appauthor=False) / "simulated"
     notes = []
     for path in sorted(folder.glob("*.json")) if folder.is_dir() else []:
@@ -132,7 +174,7 @@ def _simulated_notes() -> list[dict[str, Any]]:
             if not all(isinstance(note[name], str) for name in ("url", "preset", "serial_number")):
                 continue
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            continue  # half-written or foreign: not a simulator
+            continue  # incomplete, or not the note of a simulator
         if not _alive(pid, note.get("started")):
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -142,12 +184,12 @@ def _simulated_notes() -> list[dict[str, Any]]:
 
 
 def _alive(pid: int, started: object) -> bool:
-    """Whether the process of that number is the one that began at that moment, in ticks since the computer did."""
+    """Return whether process ``pid`` runs and started at ``started``, in ticks after the start of the computer."""
     if not Path("/proc/self/stat").exists():
-        return True  # cannot tell: the handshake will
+        return True  # unknown: the handshake decides
     try:
-        # The second field is the program's name in brackets, which may hold anything.
+        # The second field is the name of the program in brackets, with any characters.
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-        return started == int(fields[_STARTED])
+        return started == int(fields[_START_FIELD])
     except (OSError, ValueError, IndexError):
         return False

@@ -1,9 +1,10 @@
-"""Reading the handshake: who answers, whether it can be understood, and the scales of its channels."""
+"""The handshake: version, properties and channel scales of a device, checked for plausibility."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,16 @@ from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError, LimitError, ProtocolVersionError
 from tissueid.instrument.interface import SIGNALS
 from tissueid.instrument.limits import Limits
+from tissueid.messages import Message, joined
 
 
 @dataclass(frozen=True)
-class Introduction:
-    """What a device said of itself: its figures, the scales of the channels in the order of SIGNALS, its boot id.
+class Handshake:
+    """What a device reports in its HELLO_ACK.
 
-    ``max_force_n`` and ``max_temperature_c`` are as far as it ever goes, whatever limits it is asked for. Without a
-    heartbeat its watchdog releases the coil within ``watchdog_s``.
+    ``gains`` and ``offsets``, shape (7,), convert codes to SI units in the order of SIGNALS. ``max_force_n`` and
+    ``max_temperature_c`` are fixed limits of the device, whatever limits a test sets. Without a heartbeat its watchdog
+    releases the coil within ``watchdog_s``. ``boot_id`` changes at every restart.
     """
 
     device: DeviceDescription
@@ -32,7 +35,7 @@ class Introduction:
     watchdog_s: float
 
     def narrowed(self, limits: Limits) -> Limits:
-        """These limits, or the device's own where it goes less far."""
+        """Return ``limits``, reduced to the fixed limits of the device."""
         return replace(
             limits,
             max_force_n=min(limits.max_force_n, self.max_force_n),
@@ -40,14 +43,16 @@ class Introduction:
         )
 
     def codes(self, command_v: NDArray[np.float64]) -> NDArray[np.int16]:
-        """The converter's codes, shape (n,), of commands in V.
+        """Return the converter codes, shape (n,), of commands in V.
 
         Raises:
-            LimitError: it has no codes for them.
+            LimitError: a command is outside the range of the converter.
         """
         codes = np.rint((np.asarray(command_v) - self.offsets[0]) / self.gains[0])
         if not np.all(np.abs(codes) <= 32767):
-            raise LimitError("the stimulus goes beyond the range of the instrument's converter")
+            raise LimitError(
+                Message("limit.converter", "the stimulus exceeds the range of the instrument's output converter")
+            )
         data: NDArray[np.int16] = codes.astype("<i2")
         return data
 
@@ -68,7 +73,7 @@ RANGES = {
     "max_force_n": (0.1, 100.0),
     "max_temperature_c": (30.0, 150.0),
 }
-"""Between which values every figure of a device lies that this software drives (docs/protocol.md, 4.1)."""
+"""Lowest and highest plausible value of each property of a supported device (docs/protocol.md, 4.1), SI."""
 
 SPANS = {
     "command": (1.0, 1000.0),
@@ -79,55 +84,107 @@ SPANS = {
     "acceleration_x": (1.0, 10_000.0),
     "acceleration_y": (1.0, 10_000.0),
 }
-"""How far the codes of each channel reach from end to end, in its unit; its gain is positive."""
+"""Smallest and largest plausible span of each channel over all of its codes, in its unit; gains are positive."""
 _CODES = 65536
-_LISTED = 8
+_SHOWN_CHANNELS = 8
 
 
-def _impossible(figures: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> str:
-    """Which figure cannot be, in words; "" where all can."""
+def _out_of_range(values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]]) -> tuple[Any, ...] | None:
+    """Return name, value, low and high of the first value outside its range; None where all are inside."""
     for name, (low, high) in ranges.items():
-        if not low <= figures[name] <= high:  # so that nothing is in the range of a NaN
-            return f"{name} is {figures[name]:.4g}, not {low:g} to {high:g}"
-    return ""
+        if not low <= values[name] <= high:  # true for NaN
+            return name, values[name], low, high
+    return None
 
 
-def read_hello(payload: bytes, name: str) -> Introduction:
-    """A HELLO_ACK from the port called ``name``.
+def _problem(fields: Mapping[str, Any], spans: Mapping[str, float], offsets: NDArray[np.float64]) -> Message | None:
+    """Return the first implausible value of a HELLO_ACK as a message."""
+    if odd := _out_of_range(fields, RANGES):
+        name, value, low, high = odd
+        return Message(
+            "handshake.value",
+            "{name} is {value:.4g}, not {low:g} to {high:g}",
+            name=name,
+            value=value,
+            low=low,
+            high=high,
+        )
+    if odd := _out_of_range(spans, SPANS):
+        name, value, low, high = odd
+        return Message(
+            "handshake.span",
+            "from end to end {name} is {value:.4g}, not {low:g} to {high:g}",
+            name=name,
+            value=value,
+            low=low,
+            high=high,
+        )
+    for name, offset in zip(SIGNALS, offsets, strict=True):
+        if not abs(offset) <= spans[name]:
+            return Message(
+                "handshake.offset",
+                "the offset of {name} is {value:.4g}, which is outside the range of its codes",
+                name=name,
+                value=offset,
+            )
+    return None
+
+
+def parse_hello(payload: bytes, port: str) -> Handshake:
+    """Parse the payload of a HELLO_ACK that arrived on ``port``.
 
     Raises:
-        ProtocolVersionError: it speaks other versions; says which side to update.
-        InstrumentError: it is damaged, or cannot be true.
+        ProtocolVersionError: the versions do not overlap; the message says which side to update.
+        InstrumentError: the payload is damaged, or a value is implausible.
     """
     oldest, newest = payload[:2] if len(payload) >= 2 else (0, 0)
     if not oldest <= wire.PROTOCOL_VERSION <= newest:
-        raise ProtocolVersionError(
-            f"the instrument on {name} speaks protocol {oldest} to {newest}, "
-            f"this software {wire.PROTOCOL_VERSION}: update the {'software' if oldest > 1 else 'firmware'}"
-        )
+        versions = {"port": port, "oldest": oldest, "newest": newest, "own": wire.PROTOCOL_VERSION}
+        if oldest > wire.PROTOCOL_VERSION:
+            message = Message(
+                "handshake.software_too_old",
+                "the instrument on {port} speaks protocol {oldest} to {newest}, this software {own}: "
+                "update the software",
+                **versions,
+            )
+        else:
+            message = Message(
+                "handshake.firmware_too_old",
+                "the instrument on {port} speaks protocol {oldest} to {newest}, this software {own}: "
+                "update the firmware",
+                **versions,
+            )
+        raise ProtocolVersionError(message)
     try:
         fields, table = wire.unpack(wire.HELLO_ACK, payload, tail=True)
         if len(table) != fields["channels"] * wire.CHANNEL.itemsize:
-            raise wire.PayloadError("the channel table is cut short")
+            raise wire.PayloadError(
+                f"the channel table has {len(table)} bytes, not {fields['channels'] * wire.CHANNEL.itemsize}"
+            )
     except wire.PayloadError as error:
-        raise InstrumentError(f"the handshake of {name} is damaged: {error}") from error
+        raise InstrumentError(
+            Message("handshake.damaged", "the handshake of {port} is damaged: {why}", port=port, why=str(error))
+        ) from error
     channels = np.frombuffer(table, wire.CHANNEL)
     names = tuple(wire.text(channel) for channel in channels["name"])
     if names != SIGNALS:
-        listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-        raise InstrumentError(f"{name} has other channels than this software knows: {listed}")
+        shown = joined([*names[:_SHOWN_CHANNELS], *(["..."] if len(names) > _SHOWN_CHANNELS else [])])
+        raise InstrumentError(
+            Message("handshake.channels", "{port} has unknown channels: {names}", port=port, names=shown)
+        )
     gains, offsets = channels["gain"].astype(np.float64), channels["offset"].astype(np.float64)
     spans = {signal: _CODES * float(gain) for signal, gain in zip(SIGNALS, gains, strict=True)}
-    odd = _impossible(fields, RANGES)
-    if scale := _impossible(spans, SPANS):
-        odd = odd or f"from end to end {scale}"
-    for signal, offset in zip(SIGNALS, offsets, strict=True):
-        if not odd and not abs(offset) <= spans[signal]:
-            odd = f"the offset of {signal} is {offset:.4g}, which its codes do not reach"
-    if odd:
-        raise InstrumentError(f"{name} reports impossible figures of itself: {odd}. Update its firmware")
-    figures = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
-    figures |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
-    device = DeviceDescription(**figures, protocol_version=str(wire.PROTOCOL_VERSION))
+    if (problem := _problem(fields, spans, offsets)) is not None:
+        raise InstrumentError(
+            Message(
+                "handshake.impossible",
+                "{port} reports an impossible value: {problem}. Update its firmware",
+                port=port,
+                problem=problem,
+            )
+        )
+    properties = {key: fields[key] for key in DeviceDescription.__dataclass_fields__ if key in fields}
+    properties |= {key: wire.text(fields[key]) for key in ("model", "serial_number", "firmware_version")}
+    device = DeviceDescription(**properties, protocol_version=str(wire.PROTOCOL_VERSION))
     own = {key: fields[key] for key in ("boot_id", "max_force_n", "max_temperature_c", "watchdog_s")}
-    return Introduction(device, gains, offsets, **own)
+    return Handshake(device, gains, offsets, **own)

@@ -1,4 +1,4 @@
-"""What every instrument offers, real, simulated or replayed; and the samples that it delivers."""
+"""Interface of every instrument, real, simulated or replayed, and the samples that it delivers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SAMPLE = np.dtype([("index", "<u8"), *((name, "<f8") for name in SIGNALS), ("fla
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that were not received: ``count`` of them, from sample ``first_index`` on."""
+    """``count`` samples from ``first_index`` that were not received."""
 
     first_index: int
     count: int
@@ -31,7 +31,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Run:
-    """One stimulus being played: its samples are ``first_index`` to ``first_index + samples``."""
+    """One stimulus being played, from sample ``first_index`` to before ``end_index``."""
 
     first_index: int
     samples: int
@@ -43,96 +43,94 @@ class Run:
 
 
 Observer = Callable[[NDArray[np.void]], None]
-"""Takes samples, shape (k,) of SAMPLE, k > 0, and must not raise."""
+"""Callback for samples, shape (k,) of SAMPLE, k > 0. Must not raise."""
 
 
 class Instrument(Protocol):
-    """Connect, load, arm, start, poll until the run is over, release, close.
+    """An instrument. Sequence of a test: open, load, arm, start, poll until the run is over, release, close.
 
-    ``poll`` must be called at least every 100 ms while the coil is armed or running: the heartbeat that keeps
-    the firmware's watchdog quiet is sent there and nowhere else, so a host that hangs releases the coil.
+    ``poll`` must be called at least every 100 ms while the coil is armed or running. Only ``poll`` sends the heartbeat
+    for the firmware's watchdog, so that a host that hangs releases the coil.
     """
 
     nominal: DeviceDescription
-    """What the instrument says of itself."""
+    """The instrument's own properties."""
     device: DeviceDescription
-    """The figures to work with: the nominal ones, or a calibration's laid over them."""
+    """The properties in use: the nominal ones, or those of the active calibration."""
     gaps: list[Gap]
     observer: Observer | None
-    """Is called with the samples of every ``poll``, in its thread, whatever procedure polls."""
+    """Called with the samples of every ``poll``, in the same thread."""
 
     def use_calibration(self, device: DeviceDescription, corrections: Mapping[str, Correction]) -> None:
-        """From now on go by ``device``, and correct what is read channel by channel.
+        """Use the device description and channel corrections of a calibration. Only while the coil is free.
 
-        Limits are judged by the nominal figures and what was read as well, whichever is the more cautious. With
-        ``nominal`` and no corrections a calibration is out of force again. Only while the coil is free.
+        Limits must hold for the nominal properties as well as for the calibrated ones. Passing ``nominal`` and no
+        corrections removes the calibration.
 
         Raises:
-            InstrumentError: a test is armed or running, or there is no such channel.
+            InstrumentError: a test is armed or running, or a channel does not exist.
         """
 
     @property
     def late_blocks(self) -> int:
-        """Blocks of set-points of the newest run that came after their time."""
+        """Blocks of set-points of the newest run that arrived too late."""
 
     @property
     def held_samples(self) -> int:
-        """Samples of the newest run whose command was not the stimulus' own, because its set-point was missing."""
+        """Samples of the newest run that were held because their set-point was missing."""
 
     @property
     def setpoint_margin_s(self) -> float | None:
-        """Least time by which a block of the newest run was there before it was played; None where no cable is."""
+        """Least time between arrival and playing of a block of the newest run, s; None without a cable."""
 
     def load(self, command_v: NDArray[np.float64]) -> None:
-        """Send a stimulus, shape (n,), V at the device's sample rate."""
+        """Load a stimulus, shape (n,), V at the device's sample rate."""
 
     def follow(self, samples: int, hold_v: float) -> None:
-        """After ``load``: while the next run goes on, ``samples`` set-points more will be sent with ``send``.
+        """Announce, after ``load``, ``samples`` set-points that will be sent with ``send`` during the next run.
 
-        Where they fail to come in time, the command goes softly to ``hold_v`` and stays there until they do. It is
-        agreed for one run; the next one asks anew.
+        If they are late, the command ramps to ``hold_v`` and stays there until they arrive. Valid for one run.
         """
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
-        """Set-points, shape (k,), V, for the run's samples from ``offset`` on, ahead of their time; does not wait.
+        """Send set-points, shape (k,), V, for the samples of the run from ``offset``, without waiting.
 
-        The first set-point's offset is the length of what was loaded. What goes wrong with them comes with ``poll``.
+        The offset of the first set-point is the length of the loaded stimulus. ``poll`` raises later errors.
         """
 
     def finish(self) -> int:
-        """End the run now as its stimulus would end, by a soft release; returns how many samples it had played."""
+        """End the run now by its soft release, and return the number of samples played."""
 
     def narrowed(self, limits: Limits) -> Limits:
-        """These limits, or the instrument's own where it goes less far."""
+        """Return ``limits``, reduced to the fixed limits of the instrument."""
 
     def arm(self, limits: Limits) -> None:
-        """Agree on the limits; the next ``start`` plays the stimulus."""
+        """Set the limits of the next run."""
 
     def start(self) -> Run:
-        """Energise the coil and play."""
+        """Energise the coil and play the stimulus."""
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
-        """Samples that arrived, shape (k,) of SAMPLE, k may be 0; waits up to ``timeout_s`` for the first.
+        """Return arrived samples, shape (k,) of SAMPLE, k >= 0; wait up to ``timeout_s`` for the first.
 
-        ``observer``, if there is one, gets them too.
+        The samples also go to ``observer``.
         """
 
     def move_stage(self, position_m: float | None) -> bool:
-        """Bring the fixture on a motorised stage to rest at a position on the actuator; None takes it out of reach.
+        """Move the fixture on a motorised stage to a position on the actuator, m; None moves it out of reach.
 
-        Only while the coil is free. Returns False, and does nothing, where the instrument has no such stage: then a
-        person has to move it.
+        Only while the coil is free. Return False, and do nothing, if the instrument has no stage.
         """
 
     def release(self) -> None:
-        """Free the coil now. Never raises: what cannot be said to the firmware its watchdog does."""
+        """Release the coil now. Never raises: without a link the watchdog of the firmware releases it."""
 
     def close(self) -> None:
-        """Release, and let go of the port."""
+        """Release the coil and close the port."""
 
 
 def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
-    """``count`` samples that were not received: shape (count,), NaN throughout."""
+    """Return ``count`` samples that were not received: shape (count,), all signals NaN."""
     samples = np.zeros(count, SAMPLE)
     samples["index"] = first_index + np.arange(count)
     for name in SIGNALS:
@@ -140,23 +138,23 @@ def empty_samples(first_index: int, count: int) -> NDArray[np.void]:
     return samples
 
 
-def not_played(samples: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Whether each of samples, shape (k,), was received and belongs to no run, shape (k,)."""
+def is_not_played(samples: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return for each of the samples, shape (k,), whether it was received and is part of no run, shape (k,)."""
     return np.asarray(np.isfinite(samples["position"]) & ((samples["flags"] & Flag.PLAYING) == 0))
 
 
-def until_released(samples: NDArray[np.void]) -> NDArray[np.void]:
-    """Samples of a run, shape (k,), up to its release: those from the first that was not played on are left out.
+def trim_at_release(samples: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the samples of a run, shape (k,), up to its release.
 
-    Samples that were lost right before it go as well: nothing says whether they were played.
+    Lost samples directly before the release are left out too, as it is unknown whether they were played.
     """
-    gone = np.flatnonzero(not_played(samples))
-    if not gone.size:
+    idle = np.flatnonzero(is_not_played(samples))
+    if not idle.size:
         return samples
-    played = np.flatnonzero(samples["flags"][: gone[0]] & Flag.PLAYING)
+    played = np.flatnonzero(samples["flags"][: idle[0]] & Flag.PLAYING)
     return samples[: played[-1] + 1 if played.size else 0]
 
 
 def force(samples: NDArray[np.void], device: DeviceDescription) -> NDArray[np.float64]:
-    """The force that the instrument believes, N: force constant times measured current, shape (k,)."""
+    """Return the coil force, N, shape (k,): force constant times measured current."""
     return np.asarray(samples["current"]) * device.force_constant_n_per_a

@@ -1,4 +1,4 @@
-"""Links: bytes to and from a device. The only place that knows about ports."""
+"""Links: bytes to and from a device. The only module that uses serial ports and sockets."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from urllib.parse import urlsplit
 import serial
 
 from tissueid.errors import InstrumentError, LinkLostError
+from tissueid.messages import Message
 
 BAUD_RATE = 921_600
-"""Twice what 2 kHz of eight 16-bit channels needs; a USB or pseudo-terminal link ignores it."""
-
+"""Bits per second: twice the rate of eight 16-bit channels at 2 kHz. USB and pseudo-terminal links ignore it."""
 
 try:
     import termios
@@ -27,45 +27,49 @@ else:
     _PORT_ERRORS = (OSError, ValueError, termios.error)
 
 SCHEMES = ("socket", "rfc2217")
-"""Kinds of address besides the name of a port: TCP, and a serial port on the network."""
+"""Supported URL schemes, in addition to the plain name of a port: TCP, and a serial port on the network."""
 
 _SLICE_S = 0.01
-"""How long one wait for the first byte lasts: a port's own timeout cannot be changed for every read."""
+"""Duration of one wait for the first byte, s: the timeout of a port cannot be changed for each read."""
 
 _READ = 65536
 _CONNECT_S = 5.0
 _WRITE_S = 1.0
 _SHORTEST_S = 1e-3
-"""A socket takes a timeout of nothing for another mode."""
+"""Shortest timeout of a socket, s: 0 would make it non-blocking."""
+
+
+_CLOSED = Message("link.closed", "the other end closed the connection")
 
 
 class Link(Protocol):
-    """A byte pipe. Every failure is a LinkLostError."""
+    """A bidirectional stream of bytes. Every failure raises LinkLostError."""
 
     name: str
 
     def read(self, timeout_s: float) -> bytes:
-        """Whatever has arrived; waits up to ``timeout_s`` for the first byte."""
+        """Return the bytes that have arrived; wait up to ``timeout_s`` for the first."""
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``."""
 
     def close(self) -> None:
-        """Let go of the port. Never raises."""
+        """Close the port. Never raises."""
 
 
 class _Port:
-    """A port as pyserial knows it.
+    """A port of pyserial.
 
     Raises:
-        ValueError: an address of a kind that is none of ``SCHEMES``: pyserial has some that write files, or guess.
+        ValueError: the scheme of the URL is not one of ``SCHEMES``. Other schemes of pyserial write files or guess.
     """
 
     def __init__(self, url: str) -> None:
         scheme, separator, _ = url.partition("://")
         if separator and scheme.lower() not in SCHEMES:
-            raise ValueError(f"it is no kind of address that is known ({', '.join(f'{name}://' for name in SCHEMES)})")
-        # Exclusive: a second program, or a search for instruments, must not read a running test's samples away.
+            known = ", ".join(f"{name}://" for name in SCHEMES)
+            raise ValueError(Message("link.scheme", "this kind of address is not supported ({known})", known=known))
+        # Exclusive: a second program, or a search for instruments, must not take samples of a running test.
         self._port = serial.serial_for_url(
             url, baudrate=BAUD_RATE, timeout=_SLICE_S, write_timeout=_WRITE_S, exclusive=True
         )
@@ -74,7 +78,7 @@ class _Port:
     def read(self, timeout_s: float) -> bytes:
         deadline = time.monotonic() + timeout_s
         while True:
-            # Asked for more than is there, a port waits for the rest until its timeout is over.
+            # A read of more bytes than have arrived would wait for the whole timeout.
             data = bytes(self._port.read(1))
             if data:
                 return data + bytes(self._port.read(min(self._port.in_waiting, _READ)))
@@ -89,11 +93,11 @@ class _Port:
 
 
 class _Socket:
-    """A TCP connection: pyserial's own cannot say how much has arrived, and so gives nothing before its timeout."""
+    """A TCP connection. The one of pyserial does not know how many bytes have arrived, so it waits for its timeout."""
 
     def __init__(self, url: str) -> None:
         self._socket = socket.create_connection(_address(url), timeout=_CONNECT_S)
-        # A block of set-points must not wait until there are more.
+        # Send each block of set-points at once.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self, timeout_s: float) -> bytes:
@@ -103,7 +107,7 @@ class _Socket:
         except TimeoutError:
             return b""
         if not data:
-            raise ConnectionError("the other end is gone")
+            raise ConnectionError(_CLOSED)
         return data
 
     def write(self, data: bytes) -> None:
@@ -123,59 +127,77 @@ class SerialLink:
 
     def __init__(self, url: str) -> None:
         self.name = url
-        # pyserial says OSError for some unplugs and SerialException (an OSError too) for others.
         try:
             self._pipe = _Socket(url) if url.startswith("socket://") else _Port(url)
         except _PORT_ERRORS as error:
-            raise unopened(url, error) from error
+            raise open_error(url, error) from error
 
     def read(self, timeout_s: float) -> bytes:  # noqa: D102
         try:
             return self._pipe.read(timeout_s)
-        except (OSError, TypeError) as error:  # TypeError: pyserial's read on a port closed meanwhile
-            raise broken(self.name, error) from error
+        except (OSError, TypeError) as error:  # TypeError: pyserial reads a port that was just closed
+            raise broken_error(self.name, error) from error
 
     def write(self, data: bytes) -> None:  # noqa: D102
         try:
             self._pipe.write(data)
         except (OSError, TypeError) as error:
-            raise broken(self.name, error) from error
+            raise broken_error(self.name, error) from error
 
     def close(self) -> None:  # noqa: D102
-        with contextlib.suppress(OSError):  # an unplugged port cannot be closed
+        with contextlib.suppress(OSError):  # an unplugged port raises
             self._pipe.close()
 
 
-def unopened(url: str, error: Exception) -> InstrumentError:
-    """What to say of a port that cannot be opened."""
-    taken = getattr(error, "errno", None) == errno.EAGAIN
-    advice = "close it, and try again" if taken else "check the cable, the power and the name of the port"
-    return InstrumentError(f"cannot open {url}: {_reason(error)}; {advice}")
+def open_error(url: str, error: Exception) -> InstrumentError:
+    """Return the error for a port that cannot be opened."""
+    if getattr(error, "errno", None) == errno.EAGAIN:
+        message = Message(
+            "link.in_use",
+            "cannot open {port}: another program is using it; close that program, and try again",
+            port=url,
+        )
+    else:
+        message = Message(
+            "link.not_opened",
+            "cannot open {port}: {why}; check the cable, the power and the name of the port",
+            port=url,
+            why=_reason(error),
+        )
+    return InstrumentError(message)
 
 
-def broken(name: str, error: Exception) -> LinkLostError:
-    """What to say of the connection called ``name`` when a read or a write failed."""
-    return LinkLostError(f"the connection to {name} broke: {_reason(error)}. Check the cable, and connect again")
+def broken_error(name: str, error: Exception) -> LinkLostError:
+    """Return the error for a failed read or write on the port called ``name``."""
+    message = Message(
+        "link.broken",
+        "the connection to {port} broke: {why}. Check the cable, and connect again",
+        port=name,
+        why=_reason(error),
+    )
+    return LinkLostError(message)
 
 
 def _address(url: str) -> tuple[str, int]:
-    """Host and port of ``socket://HOST:PORT``."""
+    """Return host and port of ``socket://HOST:PORT``."""
     with contextlib.suppress(ValueError):
         parts = urlsplit(url)
         if parts.hostname and parts.port is not None:
             return parts.hostname, parts.port
-    raise ValueError("an address has the form socket://HOST:PORT")
+    raise ValueError(Message("link.address", "an address has the form socket://HOST:PORT"))
 
 
 def _reason(error: Exception) -> str:
-    """Why, in the system's words; pyserial wraps them in its own, which name the port again."""
+    """Return why a port failed: a message, or the text of the system without the name of the port."""
+    if error.args and isinstance(error.args[0], Message):
+        return error.args[0]
     number = getattr(error, "errno", None)
     if number == errno.EAGAIN:
-        return "another program is using it"
-    if number and number > 0:  # a name that cannot be resolved has a number of another kind
+        return Message("link.used", "another program is using it")
+    if number and number > 0:  # errors of name resolution have negative numbers
         return os.strerror(number)
     if not isinstance(error, OSError | ValueError) or "configure port" in str(error):
-        return "it is not a serial port"
+        return Message("link.no_serial_port", "it is not a serial port")
     if "returned no data" in str(error):
-        return "the other end is gone"
+        return _CLOSED
     return re.sub(r"^.*: |\[Errno -?\d+\] ", "", str(error).splitlines()[0])

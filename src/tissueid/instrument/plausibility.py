@@ -1,7 +1,7 @@
-"""Whether arriving samples can be true: a position that answers the force, a current that answers the voltage.
+"""Plausibility of arriving samples: the position must follow the force, and the current the voltage.
 
-Judged in blocks of 10 ms, too short for the coil's mass to be still where it is pushed, long enough for the converters'
-noise to vanish. The firmware judges on its own (docs/protocol.md, section 5).
+Checked in blocks of 10 ms: short enough that a pushed mass moves within a few blocks, long enough to average the noise
+of the converters. The firmware checks independently (docs/protocol.md, section 5).
 """
 
 from __future__ import annotations
@@ -13,38 +13,46 @@ from numpy.typing import NDArray
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import InstrumentError
+from tissueid.messages import Message
 
 BLOCK_S = 0.01
+"""Length of a block, s."""
 
 POSITION_BLOCKS = 10
+"""Blocks over which position and force are compared."""
 FROZEN_SWING_N = 0.3
-"""Change of force over 100 ms by which a live position reading moves at all."""
+"""Change of force over 100 ms, N, at which an intact position sensor does not read exactly the same value."""
 
 STILL_SWING_N, STILL_M = 3.0, 6.0e-6
-"""Change of force over 100 ms by which the probe moves further than this on anything but a broken sensor."""
+"""Change of force over 100 ms, N, that moves an intact probe by more than the second value, m."""
 
 JUMP_M_PER_S = 10.0
-"""Faster than twice what the coil's whole force makes of its whole stroke."""
+"""Speed between two samples that is impossible, m/s: over twice what full force reaches over the whole stroke."""
 
 COIL_BLOCKS = 2
 OPEN_VOLTS, OPEN_SHARE = 2.0, 0.15
-"""From this voltage on, over 20 ms, less than this share of the current that it should drive: the coil is open."""
+"""The coil is open if, over 20 ms at this voltage or more, the current is below this share of voltage / resistance."""
 
 CURRENT_BLOCKS, CURRENT_SWING_V = 5, 1.0
+"""The current sensor is frozen if it reads one value over these blocks while the voltage changes by this much, V."""
 
-STUCK_POSITION = "the position sensor does not move although the force does: check its plug and cable"
-JUMPING_POSITION = "the position jumps further than the probe can go: check the position sensor's plug and cable"
-DEAD_COIL = "the coil's current does not follow the voltage: check the coil's plug and cable"
+STUCK_POSITION = Message(
+    "sensor.position_stuck",
+    "the position reading does not change although the force does: check the plug and cable of the position sensor",
+)
+JUMPING_POSITION = Message(
+    "sensor.position_jumps",
+    "the position reading jumps further than the probe can move: check the plug and cable of the position sensor",
+)
+DEAD_COIL = Message(
+    "sensor.no_current", "the coil current does not follow the voltage: check the plug and cable of the coil"
+)
 
 _COLUMNS = ("command", "voltage", "current", "position")
 
 
 class Plausibility:
-    """Judges the samples of one run after another, as they arrive. Blocks with lost samples in them are passed over.
-
-    ``begin`` forgets the run before. ``at_low_end`` says that the probe may lean on the near end of its stroke, where
-    the position's converter ends as well.
-    """
+    """Checks the samples of a run as they arrive. Blocks with lost samples are skipped."""
 
     def __init__(self, device: DeviceDescription) -> None:
         self._block = max(1, round(BLOCK_S * device.sample_rate_hz))
@@ -54,25 +62,23 @@ class Plausibility:
         self.begin()
 
     def begin(self, *, at_low_end: bool = False) -> None:
-        """A run begins."""
+        """Begin a run. With ``at_low_end`` the probe may rest on the near end of its stroke, where readings stop."""
         self._at_low_end = at_low_end
         self._pending = np.zeros((0, len(_COLUMNS)))
-        # One row for each block seen: means of command, voltage, current and position, as they are and without sign
-        # where that is asked for, and the extremes of current and position.
         self._seen: deque[dict[str, float]] = deque(maxlen=POSITION_BLOCKS)
         self._last_m = np.nan
 
-    def take(self, samples: NDArray[np.void]) -> None:
-        """Samples of the run, shape (k,), each once and in their order.
+    def check(self, samples: NDArray[np.void]) -> None:
+        """Check the next samples of the run, shape (k,), in order.
 
         Raises:
-            InstrumentError: says what cannot be, and what to look at.
+            InstrumentError: the readings are implausible.
         """
         if samples.size == 0:
             return
         position = np.append(self._last_m, samples["position"])
         self._last_m = float(position[-1])
-        if np.any(np.abs(np.diff(position)) > self._jump_m):  # beside a lost sample the difference is NaN: no jump
+        if np.any(np.abs(np.diff(position)) > self._jump_m):  # NaN next to a lost sample: no jump
             raise InstrumentError(JUMPING_POSITION)
         rows = np.stack([samples[name] for name in _COLUMNS], axis=1)
         self._pending = np.concatenate((self._pending, rows))
@@ -111,12 +117,12 @@ class Plausibility:
 
 
 def _spread(few: list[float]) -> float:
-    # Of a handful of numbers; numpy takes ten times as long to begin.
+    # Ten times as fast as numpy for ten numbers.
     return max(few) - min(few)
 
 
 def _summary(block: NDArray[np.float64]) -> dict[str, float]:
-    """10 ms in a few numbers. All columns at a time: this is done a hundred times a second, and more in simulation."""
+    """Return means, mean magnitudes and extremes of a block, by name."""
     columns = np.ascontiguousarray(block.T)
     _, voltage, current, position = columns.mean(axis=1).tolist()
     asked, measured, drawn, _ = np.abs(columns).mean(axis=1).tolist()

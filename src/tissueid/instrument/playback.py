@@ -1,4 +1,4 @@
-"""A run played in this process: stimulus, set-points, the level held where they are missing, and the soft release."""
+"""Playback of a run in this process: stimulus, set-points, held level where they are missing, soft release."""
 
 from __future__ import annotations
 
@@ -10,33 +10,30 @@ from numpy.typing import NDArray
 from tissueid.wire import Flag
 
 RAMP_S = 0.05
-"""From the present command to the level that is held, and to nothing at the end."""
+"""Duration of the ramp to the held level, and to zero at the end of a run, s."""
 
 FADE_S = 0.005
-"""From the level that was held back to the set-points."""
+"""Duration of the fade from the held level back to the set-points, s."""
 
 STARVED_S = 0.5
+"""Time without set-points after which the run ends, s."""
 
 SOFT_START_S = 0.05
-"""In this time the bound on the command grows by a quarter of a sine to the most that the stimulus asks for in it."""
+"""Duration of the soft start, s: the bound on the command rises as a quarter sine to the peak of this time."""
 
 
 class Playback:
-    """One run of ``stimulus``, shape (n,), V, and ``following`` set-points, by the rules of docs/protocol.md, 4.5
-    and 5.
-
-    ``over`` is true once the release is complete; ``starved`` when the set-points stay away for too long.
-    """
+    """One run of ``stimulus``, shape (n,), V, and ``following`` set-points (docs/protocol.md, 4.5 and 5)."""
 
     def __init__(
         self, stimulus: NDArray[np.float64], sample_rate_hz: float, following: int = 0, hold_v: float = 0.0
     ) -> None:
-        # A set-point that is not there yet is NaN.
+        # NaN: a set-point that has not arrived.
         self._volts = np.concatenate((stimulus, np.full(following, np.nan)))
         self._first = stimulus.size
         self._length = self._volts.size
         self._hold_v = hold_v
-        self._ramp, self._fade, self._patience = (
+        self._ramp, self._fade, self._starved_after = (
             max(1, round(seconds * sample_rate_hz)) for seconds in (RAMP_S, FADE_S, STARVED_S)
         )
         self._soft = max(1, round(SOFT_START_S * sample_rate_hz))
@@ -48,31 +45,31 @@ class Playback:
 
     @property
     def first(self) -> int:
-        """The number of the first set-point."""
+        """Index of the first set-point in the run."""
         return self._first
 
     @property
     def planned(self) -> int:
-        """Samples of the stimulus and of all set-points that were asked for."""
+        """Samples of the stimulus and of all announced set-points."""
         return self._volts.size
 
     @property
     def played(self) -> int:
-        """Samples played so far, those of the release not counted."""
+        """Samples played so far, without the soft release."""
         return min(self._cursor, self._length)
 
     @property
     def over(self) -> bool:
-        """True when the release has come to its end."""
+        """Whether the soft release is complete."""
         return self._cursor >= self._length + self._ramp
 
     @property
     def starved(self) -> bool:
-        """True when set-points have been missing for half a second."""
-        return self._missing >= self._patience
+        """Whether set-points have been missing for ``STARVED_S``."""
+        return self._missing >= self._starved_after
 
     def take(self, offset: int, volts: NDArray[np.float64]) -> None:
-        """Set-points, shape (k,), V, for the samples from ``offset`` on; those whose time is past are dropped."""
+        """Add set-points, shape (k,), V, for the samples from ``offset``; those that are too late are dropped."""
         self.late_blocks += offset < self._cursor
         wanted = volts[max(0, self._cursor - offset) :]
         self._volts[offset + volts.size - wanted.size : offset + volts.size] = wanted
@@ -80,12 +77,12 @@ class Playback:
             self._missing = 0
 
     def finish(self) -> int:
-        """The run ends here; returns how many samples were played."""
+        """End the run and return the number of samples played."""
         self._length = self.played
         return self._length
 
     def block(self, count: int) -> tuple[NDArray[np.float64], NDArray[np.uint16]]:
-        """The next ``count`` commands, V, and their flags, both of shape (count,); zeros once it is over."""
+        """Return the next ``count`` commands, V, and their flags, both of shape (count,); zeros after the end."""
         commands, flags = np.zeros(count), np.zeros(count, np.uint16)
         inside = max(0, min(count, self._length - self._cursor))
         for k, wanted_v in enumerate(self._volts[self._cursor : self._cursor + inside]):
@@ -102,7 +99,7 @@ class Playback:
         return commands, flags
 
     def _soften(self, number: int) -> bool:
-        """The command of sample ``number`` under the curve of the soft start; whether that lowered it."""
+        """Limit the command of sample ``number`` to the curve of the soft start; return whether that lowered it."""
         if number >= self._soft - 1:
             return False
         share = math.sin(0.5 * math.pi * (number + 1) / self._soft)
@@ -113,7 +110,7 @@ class Playback:
         return True
 
     def _hold(self) -> bool:
-        """One sample without a set-point."""
+        """Ramp to the held level for one sample; return True."""
         if self._holding == 0:
             self._from_v = self._present_v
         self._fading = 0
@@ -123,7 +120,7 @@ class Playback:
         return True
 
     def _follow(self, wanted_v: float) -> bool:
-        """One sample with a set-point; whether it is still on its way back from the held level."""
+        """Play the set-point of one sample; return whether it is still fading back from the held level."""
         self._missing = 0
         if self._holding:
             self._from_v, self._holding, self._fading = self._present_v, 0, self._fade

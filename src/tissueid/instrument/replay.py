@@ -1,4 +1,4 @@
-"""A saved test, played back as if an instrument were measuring it again."""
+"""Instrument that plays back a saved test."""
 
 from __future__ import annotations
 
@@ -12,19 +12,23 @@ from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument.correction import Correction
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
 from tissueid.instrument.limits import Limits
+from tissueid.instrument.misuse import not_armed
+from tissueid.messages import Message
 from tissueid.wire import Flag
 
 BLOCK = 20
+"""Samples that one poll delivers."""
 
 
 class ReplayInstrument:
-    """Delivers recorded signals in blocks of 20 samples. What is loaded is ignored but for its length.
+    """Delivers recorded signals in blocks of ``BLOCK`` samples. Only the length of a loaded stimulus matters.
 
-    ``signals`` maps names to arrays of shape (n,), SI, as ``sessions.Test.signals`` does; a signal that the
-    record lacks is delivered as NaN.
+    Args:
+        device: the device of the recording.
+        signals: arrays of shape (n,), SI, by name, as in ``sessions.Test.signals``; missing signals are NaN.
 
     Raises:
-        UnusableInputError: there is nothing to replay.
+        UnusableInputError: the recording has no signal of an instrument.
     """
 
     def __init__(self, device: DeviceDescription, signals: Mapping[str, NDArray[np.float64]]) -> None:
@@ -35,7 +39,9 @@ class ReplayInstrument:
         self.setpoint_margin_s: float | None = None
         usable = {name: signals[name] for name in SIGNALS if name in signals}
         if not usable:
-            raise UnusableInputError("the record has no signal that an instrument delivers")
+            raise UnusableInputError(
+                Message("replay.no_signal", "the recording has no signal that an instrument delivers")
+            )
         length = next(iter(usable.values())).size
         self._samples = np.zeros(length, SAMPLE)
         self._samples["index"] = np.arange(length)
@@ -50,37 +56,39 @@ class ReplayInstrument:
         """Refuse.
 
         Raises:
-            InstrumentError: what was recorded went by the calibration that was in force then.
+            InstrumentError: always.
         """
-        raise InstrumentError("a replay keeps the calibration that was in force when it was recorded")
+        raise InstrumentError(Message("replay.calibration", "a replay keeps the calibration of its recording"))
 
     def load(self, command_v: NDArray[np.float64]) -> None:
-        """Take note of how many samples are wanted; no more than were recorded."""
+        """Set the number of samples to play: those of the stimulus, at most those of the recording."""
         self._loaded = min(command_v.size, self._samples.size)
 
     def follow(self, samples: int, hold_v: float) -> None:
         """Refuse.
 
         Raises:
-            InstrumentError: what was recorded does not answer.
+            InstrumentError: always.
         """
-        raise InstrumentError("a replay plays what was recorded: it takes no stimulus that is made while it runs")
+        raise InstrumentError(
+            Message("replay.feedback", "a replay plays a recording: it takes no stimulus that is made while it runs")
+        )
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
         """Refuse.
 
         Raises:
-            InstrumentError: what was recorded does not answer.
+            InstrumentError: always.
         """
-        raise InstrumentError("a replay plays what was recorded: it takes no set-points")
+        raise InstrumentError(Message("replay.set_points", "a replay plays a recording: it takes no set-points"))
 
     def finish(self) -> int:
-        """End the replay here; returns how many samples were delivered."""
+        """End the replay and return the number of samples delivered."""
         self._running = False
         return min(self._cursor, self._loaded)
 
     def narrowed(self, limits: Limits) -> Limits:
-        """These limits: it has none of its own."""
+        """Return ``limits``: a replay has none of its own."""
         return limits
 
     def arm(self, limits: Limits) -> None:
@@ -95,12 +103,12 @@ class ReplayInstrument:
             InstrumentError: not loaded and armed.
         """
         if not self._armed:
-            raise InstrumentError("load and arm before starting")
+            raise not_armed()
         self._cursor, self._armed, self._running = 0, False, True
         return Run(0, self._loaded)
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
-        """The next block at once, shape (k,) of SAMPLE; none when the run is over."""
+        """Return the next block without waiting, shape (k,) of SAMPLE; empty when the run is over."""
         del timeout_s
         if not self._running:
             return np.zeros(0, SAMPLE)
@@ -112,7 +120,7 @@ class ReplayInstrument:
         return block
 
     def move_stage(self, position_m: float | None) -> bool:
-        """False: a replay has no stage."""
+        """Return False: a replay has no stage."""
         del position_m
         return False
 

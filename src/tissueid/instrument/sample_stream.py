@@ -1,4 +1,4 @@
-"""The stream of samples: DATA frames become samples in physical units, and what was lost on the way is marked."""
+"""Stream of samples: DATA frames converted to physical units, with lost samples filled in as NaN."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from numpy.typing import NDArray
 
 from tissueid import wire
 from tissueid.errors import LinkLostError
-from tissueid.instrument.handshake import Introduction
+from tissueid.instrument.handshake import Handshake
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, empty_samples
+from tissueid.messages import Message
 from tissueid.wire import Flag, Frame
 
 log = logging.getLogger(__name__)
 
 MAX_GAP_S = 5.0
+"""Longest gap in the samples that the link may have, s; a longer one counts as a lost link."""
 
 
 class SampleStream:
-    """Samples in the order of their index, each once. ``next_index`` is the next that is expected.
+    """Samples in the order of their index, each once.
 
-    ``received`` counts those that came, the lost ones not among them.
+    ``next_index`` is the index of the next sample; None before the first. ``received`` counts received samples,
+    ``held_samples`` those with the flag HELD. ``gaps`` lists lost samples.
     """
 
     def __init__(self) -> None:
@@ -29,12 +32,12 @@ class SampleStream:
         self.next_index: int | None = None
         self.held_samples = self.received = 0
         self.newest: NDArray[np.void] | None = None
-        """The samples of the newest frame; None until there was one."""
-        self._hello: Introduction | None = None
+        """The samples of the newest frame; None before the first."""
+        self._hello: Handshake | None = None
         self._ready: list[NDArray[np.void]] = []
 
-    def begin(self, hello: Introduction) -> None:
-        """From now on. What was sent for a host before this one is not ours to miss."""
+    def begin(self, hello: Handshake) -> None:
+        """Begin the stream of a device: forget earlier samples and gaps."""
         self._hello = hello
         self.gaps.clear()
         self.next_index = self.newest = None
@@ -44,9 +47,9 @@ class SampleStream:
         return bool(self._ready)
 
     def drain(self) -> NDArray[np.void]:
-        """Everything that arrived since the last time, shape (k,) of SAMPLE; k may be 0."""
-        # Laid out by hand: numpy would compare the fields of every block with those before it, and for what arrives
-        # while a long stimulus is sent that takes longer than the watchdog's patience.
+        """Return all samples since the last call, shape (k,) of SAMPLE, k >= 0."""
+        # Copied block by block: np.concatenate compares the fields of all blocks, which takes longer than the watchdog
+        # timeout for the samples that arrive while a long stimulus is sent.
         samples = np.empty(sum(block.size for block in self._ready), SAMPLE)
         end = 0
         for block in self._ready:
@@ -56,23 +59,30 @@ class SampleStream:
         return samples
 
     def take(self, frame: Frame) -> NDArray[np.void]:
-        """The new samples of one DATA frame, shape (k,) of SAMPLE, those that were lost before it among them.
+        """Return the new samples of one DATA frame, shape (k,) of SAMPLE, with the lost ones before it.
 
         Raises:
-            LinkLostError: too much is missing at once.
-            PayloadError: it holds part of a sample, or none.
+            LinkLostError: the gap is longer than ``MAX_GAP_S``.
+            PayloadError: the payload is empty or ends within a sample.
         """
         if self._hello is None:
-            return empty_samples(0, 0)  # still streaming for a host that died: the scales are not known yet
+            return empty_samples(0, 0)  # sent before the handshake: the scales are not known yet
         if self.next_index is not None and frame.sample_index < self.next_index:
-            return empty_samples(0, 0)  # a duplicate, or late: its place is already taken
+            return empty_samples(0, 0)  # a duplicate, or late: already filled in
         if not frame.payload or len(frame.payload) % wire.SAMPLE.itemsize:
             raise wire.PayloadError("a data frame holds no sample, or part of one")
         lost = empty_samples(0, 0)
         if self.next_index is not None and frame.sample_index > self.next_index:
             missing = frame.sample_index - self.next_index
             if missing > MAX_GAP_S * self._hello.device.sample_rate_hz:
-                raise LinkLostError(f"{missing} samples are missing at once; the link cannot be trusted")
+                raise LinkLostError(
+                    Message(
+                        "link.gap",
+                        "{missing} samples are missing at once; the connection is not reliable: check the cable, and "
+                        "connect again",
+                        missing=missing,
+                    )
+                )
             self.gaps.append(Gap(self.next_index, missing))
             log.warning("%d samples lost from sample %d on", missing, self.next_index)
             lost = empty_samples(self.next_index, missing)

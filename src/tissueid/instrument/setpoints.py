@@ -1,4 +1,4 @@
-"""Set-points on their way to the firmware: sent again until they are acknowledged or past, the late ones counted."""
+"""Sender of set-points: repeats blocks until they are acknowledged or too late, and counts late ones."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from tissueid.errors import TissueIDError
-from tissueid.instrument.answers import refusal
+from tissueid.instrument.replies import refusal
 from tissueid.wire import MessageType, Result
 
 REPEAT_S = 0.03
-"""About the time of a block: one that was not acknowledged by then is taken to be lost."""
+"""Time after which a block without an acknowledgement is sent again, s: about the duration of a block."""
 
 
 @dataclass
 class _Block:
-    """Set-points ``offset`` to ``end`` of a run, as a frame, and when it was sent last."""
+    """Set-points ``offset`` to ``end`` of a run as a frame, and the time of its last sending."""
 
     offset: int
     end: int
@@ -25,10 +25,10 @@ class _Block:
 
 
 class SetpointSender:
-    """The blocks of one run that nobody has acknowledged yet. Never waits for an answer.
+    """Sends the blocks of one run without waiting for their acknowledgements.
 
-    ``late_blocks`` and ``repeated_blocks`` count; ``margin_samples`` is the least time, in samples, by which a block
-    was in the firmware before it had to be played; ``refused`` is the first answer that means the run is over.
+    ``late_blocks`` and ``repeated_blocks`` count blocks. ``margin_samples`` is the least time, in samples, between the
+    arrival of a block and its first sample. ``refused`` is the error of the first block that the firmware refused.
     """
 
     def __init__(self, write: Callable[[bytes], None], clock: Callable[[], float]) -> None:
@@ -38,27 +38,27 @@ class SetpointSender:
         self.reset()
 
     def reset(self) -> None:
-        """A new run: nothing sent, nothing late."""
+        """Begin a new run: forget blocks, counts and errors."""
         self.late_blocks = self.repeated_blocks = 0
         self.margin_samples: int | None = None
         self.refused: TissueIDError | None = None
         self._waiting.clear()
 
     def stop(self) -> None:
-        """The run is over: what is still on its way does not matter any more, nor what comes of it."""
+        """End the run: forget blocks that are not acknowledged, and their errors."""
         self.refused = None
         self._waiting.clear()
 
     def put(self, sequence: int, offset: int, end: int, frame: bytes) -> None:
-        """Send one block, as a frame with that sequence number."""
+        """Send the frame of one block, with set-points ``offset`` to ``end``."""
         self._waiting[sequence] = _Block(offset, end, frame, self._clock())
         self._write(frame)
 
     def acknowledge(self, ack: dict[str, Any], answered_at: int | None) -> None:
-        """The answer to a block; ``answered_at`` is the number of the sample that was next when it was given."""
+        """Process the ACK of a block. ``answered_at`` is the sample of the run at which the firmware sent it."""
         block = self._waiting.pop(ack["request_sequence"], None)
         if block is None:
-            return  # a second answer, or of a run that is over
+            return  # a repeated answer, or one of an earlier run
         if answered_at is not None:
             margin = block.offset - answered_at
             self.margin_samples = margin if self.margin_samples is None else min(margin, self.margin_samples)
@@ -68,7 +68,7 @@ class SetpointSender:
             self.refused = refusal(MessageType.SETPOINTS, ack["result"], ack["detail"])
 
     def repeat(self, played: int) -> None:
-        """Send again what seems to be lost; what lies before sample ``played`` is given up."""
+        """Send lost blocks again, except those that end before sample ``played``."""
         now = self._clock()
         for sequence, block in list(self._waiting.items()):
             if block.end <= played:

@@ -1,55 +1,83 @@
-"""An instrument inside this process: the twin behind the same interface as a real device. No cable, no waiting."""
+"""Simulated instrument in this process: the digital twin behind the interface of a real device."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.device import SIMULATED_SERIAL, DeviceDescription
-from tissueid.errors import FirmwareFaultError, InstrumentError, TissueIDError, UnusableInputError
-from tissueid.instrument.answers import describe_faults
-from tissueid.instrument.correction import Corrections, check_corrections, corrected, most_cautious
+from tissueid.errors import InstrumentError, TissueIDError, UnusableInputError
+from tissueid.formatting import clean
+from tissueid.instrument.correction import Corrections, check_corrections, checked_descriptions, corrected
 from tissueid.instrument.interface import SAMPLE, SIGNALS, Gap, Observer, Run
-from tissueid.instrument.judge import Judge
 from tissueid.instrument.limits import Limits, check_command, check_limits, check_stimulus
+from tissueid.instrument.misuse import (
+    calibration_while_running,
+    not_armed,
+    nothing_loaded,
+    stage_while_running,
+    unexpected_set_points,
+)
 from tissueid.instrument.playback import Playback
+from tissueid.instrument.replies import released_by_faults
+from tissueid.instrument.sample_monitor import SampleMonitor
 from tissueid.instrument.tissues import TISSUES, Effects, SimulatedTissue
 from tissueid.instrument.twin_file import TwinFile, device_of
+from tissueid.messages import Message, Verbatim, joined
 from tissueid.twin.catalogue import effect
-from tissueid.twin.figures import Instrument
+from tissueid.twin.chain_parameters import Instrument
 from tissueid.twin.player import Player
-from tissueid.twin.simulation import Acting, Start, values_by_name
+from tissueid.twin.simulation import ActiveEffect, Start, values_by_name
 from tissueid.wire import Fault
 
 BLOCK = 20
+"""Samples that one poll delivers."""
 _NOISE = {"voltage": 2.0e-3, "current": 3.0e-4, "position": 5.0e-7}
-"""Standard deviation of the sensor noise, SI: about one converter step."""
+"""Standard deviation of the sensor noise, SI: about one converter code."""
 
 _COIL_C = 25.0
 _OUT_OF_REACH_M = 1.0
-"""Where a surface lies that the probe never meets."""
+"""Position of a surface that the probe never touches, m."""
+
+_SHOWN = 80
+"""Characters of a name that a message repeats."""
 
 _SETTLING = 4000
-"""Samples in which the probe comes to rest."""
+"""Samples until the probe is at rest: 2 s."""
 
 MODEL = "desktop indenter (in-process simulation)"
 
+Wait = Callable[[float], object]
+"""Function that waits for a number of seconds; it may return earlier."""
+
 
 class SimulatedInstrument:
-    """The twin as an instrument: every poll delivers the next 20 samples at once.
+    """The digital twin as an instrument. Every poll returns the next ``BLOCK`` samples.
 
-    ``tissue`` is what the twin of the nominal instrument meets, or a twin out of a file, with the effects that it has.
-    Sensor noise, and what differs from one test to the next, follow from ``seed``; with None they are new every time.
+    Polls do not wait, unless ``play_in_real_time`` was called.
+
+    Args:
+        tissue: name of a tissue under the nominal instrument (``TISSUES``), or a named twin with its effects.
+        seed: of sensor noise and of the variation between tests; None: different every time.
 
     Raises:
-        UnusableInputError: no such tissue.
+        UnusableInputError: the tissue is unknown.
     """
 
     def __init__(self, tissue: str | TwinFile = "forearm", *, seed: int | None = 0) -> None:
         if isinstance(tissue, str) and tissue not in TISSUES:
-            raise UnusableInputError(f"no simulated tissue {tissue!r}; there are: {', '.join(TISSUES)}")
+            raise UnusableInputError(
+                Message(
+                    "simulation.unknown_tissue",
+                    "no simulated tissue {name}; available: {known}",
+                    name=Verbatim(clean(tissue)[:_SHOWN]),
+                    known=joined(map(Verbatim, TISSUES)),
+                )
+            )
         self._random = np.random.default_rng(seed)
         self._varying: SimulatedTissue | None = None
         serial_number = f"{SIMULATED_SERIAL}{seed or 0}"
@@ -69,7 +97,7 @@ class SimulatedInstrument:
             named = tissue.twin
             self.device = replace(device_of(tissue), serial_number=serial_number)
             player = Player(
-                # How it was held in the session is nothing of the instrument's: here it stands upright.
+                # The orientation in the session does not apply here: the simulated instrument points down.
                 replace(named.instrument, weight_n=self.device.weight_n()),
                 named.tissue,
                 Start(0.0, named.tissue.surface_m),
@@ -78,7 +106,7 @@ class SimulatedInstrument:
             )
         self._player = player
         self.nominal = self.device
-        self._judge = Judge(self.nominal, winding=False)
+        self._checks = SampleMonitor(self.nominal, winding=False)
         self._corrections: Corrections = {}
         self.gaps: list[Gap] = []
         self.observer: Observer | None = None
@@ -90,79 +118,91 @@ class SimulatedInstrument:
         self._run: Run | None = None
         self._index = 0
         self._energised = False
+        self._wait: Wait | None = None
+        self._clock: Callable[[], float] = time.monotonic
+        self._started_s = 0.0
         self._settle()
 
+    def play_in_real_time(self, wait: Wait, clock: Callable[[], float] = time.monotonic) -> None:
+        """Let each poll return at the time of its last sample, so that a person can follow a test.
+
+        ``wait`` is called at each poll with the time by which its samples are early, s, 0 for late ones. ``clock``
+        returns a monotonic time, s.
+        """
+        self._wait, self._clock = wait, clock
+        self._started_s = clock() - self._index / self.device.sample_rate_hz
+
     def use_calibration(self, device: DeviceDescription, corrections: Corrections) -> None:
-        """From now on go by ``device``, and correct what is read.
+        """Use the device description and channel corrections of a calibration.
 
         Raises:
-            InstrumentError: a test is armed or running, or there is no such channel.
+            InstrumentError: a test is armed or running, or a channel does not exist.
         """
         if self._limits is not None or self._run is not None:
-            raise InstrumentError("a calibration is put in force between two tests, not while one runs")
+            raise calibration_while_running()
         self._corrections = check_corrections(corrections, SIGNALS)
         self.device = device
 
     def load(self, command_v: NDArray[np.float64]) -> None:
-        """Take a stimulus, shape (n,), V."""
+        """Load a stimulus, shape (n,), V."""
         self._command = np.asarray(command_v, np.float64)
         self._following = 0
 
     @property
     def late_blocks(self) -> int:
-        """Blocks of set-points of the newest run that came after their time."""
+        """Blocks of set-points of the newest run that arrived too late."""
         return self._playback.late_blocks
 
     @property
     def held_samples(self) -> int:
-        """Samples of the newest run whose set-point was missing."""
+        """Samples of the newest run that were held because their set-point was missing."""
         return self._playback.held_samples
 
     @property
     def setpoint_margin_s(self) -> float | None:
-        """None: there is no cable that a block could be late on."""
+        """None: there is no cable."""
         return None
 
     def follow(self, samples: int, hold_v: float) -> None:
-        """While the next run goes on, ``samples`` set-points will be sent after what was loaded.
+        """Announce ``samples`` set-points that will be sent during the next run, after the loaded stimulus.
 
         Raises:
             InstrumentError: nothing is loaded.
         """
         if not self._command.size:
-            raise InstrumentError("load what comes before the set-points first")
+            raise nothing_loaded()
         self._following, self._hold_v = samples, hold_v
 
     def send(self, offset: int, command_v: NDArray[np.float64]) -> None:
-        """Set-points, shape (k,), V, for the run's samples from ``offset`` on.
+        """Add set-points, shape (k,), V, for the samples of the run from ``offset``.
 
         Raises:
-            LimitError: they would break a limit.
-            InstrumentError: nobody asked for these.
+            LimitError: a limit would be exceeded.
+            InstrumentError: these set-points were not announced by ``follow``.
         """
         end = offset + command_v.size
         if self._limits is None or not self._playback.first <= offset < end <= self._playback.planned:
-            raise InstrumentError(f"set-points {offset} to {end} are none that were asked for: follow and arm first")
-        for figures in most_cautious(self.nominal, self.device):
-            check_command(command_v, figures, self._limits)
+            raise unexpected_set_points(offset, end)
+        for description in checked_descriptions(self.nominal, self.device):
+            check_command(command_v, description, self._limits)
         self._playback.take(offset, command_v)
 
     def narrowed(self, limits: Limits) -> Limits:
-        """These limits: it has none of its own."""
+        """Return ``limits``: the simulation has none of its own."""
         return limits
 
     def arm(self, limits: Limits) -> None:
-        """Agree on the limits.
+        """Set the limits of the next run.
 
         Raises:
-            LimitError: the stimulus would break them.
+            LimitError: the stimulus would exceed them.
         """
         check_limits(limits, self.nominal)
-        for figures in most_cautious(self.nominal, self.device):
-            check_stimulus(self._command, figures, limits, self._following)
+        for description in checked_descriptions(self.nominal, self.device):
+            check_stimulus(self._command, description, limits, self._following)
             if self._following:
-                check_command(np.array([self._hold_v]), figures, limits)
-        self._judge.arm(np.array([_COIL_C]), limits)
+                check_command(np.array([self._hold_v]), description, limits)
+        self._checks.arm(np.array([_COIL_C]), limits)
         self._limits = limits
         self._playback = Playback(self._command, self.device.sample_rate_hz, self._following, self._hold_v)
         self._following = 0
@@ -175,19 +215,20 @@ class SimulatedInstrument:
             InstrumentError: not armed.
         """
         if self._limits is None:
-            raise InstrumentError("load and arm before starting")
+            raise not_armed()
         self._run = Run(self._index, self._playback.planned)
+        self._started_s = self._clock() - self._index / self.device.sample_rate_hz
         self._energised = True
         if self._varying is not None:
             figures, effects = self._varying.drawn(self._random)
-            self._player.vary(figures, _acting(effects))
+            self._player.set_parameters(figures, _acting(effects))
         return self._run
 
     def poll(self, timeout_s: float) -> NDArray[np.void]:
-        """The next block, shape (20,) of SAMPLE, without waiting.
+        """Return the next block, shape (20,) of SAMPLE; in real time, wait for its last sample.
 
         Raises:
-            LimitError, InstrumentError: a limit was broken, or the samples cannot be; the coil is released.
+            LimitError, InstrumentError: a check of the samples failed; the coil is released.
         """
         del timeout_s
         samples = np.zeros(BLOCK, SAMPLE)
@@ -205,22 +246,25 @@ class SimulatedInstrument:
         if self._limits is not None and self._run is not None:
             try:
                 calibrated = None if self.device is self.nominal else (samples, self.device)
-                self._judge.take(read, self._limits, self._run, calibrated)
+                self._checks.check(read, self._limits, self._run, calibrated)
             except TissueIDError:
                 self.release()
                 raise
             if self._playback.starved:
                 self.release()
-                raise FirmwareFaultError(f"the instrument released the coil: {describe_faults(Fault.STARVED)}")
+                raise released_by_faults(Fault.STARVED)
             if self._index >= self._run.end_index:
                 self._run = None
                 self._limits = None
         if self.observer is not None:
             self.observer(samples)
+        if self._wait is not None:
+            early = self._started_s + self._index / self.device.sample_rate_hz - self._clock()
+            self._wait(max(0.0, early))
         return samples
 
     def finish(self) -> int:
-        """End the run here by its soft release; returns how many of its samples were played."""
+        """End the run now by its soft release, and return the number of samples played."""
         played = self._playback.finish()
         if self._run is None:
             self._limits = None
@@ -229,26 +273,33 @@ class SimulatedInstrument:
         return played
 
     def move_stage(self, position_m: float | None) -> bool:
-        """Move what lies under the probe along the stroke, m; None takes it out of reach. True: it is there.
+        """Move the surface under the probe to a position, m; None moves it out of reach. Return True.
 
         Raises:
-            InstrumentError: a test is armed or running, or the position lies outside the stroke.
+            InstrumentError: a test is armed or running, or the position is outside the stroke.
         """
         if self._limits is not None or self._run is not None:
-            raise InstrumentError("the stage moves only while the coil is free: end the test first")
+            raise stage_while_running()
         stroke = self.device.stroke_m
         if position_m is not None and not 0.0 <= position_m <= stroke:
-            raise InstrumentError(f"the stage cannot go there: positions are 0 to {stroke * 1e3:g} mm")
-        self._player.meet(_OUT_OF_REACH_M if position_m is None else position_m)
+            raise InstrumentError(
+                Message(
+                    "instrument.stage_range",
+                    "the stage cannot move to {position:g} mm: positions are 0 to {stroke:g} mm",
+                    position=1e3 * position_m,
+                    stroke=1e3 * stroke,
+                )
+            )
+        self._player.set_surface(_OUT_OF_REACH_M if position_m is None else position_m)
         self._settle()
         return True
 
     def _settle(self) -> None:
-        """Let the probe come to rest on the tissue, as a clinician would before looking at the screen."""
+        """Let the probe come to rest on the tissue."""
         self._player.play(np.zeros(_SETTLING))
 
     def release(self) -> None:
-        """Free the coil: from the next sample on the command is zero."""
+        """Release the coil: the command is zero from the next sample."""
         self._run = None
         self._limits = None
         self._energised = False
@@ -258,6 +309,6 @@ class SimulatedInstrument:
         self.release()
 
 
-def _acting(effects: Effects) -> tuple[Acting, ...]:
-    """Effects by name as the chain takes them."""
-    return tuple(Acting(effect(name), values_by_name(effect(name), values)) for name, values in effects.items())
+def _acting(effects: Effects) -> tuple[ActiveEffect, ...]:
+    """Return effects by name as the player takes them."""
+    return tuple(ActiveEffect(effect(name), values_by_name(effect(name), values)) for name, values in effects.items())

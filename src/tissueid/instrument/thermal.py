@@ -1,10 +1,10 @@
-"""The coil's temperature by calculation, from the current that was measured: what the host believes of the winding.
+"""Thermal model of the coil: temperature of the winding calculated from the measured current.
 
-The firmware has a model of its own. Neither knows of the other, and both stop a test whatever the sensor says: a sensor
-lags behind the winding it sits on, and a broken one reads room temperature for ever.
+The firmware has a model of its own. Both stop a test independently of the sensor: a sensor lags behind the winding,
+and a broken one reads room temperature.
 
-The figures lie on the hot side of the desktop coil's. Both devices are wound with wire of the same gage, so copper and
-cooling surface go as the length of the wire, and that as the resistance.
+The constants are on the hot side of the desktop coil's estimates. Both devices use wire of the same gage, so heat
+capacity and cooling surface scale with the length of the wire, which scales with the resistance.
 """
 
 from __future__ import annotations
@@ -15,26 +15,25 @@ from numpy.typing import NDArray
 from tissueid.device import DESKTOP, DeviceDescription
 
 HEAT_CAPACITY_J_PER_K = 16.5
-"""The desktop coil's is estimated at 18 J/K: 40 g of copper and the bobbin."""
+"""Heat capacity of the desktop coil, J/K. Estimate: 18 J/K for 40 g of copper and the bobbin."""
 
 THERMAL_RESISTANCE_K_PER_W = 9.0
-"""The desktop coil's is estimated at 8 K/W."""
+"""Thermal resistance from the desktop coil to the room, K/W. Estimate: 8 K/W."""
 
 AMBIENT_C = 25.0
 COPPER_PER_K = 0.0039
-"""Growth of copper's resistance a kelvin above 20 degC."""
+"""Relative increase of the resistance of copper per kelvin above 20 degC."""
 
 PLAUSIBLE_C = (-20.0, 150.0)
-"""A sensor that says something else is broken or unplugged."""
+"""Range of plausible sensor readings, degC; outside it the sensor is broken or unplugged."""
 
 
-class Winding:
-    """Temperature of the winding, degC, NaN until a plausible reading was there to begin from.
+class WindingTemperature:
+    """First-order model of the winding; ``temperature_c`` is NaN until the first plausible sensor reading.
 
-    It goes on for as long as an instrument is open, tests or none. A sensor that is warmer is believed; one that is
-    cooler is not, once the model has begun. The coil's size follows from the device's resistance: heat, copper and
-    cooling go by it alike, so the temperature follows from the current alone, and a resistance that was measured warm,
-    by a calibration, gives the same as the nominal one.
+    It runs as long as the instrument is open, also between tests. A warmer sensor reading replaces the calculated
+    temperature; a cooler one does not. Heat, heat capacity and cooling all scale with the coil resistance, so the
+    temperature depends on the current alone, not on whether the resistance was measured warm.
     """
 
     def __init__(self, device: DeviceDescription) -> None:
@@ -45,16 +44,16 @@ class Winding:
         self._heat_capacity = HEAT_CAPACITY_J_PER_K * wire
         self._thermal_resistance = THERMAL_RESISTANCE_K_PER_W / wire
 
-    def take(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64], worst_a: float) -> None:
-        """Samples in their order, both of shape (n,); a lost one (NaN) is taken to have carried ``worst_a``."""
+    def take(self, current_a: NDArray[np.float64], sensor_c: NDArray[np.float64], highest_a: float) -> None:
+        """Add samples in order, both of shape (n,). A lost sample (NaN) counts as ``highest_a``."""
         readings = sensor_c[(sensor_c >= PLAUSIBLE_C[0]) & (sensor_c <= PLAUSIBLE_C[1])]
         sensor = float(readings.mean()) if readings.size else float("nan")
         if np.isnan(self.temperature_c):
             self.temperature_c = sensor
         if current_a.size == 0 or np.isnan(self.temperature_c):
             return
-        squared = np.where(np.isfinite(current_a), current_a, worst_a) ** 2
-        # At the end of a gap of seconds the loss would be overestimated by one straight step: it is cut up.
+        squared = np.where(np.isfinite(current_a), current_a, highest_a) ** 2
+        # Integrate in steps of 0.1 s: one step over a long gap would overestimate the heat loss.
         for part in np.array_split(squared, max(1, squared.size // round(0.1 / self._interval_s))):
             resistance = self._resistance_ohm * (1.0 + COPPER_PER_K * max(0.0, self.temperature_c - 20.0))
             lost_w = (self.temperature_c - AMBIENT_C) / self._thermal_resistance
@@ -63,7 +62,7 @@ class Winding:
         if readings.size:
             self.temperature_c = max(self.temperature_c, sensor)
 
-    def rest(self, seconds: float) -> None:
-        """No current for so long."""
+    def cool(self, seconds: float) -> None:
+        """Add a time without current, s."""
         kept = float(np.exp(-seconds / (self._heat_capacity * self._thermal_resistance)))
         self.temperature_c = AMBIENT_C + (self.temperature_c - AMBIENT_C) * kept

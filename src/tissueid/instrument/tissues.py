@@ -1,4 +1,4 @@
-"""What ``simulated://`` can put under the probe."""
+"""Tissues of ``simulated://`` addresses."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tissueid.twin.figures import Tissue, spring
+from tissueid.twin.chain_parameters import Tissue, spring
 
 Effects = Mapping[str, Mapping[str, float]]
-"""Parameters by their names, SI, by the name of an effect of the twin's library."""
+"""Parameters by name, SI, of each effect by name."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How tests of one site differ: standard deviations from test to test, as shares of the value.
+    """Variation between tests of one site: relative standard deviations.
 
-    ``mass`` is of all the tissue's mass, ``direction`` of how much more pushing is damped than pulling. ``surface_m``
-    is where the surface lies, m, from one placing to the next.
+    ``mass`` is for all of the tissue's mass, ``direction`` for the difference of damping by direction. ``surface_m`` is
+    the standard deviation of the surface position, m, between placements.
     """
 
     stiffness: float = 0.0
@@ -31,18 +31,18 @@ class Variation:
 
 @dataclass(frozen=True)
 class SimulatedTissue:
-    """Figures of the twin's tissue, effects in the order in which the chain calls them, and how repeats differ."""
+    """Parameters of the tissue, effects in the order of evaluation, and the variation between repeats."""
 
     tissue: Tissue
     effects: Effects = field(default_factory=dict)
     variation: Variation = Variation()
 
     def placed(self, random: np.random.Generator) -> float:
-        """Draw where the surface lies, m, when the probe is placed."""
+        """Draw the surface position of a placement, m."""
         return self.tissue.surface_m + self.variation.surface_m * float(random.standard_normal())
 
     def drawn(self, random: np.random.Generator) -> tuple[Tissue, Effects]:
-        """Draw the figures of one test."""
+        """Draw the parameters of one test."""
         v = self.variation
         spreads = np.array([v.stiffness, v.stiffness_growth, v.damping, v.mass, v.direction])
         stiffness, growth, damping, mass, direction = map(float, np.exp(spreads * random.standard_normal(5)))
@@ -56,13 +56,13 @@ class SimulatedTissue:
         effects = {name: dict(values) for name, values in self.effects.items()}
         if self.effects:
             effects["added_mass"]["mass_kg"] *= mass
-            uneven = effects["directional_damping"]
-            uneven["difference"] = min(direction * uneven["difference"], _MOST_UNEVEN)
+            damping_effect = effects["directional_damping"]
+            damping_effect["difference"] = min(direction * damping_effect["difference"], _MAX_DIFFERENCE)
         return tissue, effects
 
 
-_MOST_UNEVEN = 0.97
-"""Greatest difference of damping by direction: beyond it the tissue would drive the probe out."""
+_MAX_DIFFERENCE = 0.97
+"""Greatest difference of damping by direction: above 1 the damping would be negative in one direction."""
 
 _SKIN_EFFECTS: Effects = {
     "added_mass": {"mass_kg": 0.032, "reach_m": 4e-3, "exponent": 1.0},
@@ -70,7 +70,7 @@ _SKIN_EFFECTS: Effects = {
     "viscoelasticity": {"ratio": 0.26, "time_s": 0.08, "decades": 1.0, "growth": 1.0, "tilt": 0.0},
     "contact_loss": {"slowing_s": 0.1, "adhesion_n": 0.02},
 }
-"""What skin does beyond the twin's tissue law. Contact comes last, as it acts on the sum of the others."""
+"""Effects of skin. Contact loss comes last because it acts on the sum of the others."""
 
 _REPEATS = Variation(0.04, 0.02, 0.03, 0.03, 0.07, 0.1e-3)
 """Chosen for the individual coefficients of variation of Chen 2010, Table 7.1, within a factor of 1.5."""
@@ -80,7 +80,7 @@ TISSUES = {
     # of 3.1.3 and the variance accounted for of Table 3.1; the softer anterior site after 7.1.2.
     "forearm": SimulatedTissue(Tissue(0.010, 0.006, 5.2, 240.0, 55.0, 470.0), _SKIN_EFFECTS, _REPEATS),
     "anterior-forearm": SimulatedTissue(Tissue(0.010, 0.006, 5.0, 200.0, 50.0, 360.0), _SKIN_EFFECTS, _REPEATS),
-    # The plain tissue of the twin, the same in every test but for the sensors' noise.
+    # The tissue of the twin without effects or variation.
     "baseline": SimulatedTissue(Tissue()),
     "spring": SimulatedTissue(spring(0.005, 1000.0)),
 }

@@ -1,4 +1,4 @@
-"""Files of named twins: TOML that says what is believed of an instrument, what it meets, and from which session."""
+"""Files of named twins: TOML with the parameters of instrument, tissue and effects, and the source session."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from tissueid.atomic_write import atomic_file
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.twin_list import FORMAT, MOST_BYTES, SUFFIX, twin_model
-from tissueid.options import reason
+from tissueid.messages import Message, Verbatim, joined
+from tissueid.option_errors import validation_reason
 from tissueid.twin.bus import MOST_EFFECTS
 from tissueid.twin.catalogue import all_effects
-from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.named import NamedTwin
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.named_twin import NamedTwin
 from tissueid.twin.player import SUBSTEPS
-from tissueid.twin.simulation import Acting, values_by_name
-from tissueid.untrusted import toml_table
-from tissueid.whole_file import whole_file
+from tissueid.twin.simulation import ActiveEffect, values_by_name
+from tissueid.untrusted_input import toml_table
 
 MOST_NAMED = MOST_EFFECTS
+"""Most effects of a named twin."""
 
 _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 _Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
@@ -41,7 +43,7 @@ _TISSUE_BOUNDS = {
     "stiffness_growth_per_m": (-1e4, 1e4),
 }
 _MOST_RADIANS = 1.5 * SUBSTEPS
-"""That a mass on the surface's stiffness may turn within a sample: from 2 a step on its simulation runs away."""
+"""Largest phase of the mass on the surface stiffness per sample, rad; from 2 per step the simulation is unstable."""
 
 
 class _Part(BaseModel):
@@ -49,20 +51,20 @@ class _Part(BaseModel):
 
 
 class Source(_Part):
-    """Where a twin comes from."""
+    """The diagnosis that a twin comes from."""
 
     session_id: _Line = ""
     tests: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
     verdict: _Line = ""
     closed: _Finite | None = None
-    """Share of the gap that its effects close on held-out data."""
+    """Fraction of the gap that its effects close on held-out data."""
     probability: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     improves: _Line = ""
-    """Name and version of the twin that it was made from."""
+    """Name and version of the twin that it extends."""
 
 
 class EffectPart(_Part):
-    """An effect with its parameters, SI."""
+    """An effect with its parameters and their standard deviations, SI."""
 
     name: _Figure
     parameters: Annotated[dict[_Figure, _Finite], Field(max_length=64)]
@@ -72,20 +74,18 @@ class EffectPart(_Part):
     def _is_known(self) -> EffectPart:
         known = all_effects().get(self.name)
         if known is None:
-            raise ValueError(f"there is no effect {self.name!r}")
+            raise ValueError(Message("twin.unknown_effect", "there is no effect {name}", name=self.name))
         values_by_name(known, self.parameters)
         for parameter in known.parameters:
             value = self.parameters[parameter.name]
             slack = 1e-6 * (parameter.high - parameter.low)
             if not parameter.low - slack <= value <= parameter.high + slack:
-                raise ValueError(
-                    f"{self.name}: {parameter.name} is {parameter.low:g} to {parameter.high:g}, not {value:g}"
-                )
+                raise ValueError(_outside(f"{self.name}: {parameter.name}", parameter.low, parameter.high, value))
         return self
 
 
 class TwinFile(_Part):
-    """The content of a file of a named twin."""
+    """Content of the file of a named twin."""
 
     format: Literal["tissueid-twin"] = FORMAT
     format_version: Literal["1.0"] = "1.0"
@@ -106,10 +106,12 @@ class TwinFile(_Part):
         _complete("instrument", figures, {item.name for item in fields(Instrument)})
         for name in _POSITIVE:
             if not _LEAST <= figures[name] <= _MOST.get(name, 1e6):
-                raise ValueError(f"{name} is {_LEAST:g} to {_MOST.get(name, 1e6):g}, not {figures[name]:g}")
+                raise ValueError(_outside(name, _LEAST, _MOST.get(name, 1e6), figures[name]))
         for name in ("amplifier_limit_v", "bearing_damping_n_s_per_m"):
             if figures[name] < 0.0:
-                raise ValueError(f"{name} is 0 or more, not {figures[name]:g}")
+                raise ValueError(
+                    Message("twin.negative", "{name} must be 0 or more, not {value:g}", name=name, value=figures[name])
+                )
         return figures
 
     @field_validator("tissue")
@@ -118,22 +120,24 @@ class TwinFile(_Part):
         _complete("tissue", figures, set(_TISSUE_BOUNDS))
         for name, (low, high) in _TISSUE_BOUNDS.items():
             if not low <= figures[name] <= high:
-                raise ValueError(f"{name} is {low:g} to {high:g}, not {figures[name]:g}")
+                raise ValueError(_outside(name, low, high, figures[name]))
         return figures
 
     @model_validator(mode="after")
     def _can_be_played(self) -> TwinFile:
         mass = self.instrument["moving_mass_kg"] + self.tissue["mass_kg"]
         if self.tissue["stiffness_n_per_m"] / mass > (_MOST_RADIANS * self.sample_rate_hz) ** 2:
-            raise ValueError("its stiffness is too great for its mass to be played")
+            raise ValueError(
+                Message("twin.too_stiff", "the tissue is too stiff for its mass: the simulation would be unstable")
+            )
         names = [item.name for item in self.effects]
         if len(set(names)) < len(names):
-            raise ValueError("an effect stands in it twice")
+            raise ValueError(Message("twin.effect_twice", "an effect occurs twice"))
         return self
 
     @property
     def twin(self) -> NamedTwin:
-        """As the chain takes it."""
+        """Return the twin as the player takes it."""
         stds = dict(self.stds)
         for item in self.effects:
             stds |= {f"{item.name}.{name}": value for name, value in item.stds.items()}
@@ -149,26 +153,59 @@ class TwinFile(_Part):
 
 
 def _complete(what: str, figures: dict[str, float], wanted: set[str]) -> None:
-    if set(figures) != wanted:
-        odd = ", ".join(sorted(set(figures) ^ wanted))
-        raise ValueError(f"the figures of the {what} are too many or too few: {odd}")
+    if missing := wanted - set(figures):
+        raise ValueError(
+            Message(
+                "twin.missing",
+                "values are missing in {part}: {names}",
+                part=what,
+                names=joined(map(Verbatim, sorted(missing))),
+            )
+        )
+    if unknown := set(figures) - wanted:
+        raise ValueError(
+            Message(
+                "twin.unknown",
+                "unknown values in {part}: {names}",
+                part=what,
+                names=joined(map(Verbatim, sorted(unknown))),
+            )
+        )
 
 
-def _acting(part: EffectPart) -> Acting:
+def _outside(name: str, low: float, high: float, value: float) -> Message:
+    return Message(
+        "twin.out_of_range",
+        "{name} must be between {low:g} and {high:g}, not {value:g}",
+        name=name,
+        low=low,
+        high=high,
+        value=value,
+    )
+
+
+def _acting(part: EffectPart) -> ActiveEffect:
     known = all_effects()[part.name]
     values = values_by_name(known, part.parameters)
     low, high = (np.array([getattr(item, end) for item in known.parameters]) for end in ("low", "high"))
-    return Acting(known, np.clip(values, low, high))
+    return ActiveEffect(known, np.clip(values, low, high))
 
 
 def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> TwinFile:
-    """The content of the file of a twin.
+    """Return the content of the file of a twin.
 
     Raises:
-        UnusableInputError: it has more effects than can be played.
+        UnusableInputError: the twin has more than ``MOST_NAMED`` effects.
     """
     if len(twin.acting) > MOST_NAMED:
-        raise UnusableInputError(f"a twin holds at most {MOST_NAMED} effects, not {len(twin.acting)}")
+        raise UnusableInputError(
+            Message(
+                "twin.too_many_effects",
+                "a twin can have at most {most} effects, not {count}",
+                most=MOST_NAMED,
+                count=len(twin.acting),
+            )
+        )
     effects = tuple(
         EffectPart(
             name=item.effect.name,
@@ -196,69 +233,106 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
 
 
 def read_twin(path: Path) -> TwinFile:
-    """Read a twin from wherever it came.
+    """Read a twin from a file, which may come from another person.
 
     Raises:
-        UnusableInputError: no such file, too large, not TOML, not a twin; says which field is wrong.
+        UnusableInputError: the file cannot be read, is too large, is not a twin, or has an invalid field.
     """
     if path.exists() and not path.is_file():
-        raise UnusableInputError(f"{path} is not a file")
+        raise UnusableInputError(Message("twin.no_file", "{path} is not a file", path=str(path)))
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise UnusableInputError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UnusableInputError(
+            Message("twin.unreadable", "cannot read {path}: {why}", path=str(path), why=reason)
+        ) from error
     if len(data) > MOST_BYTES:
-        raise UnusableInputError(f"{path} is too large for a twin: at most {MOST_BYTES // 1024} KiB")
+        raise UnusableInputError(
+            Message(
+                "twin.too_large",
+                "{path} is too large for a twin: at most {most} KiB",
+                path=str(path),
+                most=MOST_BYTES // 1024,
+            )
+        )
     try:
         content = toml_table(data)
     except ValueError as error:
-        raise UnusableInputError(f"{path} is not a twin: it is no TOML") from error
+        raise UnusableInputError(
+            Message("twin.no_toml", "{path} is not a twin: it is not TOML", path=str(path))
+        ) from error
     if content.get("format") != FORMAT:
-        raise UnusableInputError(f"{path} is not a twin: its format is not {FORMAT!r}")
+        raise UnusableInputError(
+            Message("twin.format", "{path} is not a twin: its format is not {format}", path=str(path), format=FORMAT)
+        )
     try:
         return TwinFile.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "content"
-        raise UnusableInputError(f"{path}: {where[:100]!r} cannot be used: {reason(error)[:200]}") from error
+        raise UnusableInputError(
+            Message(
+                "twin.field",
+                "{path}: the field {field} is invalid: {why}",
+                path=str(path),
+                field=where[:100],
+                why=validation_reason(error),
+            )
+        ) from error
 
 
 def check_twin_writable(path: Path) -> None:
-    """Refuse, before any work, a file that a twin cannot be written to.
+    """Check that a twin can be written to ``path``, before any work.
 
     Raises:
-        UnusableInputError: a folder, no folder for it, another suffix, or a file that is no twin.
+        UnusableInputError: a folder, a missing folder, another suffix, or an existing file that is not a twin.
     """
     if path.is_dir():
-        raise UnusableInputError(f"{path} is a folder; name a file")
+        raise UnusableInputError(Message("twin.folder", "{path} is a folder; name a file", path=str(path)))
     if path.suffix != SUFFIX:
-        raise UnusableInputError(f"a twin is written to a {SUFFIX} file, not {path.name}")
+        raise UnusableInputError(
+            Message(
+                "twin.suffix",
+                "the name of a twin file must end in {suffix}: {name}",
+                suffix=SUFFIX,
+                name=path.name,
+            )
+        )
     if not path.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {path.parent}")
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(path.parent)))
     if path.exists():
         try:
             read_twin(path)
         except UnusableInputError:
-            raise UnusableInputError(f"{path} is there already and is not a twin; it is not written over") from None
+            raise UnusableInputError(
+                Message(
+                    "twin.exists",
+                    "{path} exists already and is not a twin; it is not overwritten",
+                    path=str(path),
+                )
+            ) from None
 
 
 def write_twin(path: Path, content: TwinFile) -> None:
-    """Write a twin, whole or not at all; only over another twin.
+    """Write a twin atomically; only another twin is overwritten.
 
     Raises:
-        UnusableInputError: something else is there, the folder is missing, or it cannot be written.
+        UnusableInputError: the path is not permitted (``check_twin_writable``), or writing fails.
     """
     check_twin_writable(path)
     try:
-        with whole_file(path, synced=True, shared=True) as partial:
+        with atomic_file(path, synced=True, shared=True) as partial:
             partial.write_text(tomli_w.dumps(content.model_dump(mode="python", exclude_none=True)), encoding="utf-8")
     except OSError as error:
-        raise UnusableInputError(f"cannot write {path}: {error.strerror}") from error
+        raise UnusableInputError(
+            Message("file.unwritable", "cannot write {path}: {why}", path=str(path), why=str(error.strerror))
+        ) from error
 
 
 def device_of(content: TwinFile) -> DeviceDescription:
-    """The device that a twin believes in."""
+    """Return the device description of a twin."""
     figures = content.instrument
     return DeviceDescription(
         model=twin_model(content.name, content.version),

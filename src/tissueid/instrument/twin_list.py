@@ -1,4 +1,4 @@
-"""Named twins of a folder as instruments that can be chosen, without the compiled code that plays them."""
+"""List of the named twins in a folder. Does not import the compiled code that simulates them."""
 
 from __future__ import annotations
 
@@ -6,35 +6,37 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
 
-from tissueid.untrusted import toml_table
-from tissueid.wording import clean
+from tissueid.formatting import clean
+from tissueid.untrusted_input import toml_table
 
 FORMAT: Literal["tissueid-twin"] = "tissueid-twin"
 SUFFIX = ".toml"
 MOST_BYTES = 256 * 1024
+"""Largest file of a twin that is read, bytes."""
 MOST_TWINS = 20
-"""Newest files of a folder that are looked at."""
+"""Files of a folder that are read, newest first."""
 _SCHEME = "simulated://"
 _LONGEST = 60
+"""Characters of a name that are shown."""
 
 
 def twin_url(path: Path) -> str:
-    """Return the address under which the twin in a file is simulated."""
+    """Return the address that simulates the twin in a file."""
     return _SCHEME + quote(str(path.absolute()))
 
 
 def is_twin_url(url: str) -> bool:
-    """Return whether an address is that of a simulated twin of a file."""
+    """Return whether an address simulates the twin in a file."""
     return url.startswith(_SCHEME) and url.partition("?")[0].endswith(SUFFIX)
 
 
 def twin_model(name: str, version: int) -> str:
-    """Return the model that the simulation of a twin states, and its sessions with it."""
+    """Return the device model of a simulated twin, which its sessions also carry."""
     return f"twin {name}, version {version}"
 
 
 def twins_in(folder: Path) -> dict[str, str]:
-    """Return the model of each twin in a folder by its address, newest first; a file that is no twin is left out."""
+    """Return the model of each twin in a folder by its address, newest first. Other files are left out."""
     try:
         files = [path for path in folder.glob(f"*{SUFFIX}") if path.is_file() and not path.name.startswith(".")]
         dated = [(path.stat().st_mtime, path) for path in files]
@@ -45,7 +47,7 @@ def twins_in(folder: Path) -> dict[str, str]:
 
 
 def model_of_file(path: Path) -> str:
-    """Return the model of the twin in a file by its name and version alone; empty where it is no twin."""
+    """Return the model of the twin in a file from its name and version; empty if the file is not a twin."""
     try:
         with path.open("rb") as file:
             data = file.read(MOST_BYTES + 1)

@@ -1,4 +1,4 @@
-"""A figure on a page: drawn, or with the one line that says why it is not there."""
+"""A figure on a page: drawn, or the reason why it was left out."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
-from tissueid.language import _
+from tissueid.language import ENGLISH, current_language
+from tissueid.messages import Message, translated
 from tissueid.reports.style import to_svg
 
 
 @dataclass(frozen=True)
 class FigureBlock:
-    """A figure on the page, or in its place the reason why there is none: one of ``svg`` and ``missing`` is ""."""
+    """A figure on the page or the reason why it was left out: one of ``svg`` and ``missing`` is ""."""
 
     key: str
     heading: str
@@ -36,7 +36,7 @@ class FigureGroup:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure before it is put on a page or in a file; without a ``figure``, ``missing`` is the sentence instead."""
+    """A figure with its texts, before it is put on a page or in a file; without a ``figure``, ``missing`` says why."""
 
     key: str
     heading: str
@@ -48,20 +48,25 @@ class Picture:
 
     @property
     def block(self) -> FigureBlock:
-        """The figure as the page holds it."""
+        """Return the figure as the page holds it."""
         svg = "" if self.figure is None else to_svg(self.figure, self.key, self.alt)
-        return FigureBlock(self.key, self.heading, self.caption, svg, self.missing, self.wide)
+        return FigureBlock(self.key, self.heading, self.caption, svg, translated(self.missing), self.wide)
 
 
 def picture(key: str, heading: str, alt: str, make: Callable[[], tuple[Figure, str]], *, wide: bool = True) -> Picture:
-    """Draw, or say why not; ``make`` gives the figure and its caption."""
+    """Return a figure, or the reason why it was left out; ``make`` returns the figure and its caption."""
     try:
         figure, caption = make()
     except UnusableInputError as error:
-        return absent(key, heading, said_by_core(str(error)), wide=wide)
+        return absent(key, heading, error.message, wide=wide)
     return Picture(key, heading, alt, caption, figure, "", wide)
 
 
+def report_text(text: str) -> str:
+    """Return a text of the core for a report: in English with its commands, else translated."""
+    return str(text) if current_language() == ENGLISH else translated(text)
+
+
 def absent(key: str, heading: str, reason: str, *, wide: bool = True) -> Picture:
-    """What stands in place of a figure: a reason without a full stop."""
-    return Picture(key, heading, "", "", None, _("Left out: {reason}.").format(reason=reason), wide)
+    """Return a figure that was left out, for a reason without a full stop."""
+    return Picture(key, heading, "", "", None, Message("report.left_out", "Left out: {reason}.", reason=reason), wide)

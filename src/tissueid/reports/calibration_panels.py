@@ -1,4 +1,4 @@
-"""The panels of a dynamic sweep: parameters and Bode diagrams by position, force constant by method (Fig. 2.12)."""
+"""Panels of a dynamic sweep: parameters and Bode diagrams by position, force constant by method (Fig. 2.12)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from matplotlib.figure import FigureBase
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.identification.second_order import SecondOrder
-from tissueid.reports.panel_sheet import Panel, without
+from tissueid.language import _, marked
+from tissueid.messages import Message
+from tissueid.reports.panel_sheet import Panel, missing_panel
 from tissueid.reports.panels import depth_bar, depth_colours, markers
 from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
 
 Columns = dict[str, NDArray[np.float64]]
-CONFIDENCE = 1.96
 LINEAR_SHARE = 0.05
+"""Deviation from the plateau within which the force constant counts as constant."""
 _FIT_POINTS = 200
+NO_RESPONSES = Message("report.no_responses", "the calibration holds no frequency responses")
 
 
 @dataclass(frozen=True)
 class Region:
-    """The linear region, m, its plateau, and the force constant that the instrument believed, N/A."""
+    """Linear region (m), its mean force constant, and the one that the instrument used before the sweep (N/A)."""
 
     min_m: float
     max_m: float
@@ -33,59 +37,65 @@ class Region:
 
 
 def sweep_panels(tables: dict[str, Columns], region: Region) -> Iterator[Panel]:
-    """All panels of a sweep, from the tables of its calibration."""
+    """Yield all panels of a sweep from the tables of its calibration."""
     yield Panel(
         "parameters",
-        "The coil by position",
-        "Variance accounted for, mass, damping and stiffness against the position on the stroke, with 95 % bars.",
-        "Linear identification on the calibration spring at each position, with a force that is the believed force "
-        "constant times the current. Shaded: the linear region. Bars are 95 %; dotted are the ranges of the thesis for "
-        "its instrument (Chen 2010, Table 2.1, Fig. 2.12a).",
+        _("The coil by position"),
+        _("Variance accounted for, mass, damping and stiffness against the position on the stroke, with 95 % bars."),
+        _(
+            "Linear identification on the calibration spring at each position; the force is the force constant in "
+            "use before the sweep times the current. Shaded: linear region. Bars: 95 %. Dotted: the ranges that the "
+            "thesis gives for its instrument (Chen 2010, Table 2.1, Fig. 2.12a)."
+        ),
         lambda figure: draw_parameters(figure, tables["sweep"], region),
         height=4.6,
     )
     yield Panel(
         "force-constant",
-        "Force constant along the stroke",
-        "Force constant against position by the spring, by flux linkage and by both, and their differences below.",
-        "By the spring: from the balance of forces in all tests at once. By flux linkage: from voltage, current and "
-        "position alone, without any spring. Points: from the stiffness at each position, averaged over its swing. "
-        "Bands and bars are 95 % of what repeats would scatter; the scale that all values of a method share is not in "
-        "them. Dashed: 5 % about the plateau.",
+        _("Force constant along the stroke"),
+        _("Force constant against position by the spring, by flux linkage and by both, and their differences below."),
+        _(
+            "By the spring: from the balance of forces in all tests at once. By flux linkage: from voltage, current "
+            "and position alone, without a spring. Points: from the stiffness at each position, averaged over the "
+            "amplitude. Bands and bars: 95 % of the repeatability; an error in the scale of a method is not included. "
+            "Dashed: ±5 % of the mean in the linear region."
+        ),
         lambda figure: draw_force_constant(figure, tables["force_constant"], tables["sweep"], region),
         height=5.0,
     )
     if "response" in tables:
         yield Panel(
             "bode",
-            "Bode diagrams by position",
-            "Compliance and phase against frequency, one colour for each position: measured points and fitted lines.",
-            "Points: measured, from the impulse responses; lines: the second-order systems. In the middle: the "
-            "measured compliance over that in mid-stroke, which tells the positions apart. The lower the position, the "
-            "further the coil is inside the bearing (Chen 2010, Fig. 2.12b).",
+            _("Bode diagrams by position"),
+            _("Compliance and phase against frequency, one colour for each position: measured points, fitted lines."),
+            _(
+                "Points: measured, from the impulse responses. Lines: second-order systems. Middle: measured "
+                "compliance relative to mid-stroke. The lower the position, the further the coil is inside the "
+                "bearing (Chen 2010, Fig. 2.12b)."
+            ),
             lambda figure: draw_bode(figure, tables["response"], tables["sweep"]),
             height=6.0,
         )
     else:
-        yield without("bode", "Bode diagrams by position", "the calibration holds no responses")
+        yield missing_panel("bode", _("Bode diagrams by position"), NO_RESPONSES)
     if "repeats" in tables:
         yield Panel(
             "repeats",
-            "Repeatability",
-            "Force constant and ends of the linear region of each repeat of the sweep.",
-            "Each repeat of the whole sweep analysed by itself, against the mean of all.",
+            _("Repeatability"),
+            _("Force constant and ends of the linear region of each repeat of the sweep."),
+            _("Each repeat of the whole sweep, analysed separately, relative to the mean of all repeats."),
             lambda figure: draw_repeats(figure, tables["repeats"]),
             height=2.7,
         )
 
 
 def draw_parameters(figure: FigureBase, sweep: Columns, region: Region) -> None:
-    """VAF, M, B and K against position (Chen 2010, Fig. 2.12a)."""
+    """Draw VAF, mass, damping and stiffness against position (Chen 2010, Fig. 2.12a)."""
     shown = (
-        ("vaf_percent", "", 1.0, "VAF (%)", (95.0, 98.0)),
-        ("mass_kg", "mass_std_kg", 1e3, "Mass (g)", (60.0, 80.0)),
-        ("damping_n_s_per_m", "damping_std_n_s_per_m", 1.0, "Damping (N·s/m)", (3.0, 4.0)),
-        ("stiffness_n_per_m", "stiffness_std_n_per_m", 1.0, "Stiffness (N/m)", (1000.0, 1200.0)),
+        ("vaf_percent", "", 1.0, marked("VAF (%)"), (95.0, 98.0)),
+        ("mass_kg", "mass_std_kg", 1e3, marked("Mass (g)"), (60.0, 80.0)),
+        ("damping_n_s_per_m", "damping_std_n_s_per_m", 1.0, marked("Damping (N·s/m)"), (3.0, 4.0)),
+        ("stiffness_n_per_m", "stiffness_std_n_per_m", 1.0, marked("Stiffness (N/m)"), (1000.0, 1200.0)),
     )
     position = 1e3 * sweep["position_m"]
     grid = figure.subplots(2, 2, sharex=True)
@@ -102,14 +112,14 @@ def draw_parameters(figure: FigureBase, sweep: Columns, region: Region) -> None:
         markers(axes, position, values, label="", colour=BLUE, marker="o")
         low, high = min(values.min(), thesis[0]), max(values.max(), thesis[1])
         axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
-        axes.set_ylabel(label)
+        axes.set_ylabel(_(label))
         _stroke(axes)
         if axes in (grid[0, 0], grid[0, 1]):
             axes.set_xlabel("")
 
 
 def draw_force_constant(figure: FigureBase, profile: Columns, sweep: Columns, region: Region) -> None:
-    """Force constant by each method above, each against all together below."""
+    """Draw the force constant by each method (above), and each relative to the combined estimate (below)."""
     above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 2)})
     position, value = 1e3 * profile["position_m"], profile["value_n_per_a"]
     for axes in (above, below):
@@ -117,7 +127,10 @@ def draw_force_constant(figure: FigureBase, profile: Columns, sweep: Columns, re
     plateau = region.plateau_n_per_a
     for sign in (-1.0, 1.0):
         above.axhline((1.0 + sign * LINEAR_SHARE) * plateau, color=MUTED, linewidth=1.0, linestyle=DASHES[1])
-    methods = (("by_flux", "by flux linkage", ORANGE, DASHES[1]), ("by_spring", "by the spring", BLUE, DASHES[0]))
+    methods = (
+        ("by_flux", _("by flux linkage"), ORANGE, DASHES[1]),
+        ("by_spring", _("by the spring"), BLUE, DASHES[0]),
+    )
     for name, label, colour, dashes in methods:
         if f"{name}_n_per_a" not in profile:
             continue
@@ -134,18 +147,18 @@ def draw_force_constant(figure: FigureBase, profile: Columns, sweep: Columns, re
         off = 100 * reach / np.abs(here)
         for axes, values, bars in ((above, points, reach), (below, 100 * (points / here - 1), off)):
             axes.errorbar(at, values, bars, color=GREEN, linestyle="none", linewidth=1.0)
-            markers(axes, at, values, label="by the stiffness at each position", colour=GREEN, marker="s")
-    above.plot(position, value, color=INK, linewidth=0.9, linestyle=DASHES[3], label="all together")
-    above.set_ylabel("Force constant (N/A)")
+            markers(axes, at, values, label=_("by the stiffness at each position"), colour=GREEN, marker="s")
+    above.plot(position, value, color=INK, linewidth=0.9, linestyle=DASHES[3], label=_("combined"))
+    above.set_ylabel(_("Force constant (N per A)"))
     above.legend(loc="lower center", ncols=2)
     below.axhline(0.0, color=INK, linewidth=0.9, linestyle=DASHES[3])
-    below.set_ylabel("From all together (%)")
+    below.set_ylabel(_("From combined (%)"))
     above.label_outer()
     _stroke(below)
 
 
 def draw_bode(figure: FigureBase, response: Columns, sweep: Columns) -> None:
-    """Compliance, the same over that in mid-stroke, and phase, by position (Chen 2010, Fig. 2.12b)."""
+    """Draw compliance, compliance relative to mid-stroke, and phase by position (Chen 2010, Fig. 2.12b)."""
     rows_of_axes = figure.subplots(3, 1, sharex=True)
     above, middle, below = rows_of_axes
     places = np.unique(response["position_m"])
@@ -167,35 +180,35 @@ def draw_bode(figure: FigureBase, response: Columns, sweep: Columns) -> None:
             axes.plot(hz, points, color=colour, linestyle="none", marker=".", markersize=3.0, markeredgewidth=0.0)
         middle.plot(hz, 100.0 * compliance / response["compliance_m_per_n"][centre], color=colour, linewidth=0.9)
     log_axis(above)
-    above.set_ylabel("Compliance (mm/N)")
-    middle.set_ylabel("Of mid-stroke (%)")
-    below.set_ylabel("Phase (°)")
+    above.set_ylabel(_("Compliance (mm/N)"))
+    middle.set_ylabel(_("Of mid-stroke (%)"))
+    below.set_ylabel(_("Phase (°)"))
     below.set_ylim(-200.0, 20.0)
     below.yaxis.set_major_locator(MultipleLocator(45.0))
     frequency_axis(below, lowest, highest)
     for axes in rows_of_axes:
         axes.label_outer()
-        depth_bar(axes, 1e3 * float(places.min()), 1e3 * float(places.max()), "Position (mm)")
+        depth_bar(axes, 1e3 * float(places.min()), 1e3 * float(places.max()), _("Position (mm)"))
 
 
 def draw_repeats(figure: FigureBase, columns: Columns) -> None:
-    """Each repeat against the mean of all: force constant in percent, ends of the region in millimetres."""
+    """Draw each repeat relative to the mean: force constant in percent, ends of the linear region in millimetres."""
     left, right = figure.subplots(1, 2)
     run, constant = columns["run"], columns["force_constant_n_per_a"]
     left.axhline(0.0, color=MUTED, linewidth=0.9)
     markers(left, run, 100.0 * (constant / constant.mean() - 1.0), label="", colour=BLUE, marker="o")
-    left.set_ylabel("Force constant, from the mean (%)")
+    left.set_ylabel(_("Force constant, from the mean (%)"))
     right.axhline(0.0, color=MUTED, linewidth=0.9)
     for name, label, colour, marker in (
-        ("linear_region_min_m", "beginning", ORANGE, "s"),
-        ("linear_region_max_m", "end", GREEN, "^"),
+        ("linear_region_min_m", _("beginning"), ORANGE, "s"),
+        ("linear_region_max_m", _("end"), GREEN, "^"),
     ):
         ends = columns[name]
         markers(right, run, 1e3 * (ends - ends.mean()), label=label, colour=colour, marker=marker)
-    right.set_ylabel("Linear region, from the mean (mm)")
+    right.set_ylabel(_("Linear region, from the mean (mm)"))
     right.legend(loc="upper right", ncols=2)
     for axes in (left, right):
-        axes.set_xlabel("Sweep")
+        axes.set_xlabel(_("Sweep"))
         axes.xaxis.get_major_locator().set_params(integer=True)
 
 
@@ -204,6 +217,6 @@ def _shade(axes: Axes, region: Region) -> None:
 
 
 def _stroke(axes: Axes) -> None:
-    axes.set_xlabel("Position (mm)")
+    axes.set_xlabel(_("Position (mm)"))
     axes.set_xlim(0.0, 32.0)
     axes.xaxis.set_major_locator(MultipleLocator(4.0))

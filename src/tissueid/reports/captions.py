@@ -1,4 +1,4 @@
-"""What stands under the figures: what one should see, and what is seen here. In people's units."""
+"""Captions of the figures: what to expect, and the values of this test in display units."""
 
 from __future__ import annotations
 
@@ -7,19 +7,37 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.core_words import said_by_core
+from tissueid.formatting import display_unit, fixed, number, with_unit
+from tissueid.identification import engine_label
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 from tissueid.records import Record
 from tissueid.reports.diagnostics import Prediction, power_edge
 from tissueid.reports.signal_figures import lost_samples, skewness
 from tissueid.sessions import Test
-from tissueid.wording import engine_label, fixed, number, people_unit, with_unit
+
+FEW_FREQUENCIES = Message(
+    "report.few_frequencies", "the input has power at fewer than three frequencies: use noise or a multisine"
+)
+NO_HELD_OUT_OUTPUT = Message("report.no_held_out_output", "no held-out output was received")
+SINGLE_PASS = Message("report.single_pass", "the iteration made only one pass")
+
+
+def joined(*parts: str) -> str:
+    """Return the parts of a caption that are not empty as one text."""
+    return " ".join(part for part in parts if part)
+
+
+def findings(found: Sequence[str]) -> str:
+    """Return the findings of an engine as sentences in the active language."""
+    said = [translated(text) for text in found]
+    return joined(*(f"{text[:1].upper()}{text[1:].rstrip('.')}." for text in said))
 
 
 def signals(test: Test) -> str:
-    """Under the signals over time."""
+    """Return the caption of the signals over time."""
     text = [
         _(
             "After a steady preload (shaded) the stimulus should look like noise of even strength, and the position "
@@ -36,7 +54,7 @@ def signals(test: Test) -> str:
 
 
 def power(model: SpectralModel | None) -> str:
-    """Under the power spectra."""
+    """Return the caption of the power spectra."""
     text = [
         _("Voltage and force should be even up to the cut-off of the stimulus, then fall to the sensors’ noise floor.")
     ]
@@ -48,7 +66,7 @@ def power(model: SpectralModel | None) -> str:
 
 
 def distributions(record: Record) -> str:
-    """Under the distributions."""
+    """Return the caption of the distributions."""
     skew_in, skew_out = skewness(record.input), skewness(record.output)
     return _(
         "A linear system turns a Gaussian input (dashed) into a Gaussian output. Tissue that stiffens with depth leans "
@@ -63,11 +81,11 @@ def distributions(record: Record) -> str:
 
 
 def prediction(analyses: Mapping[str, Analysis]) -> str:
-    """Under the measured and predicted stretch."""
+    """Return the caption of the measured and predicted output."""
     scores = ", ".join(
         f"{engine_label(name)} {fixed(a.model.report.vaf_validation_percent, 1)} %" for name, a in analyses.items()
     )
-    where = next((said_by_core(a.validated_on) for a in analyses.values()), _("the held-out part"))
+    where = next((translated(a.validated_on) for a in analyses.values()), _("the held-out part"))
     return _(
         "A stretch of data that was not fitted; the models see the input alone. The lines should run through the dots, "
         "and the residual should show no pattern. Variance accounted for on {where}: {scores}."
@@ -75,7 +93,7 @@ def prediction(analyses: Mapping[str, Analysis]) -> str:
 
 
 def scatter(predictions: Sequence[Prediction]) -> str:
-    """Under the scatter of measured against predicted."""
+    """Return the caption of measured against predicted output."""
     text = _(
         "All held-out samples. They should hug the diagonal: a bend is a nonlinearity that the model lacks, a shift "
         "along the whole cloud is drift since the fitted part."
@@ -83,7 +101,7 @@ def scatter(predictions: Sequence[Prediction]) -> str:
     shifts = []
     for item in predictions:
         residual = item.residual[np.isfinite(item.residual)]
-        unit, scale = people_unit(item.output_unit)
+        unit, scale = display_unit(item.output_unit)
         if residual.size:
             shifts.append(with_unit(f"{item.label} {fixed(scale * float(residual.mean()), 3)}", unit))
     return " ".join([text, _("The mean shift is: {shifts}.").format(shifts=", ".join(shifts))]) if shifts else text
@@ -97,7 +115,7 @@ RESIDUALS = marked(
 
 
 def second_order(fit: SecondOrderFit) -> str:
-    """What the dashed curve under a linear figure is."""
+    """Return natural frequency and damping ratio of the dashed second-order curve as a sentence."""
     frequency_hz = fit.system.natural_frequency_rad_per_s / (2.0 * np.pi)
     return _(
         "The dashed second-order system has a natural frequency of {hertz} Hz and a damping ratio of {ratio}."

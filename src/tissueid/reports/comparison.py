@@ -1,4 +1,4 @@
-"""The comparison of engines as one self-contained page, and as files of its figures."""
+"""Report of a comparison of engines: one self-contained page, and the figures as files."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Entry
-from tissueid.analysis.distortion import distortion_of, is_multisine, levels_in_words
+from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
+from tissueid.atomic_write import atomic_file, private_folder
 from tissueid.device import SIMULATED_LINE
+from tissueid.formatting import fixed
+from tissueid.identification import engine_label
 from tissueid.identification.base import Model
+from tissueid.language import _, marked
+from tissueid.messages import Message, translated
+from tissueid.reports import captions
 from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
 from tissueid.reports.comparison_figures import (
     depth_profiles,
@@ -21,27 +27,25 @@ from tissueid.reports.comparison_figures import (
     sweep_figure,
 )
 from tissueid.reports.comparison_tables import compared_parameters, compared_scores, notes_of
-from tissueid.reports.configured import in_words_of, surface_of
+from tissueid.reports.configured import captions_for_configuration, surface_of
 from tissueid.reports.depth_panels import depth_panels
 from tissueid.reports.figures.registry import Group, Subject, figures_of
-from tissueid.reports.html import RESEARCH_LINE, template, write_whole
+from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.material import Material
 from tissueid.reports.record_pictures import distributions_picture, power_picture, signals_picture
 from tissueid.reports.style import plain_image
 from tissueid.reports.tables import readable_date, settings_tables
 from tissueid.sessions import Session
 from tissueid.sessions.quality import quality_of
-from tissueid.whole_file import private_folder, whole_file
-from tissueid.wording import engine_label, fixed
 
 Progress = Callable[[str, float], None]
 _ORDER: tuple[Group, ...] = ("record", "linear", "nonlinear", "validation")
-_DISTORTION = "Distortion by a multisine"
+_DISTORTION = marked("Distortion by a multisine")
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """Figures under one heading, with what an engine found and what it warns of."""
+    """Figures under one heading, with the findings and warnings of an engine."""
 
     key: str
     heading: str
@@ -59,12 +63,12 @@ class ComparisonReport:
     sections: tuple[Section, ...]
 
     def html(self, title: str | None = None) -> str:
-        """The page: recommendation, table, figures engine by engine, and settings."""
+        """Return the page: recommendation, table, figures of each engine, and settings."""
         found, test = self.found, self.session.test(self.found.split.tests[0])
         return template("compare.html.j2").render(
-            title=title or f"Engines compared on test {test.number}",
-            research_line=RESEARCH_LINE,
-            simulated_line=SIMULATED_LINE,
+            title=title or _("Engines compared on test {number}").format(number=test.number),
+            research_line=_(RESEARCH_LINE),
+            simulated_line=_(SIMULATED_LINE),
             session=self.session,
             date=readable_date(self.session.created),
             tests=", ".join(map(str, found.split.tests)),
@@ -73,19 +77,19 @@ class ComparisonReport:
             quality=quality_of(test),
             ceiling=_ceiling(found),
             scores=compared_scores(found),
-            notes=notes_of(found),
+            notes=tuple(translated(note) for note in notes_of(found)),
             sections=[(s, FigureGroup(s.key, s.heading, tuple(p.block for p in s.pictures))) for s in self.sections],
             parameters=compared_parameters(found),
             settings=settings_tables(self.session, test, found.analyses),
         )
 
     def write(self, path: Path) -> None:
-        """Write the page, whole or not at all.
+        """Write the page atomically.
 
         Raises:
             OSError: the folder is missing, or the disk is full or not writable.
         """
-        write_whole(path, self.html())
+        write_text_atomically(path, self.html())
 
     def write_figures(self, folder: Path) -> tuple[Path, ...]:
         """Write every figure as SVG and PNG into a folder, which is made when missing, and return the files.
@@ -100,7 +104,7 @@ class ComparisonReport:
                 if drawn.figure is not None:
                     for form in ("svg", "png"):
                         target = folder / f"{drawn.key}.{form}"
-                        with whole_file(target) as partial:
+                        with atomic_file(target) as partial:
                             plain_image(drawn.figure, partial, "svg" if form == "svg" else "png")
                         written.append(target)
         return tuple(written)
@@ -109,7 +113,7 @@ class ComparisonReport:
 def comparison_report(
     session: Session, found: EngineComparison, progress: Progress = lambda _what, _share: None
 ) -> ComparisonReport:
-    """Draw everything about a comparison; ``progress`` is told which engine's figures are being drawn."""
+    """Draw all figures of a comparison; ``progress`` gets "figures" and the share that is done."""
     test = session.test(found.split.tests[0])
     material = Material(session, test, found.analyses, ())
     sections = [_overview(found, surface_of(test)), _recorded(material, found)]
@@ -117,7 +121,7 @@ def comparison_report(
         progress("figures", number / max(1, len(material.subjects)))
         sections.append(_of_engine(subject))
     progress("figures", 1.0)
-    worded = [replace(section, pictures=in_words_of(test, section.pictures)) for section in sections]
+    worded = [replace(section, pictures=captions_for_configuration(test, section.pictures)) for section in sections]
     return ComparisonReport(session, found, tuple(worded))
 
 
@@ -126,35 +130,35 @@ def _overview(found: EngineComparison, surface_position_m: float) -> Section:
     pictures = (
         picture(
             "scores",
-            "Scores",
-            "Dots for each engine: variance accounted for on fitted and on held-out samples; bars of AICc beside.",
+            _("Scores"),
+            _("Dots for each engine: variance accounted for on fitted and on held-out samples. Right: bars of AICc."),
             lambda: (scores_figure(found), _scores_caption(found)),
         ),
         picture(
             "memory",
-            "Scores against memory",
-            "Lines for each engine against memory: variance accounted for, fitted and held out, and AICc.",
-            lambda: (sweep_figure(found.memory_sweep), _SWEEP),
+            _("Scores against memory"),
+            _("Lines for each engine against memory: variance accounted for, fitted and held out, and AICc."),
+            lambda: (sweep_figure(found.memory_sweep), _(_SWEEP)),
         ),
         picture(
             "depth",
-            "Mass, damping and stiffness against depth",
-            "Three panels against depth: mass, damping and stiffness of every engine that sees depth, on shared axes.",
+            _("Mass, damping and stiffness against depth"),
+            _("Three panels against depth: mass, damping and stiffness of every engine with a depth profile."),
             lambda: (
                 depth_panels(profiles, surface_position_m, found.split.record.output[found.split.fit_part]),
-                _DEPTH,
+                _(_DEPTH),
             ),
         )
         if profiles
-        else absent("depth", "Mass, damping and stiffness against depth", "no engine that sees depth was run"),
+        else absent("depth", _("Mass, damping and stiffness against depth"), NO_DEPTH_ENGINE),
         picture(
             "impulse-responses",
-            "Impulse responses side by side",
-            "Left: impulse responses of the linear engines against lag. Right: measured against predicted output.",
-            lambda: (impulse_responses_figure(found), _IMPULSES),
+            _("Impulse responses side by side"),
+            _("Left: impulse responses of the linear engines against lag. Right: measured against predicted output."),
+            lambda: (impulse_responses_figure(found), _(_IMPULSES)),
         ),
     )
-    return Section("overview", "Side by side", (), (), pictures)
+    return Section("overview", _("Side by side"), (), (), pictures)
 
 
 def _recorded(material: Material, found: EngineComparison) -> Section:
@@ -165,41 +169,41 @@ def _recorded(material: Material, found: EngineComparison) -> Section:
         distributions_picture(record, "recorded"),
         _distortion(material),
     )
-    return Section("recorded", "What was recorded", (), (), pictures)
+    return Section("recorded", _("Recorded signals"), (), (), pictures)
 
 
 def _distortion(material: Material) -> Picture:
-    """Noise, even and odd distortion, where the stimulus was a multisine."""
+    """Return noise, even and odd distortion if the stimulus was a multisine."""
     test, analysis = material.test, material.any
     if analysis is None or not is_multisine(test.stimulus):
-        return absent("distortion", _DISTORTION, "the stimulus was not an odd random-phase multisine")
+        return absent("distortion", _(_DISTORTION), NO_MULTISINE)
     names = analysis.record.input_name, analysis.record.output_name
 
     def make() -> tuple[Figure, str]:
         record = test.record(*names)
         levels = distortion_of(record, test.stimulus)
-        said = levels_in_words(levels)
-        told = f" Relative to the output: {said}." if said else ""
-        found = "".join(f" {text[:1].upper()}{text[1:]}." for text in levels.findings)
-        return distortion_figure(levels, record), (
-            "Lines that were not driven should hold noise alone in a linear system. What stands on even lines is even "
-            "nonlinearity, such as stiffness that grows with depth; on odd ones that were left out, odd nonlinearity."
-            f"{told}{found}"
+        relative = described_levels(levels)
+        said = _("Relative to the output: {levels}.").format(levels=translated(relative)) if relative else ""
+        caption = _(
+            "In a linear system, lines that were not driven contain only noise. Power at even lines is even "
+            "nonlinearity, such as stiffness that increases with depth; power at odd lines that were not driven is "
+            "odd nonlinearity."
         )
+        return distortion_figure(levels, record), captions.joined(caption, said, captions.findings(levels.findings))
 
-    alt = "Levels of the output against frequency: at driven lines, at odd and even lines between, and the noise."
-    return picture("distortion", _DISTORTION, alt, make)
+    alt = _("Levels of the output against frequency: at driven lines, at odd and even lines between, and the noise.")
+    return picture("distortion", _(_DISTORTION), alt, make)
 
 
 def _of_engine(subject: Subject[Model]) -> Section:
-    """An engine's figures, group by group."""
+    """Return the figures of an engine, group by group."""
     declared = sorted(figures_of(subject), key=lambda one: (_ORDER.index(one.group), one.place))
     report = subject.model.report
     return Section(
         key=f"engine-{subject.name}",
         heading=subject.label,
-        findings=report.findings,
-        warnings=report.warnings,
+        findings=tuple(translated(text) for text in report.findings),
+        warnings=tuple(translated(text) for text in report.warnings),
         pictures=tuple(one.picture(subject) for one in declared),
     )
 
@@ -208,44 +212,50 @@ def _ceiling(found: EngineComparison) -> str:
     if found.ceiling is None:
         return ""
     best, std = found.ceiling.vaf_percent.value, found.ceiling.vaf_percent.std
-    spread = "" if std is None else f" ± {fixed(std, 2)}"
-    return (
-        f"No model can do better than {fixed(best, 2)}{spread} % on unseen samples: so far {found.ceiling.repeats} "
-        f"repeats agree.{''.join(f' {line[:1].upper()}{line[1:]}.' for line in found.ceiling.left_out)}"
+    limit = fixed(best, 2) if std is None else f"{fixed(best, 2)} ± {fixed(std, 2)}"
+    text = _("No model can exceed {limit} % on held-out samples: this is the agreement of {count} repeats.").format(
+        limit=limit, count=found.ceiling.repeats
     )
+    return captions.joined(text, captions.findings(found.ceiling.left_out))
 
 
 def _scores_caption(found: EngineComparison) -> str:
-    text = (
-        "The best on held-out samples first. A dot far left of its circle fitted what does not come back. Held out: "
-        f"{found.split.validated_on}. "
-    )
+    parts = [
+        _(
+            "Sorted by score on held-out samples. A dot far left of its circle indicates overfitting. Held out: {part}."
+        ).format(part=translated(found.split.validated_on))
+    ]
     if any(a.model.report.vaf_scheduled_percent is not None for a in found.analyses.values()):
-        text += "Diamonds were told the measured depth as they ran, and cannot be held against simulations. "
-    text += _ceiling(found) or "Without repeats in the session nobody knows how much there is to explain."
+        parts.append(
+            _("Diamonds: scheduled by measured depth; these scores cannot be compared with those of simulations.")
+        )
+    parts.append(_ceiling(found) or _("Without repeats in the session the highest possible score is not known."))
     refused = [engine_label(name) for name in _refused(found.entries)]
     if refused:
-        text += f" Refused: {', '.join(refused)}."
-    return (
-        text
-        + " Right: the star has the lowest AICc; it takes residuals for independent, so small differences mean little."
+        parts.append(_("Refused: {engines}.").format(engines=", ".join(refused)))
+    parts.append(
+        _("Right: the star marks the lowest AICc. AICc assumes independent residuals: small differences mean little.")
     )
+    return captions.joined(*parts)
 
 
 def _refused(entries: tuple[Entry, ...]) -> Iterator[str]:
     return (entry.engine for entry in entries if entry.refused is not None)
 
 
-_SWEEP = (
-    "All at the same samples. The lines should level off where the memory holds the whole response; a held-out score "
-    "that falls again, or an AICc that rises, says that further lags fit noise."
+NO_DEPTH_ENGINE = Message("report.no_depth_engine", "no engine with a depth profile was run")
+NO_MULTISINE = Message("report.no_multisine", "the stimulus was not an odd random-phase multisine")
+_SWEEP = marked(
+    "All scores are of the same samples. The lines should level off where the memory contains the whole response; if "
+    "the held-out score falls again or AICc rises, further lags fit noise."
 )
-_DEPTH = (
-    "Every engine that sees depth, on the same axes, with 95 % bars or bands; below, how often each depth was visited. "
-    "Where engines agree within their bars the numbers can be relied on. Directions have a colour and a marker each."
+_DEPTH = marked(
+    "Every engine with a depth profile, on the same axes, with 95 % bars or bands; below, the number of samples at "
+    "each depth. Values on which engines agree within their bars are reliable. Each direction has its own colour and "
+    "marker."
 )
-_IMPULSES = (
-    "Left: what each engine takes for the linear response; recursive and correlation estimates should lie on each "
-    "other, an adaptive one is the average of its course. Right: the middle of the cloud of measured against predicted "
-    "samples; a bend away from the dashed diagonal is the nonlinearity that no linear response has."
+_IMPULSES = marked(
+    "Left: the linear response of each engine; recursive and correlation estimates should coincide, an adaptive one "
+    "is the mean over time. Right: the mean of measured against predicted samples; a bend away from the dashed "
+    "diagonal is a nonlinearity that a linear response does not describe."
 )

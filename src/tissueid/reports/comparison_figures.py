@@ -1,4 +1,4 @@
-"""Figures of several engines side by side: scores, memory, impulse responses, and distortion (Chen 2010, Fig. 8.1)."""
+"""Figures of several engines: scores, memory, impulse responses, and distortion (Chen 2010, Fig. 8.1)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Scored, SweepRow
+from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label, display_unit
+from tissueid.identification import engine_label
 from tissueid.identification.base import Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.validation.distortion import Distortion
+from tissueid.language import _
+from tissueid.messages import Message
 from tissueid.records import Record
-from tissueid.reports.diagnostics import CONFIDENCE, Array, held_out_prediction
+from tissueid.reports.diagnostics import Array, held_out_prediction
 from tissueid.reports.panels import diagonal, markers, running_mean
 from tissueid.reports.style import (
     BLUE,
@@ -29,9 +34,14 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.reports.units import kernel_unit
-from tissueid.wording import axis_label, engine_label, people_unit
 
 _MARKERS = "os^DvPX*<>"
+NO_MEMORY_SWEEP = Message(
+    "report.no_memory_sweep", "scores against memory were not computed: request them by --memory-sweep"
+)
+FEW_IMPULSE_RESPONSES = Message(
+    "report.few_impulse_responses", "fewer than two engines with an impulse response were run"
+)
 
 
 @runtime_checkable
@@ -43,7 +53,7 @@ class HasImpulseResponse(Protocol):
 
 
 def line_style(place: int) -> dict[str, object]:
-    """Colour, dash and marker of the engine at a place: no two of the first twelve share all three."""
+    """Return colour, dash and marker of the engine at a place; no two of the first twelve share all three."""
     return {
         "color": SERIES[place % len(SERIES)],
         "linestyle": DASHES[(place // len(SERIES)) % len(DASHES)],
@@ -54,7 +64,7 @@ def line_style(place: int) -> dict[str, object]:
 
 @drawing
 def scores_figure(found: EngineComparison) -> Figure:
-    """VAF, fitted and held out, with the line that repeats allow, and AICc beside it (Chen 2010, Fig. 8.1)."""
+    """Draw VAF, fitted and held out, with the limit set by repeats, and AICc (Chen 2010, Fig. 8.1)."""
     rows = _scored(found)
     rows.sort(key=lambda row: _held_out(row), reverse=True)
     labels = [engine_label(row.analysis.model.report.engine) for row in rows]
@@ -64,18 +74,18 @@ def scores_figure(found: EngineComparison) -> Figure:
     reports = [row.analysis.model.report for row in rows]
     fitted = np.array([r.vaf_percent for r in reports])
     unseen = np.array([_held_out(row) for row in rows])
-    told = np.array([np.nan if r.vaf_scheduled_percent is None else r.vaf_scheduled_percent for r in reports])
+    scheduled = np.array([np.nan if r.vaf_scheduled_percent is None else r.vaf_scheduled_percent for r in reports])
     left.hlines(places, np.minimum(fitted, unseen), np.maximum(fitted, unseen), color=MUTED, linewidth=1.0)
     hollow = {"linestyle": "none", "markerfacecolor": "none", "markersize": 6.5, "markeredgewidth": 1.3}
-    left.plot(fitted, places, marker="o", markeredgecolor=MUTED, label="fitted samples", **hollow)
-    left.plot(unseen, places, marker="o", color=BLUE, linestyle="none", markersize=7.0, label="held out, free run")
-    if np.isfinite(told).any():
+    left.plot(fitted, places, marker="o", markeredgecolor=MUTED, label=_("fitted samples"), **hollow)
+    left.plot(unseen, places, marker="o", color=BLUE, linestyle="none", markersize=7.0, label=_("held out, free run"))
+    if np.isfinite(scheduled).any():
         shifted = places + 0.22
-        left.plot(told, shifted, marker="D", markeredgecolor=ORANGE, label="held out, told the depth", **hollow)
-    everything = np.concatenate([fitted, unseen, told])
+        left.plot(scheduled, shifted, marker="D", markeredgecolor=ORANGE, label=_("held out, scheduled"), **hollow)
+    everything = np.concatenate([fitted, unseen, scheduled])
     if found.ceiling is not None:
         best = found.ceiling.vaf_percent
-        left.axvline(best.value, color=GREEN, linestyle=DASHES[1], label="what repeats allow")
+        left.axvline(best.value, color=GREEN, linestyle=DASHES[1], label=_("limit set by repeats"))
         if best.std is not None:
             half = CONFIDENCE * best.std
             left.axvspan(best.value - half, min(best.value + half, 100.0), color=GREEN, alpha=0.15)
@@ -85,7 +95,7 @@ def scores_figure(found: EngineComparison) -> Figure:
     left.set_xlim(low - 0.06 * (100.0 - low), 100.0 + 0.03 * (100.0 - low))
     left.set_yticks(places, labels)
     left.set_ylim(-0.6, len(rows) - 0.3)
-    left.set_xlabel("Variance accounted for (%)")
+    left.set_xlabel(_("Variance accounted for (%)"))
     left.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
     aicc = np.array(
         [np.nan if r.aicc is None or row.own_samples else r.aicc for r, row in zip(reports, rows, strict=True)]
@@ -93,7 +103,7 @@ def scores_figure(found: EngineComparison) -> Figure:
     if np.isfinite(aicc).any():
         right.barh(places, 1e-3 * (aicc - np.nanmin(aicc)), 0.55, color=SERIES[3], alpha=0.75)
         right.plot(np.zeros(1), places[np.nanargmin(aicc)], marker="*", color=SERIES[3], markersize=9.0, clip_on=False)
-    right.set_xlabel("AICc above the lowest (thousands)")
+    right.set_xlabel(_("AICc above the lowest (thousands)"))
     return figure
 
 
@@ -108,14 +118,14 @@ def _held_out(row: Scored) -> float:
 
 @drawing
 def sweep_figure(sweep: Sequence[SweepRow]) -> Figure:
-    """VAF, held out and fitted, and AICc against memory for every engine (Chen 2010, Fig. 8.1).
+    """Draw VAF, held out and fitted, and AICc against memory for every engine (Chen 2010, Fig. 8.1).
 
     Raises:
-        UnusableInputError: the sweep was not run, or every engine refused it.
+        UnusableInputError: the memory sweep was not run, or every engine refused it.
     """
     names = list(dict.fromkeys(row.engine for row in sweep if row.analysis is not None))
     if not names:
-        raise UnusableInputError("scores against memory were not asked for, which --memory-sweep does")
+        raise UnusableInputError(NO_MEMORY_SWEEP)
     figure = new_figure(FULL_WIDTH, 3.9)
     every = figure.subplots(1, 3, sharex=True)
     for place, name in enumerate(names):
@@ -132,9 +142,9 @@ def sweep_figure(sweep: Sequence[SweepRow]) -> Figure:
             strict=True,
         ):
             axes.plot(memory_ms, values, label=engine_label(name), linewidth=1.1, **line_style(place))
-    for axes, label in zip(every, ("VAF, fitted (%)", "VAF, held out (%)", "AICc (thousands)"), strict=True):
+    for axes, label in zip(every, (_("VAF, fitted (%)"), _("VAF, held out (%)"), _("AICc (thousands)")), strict=True):
         axes.set_ylabel(label)
-        axes.set_xlabel("Memory (ms)")
+        axes.set_xlabel(_("Memory (ms)"))
     for axes in every[:2]:
         low, high = axes.get_ylim()
         axes.set_ylim(max(low, 0.0), min(high, 101.0))
@@ -149,17 +159,17 @@ def _or_nan(value: float | None) -> float:
 
 @drawing
 def impulse_responses_figure(found: EngineComparison) -> Figure:
-    """Impulse responses of linear engines on the same axes, and how each bends away from the output (Fig. 6.3).
+    """Draw impulse responses of linear engines, and measured against predicted output (Fig. 6.3).
 
     Raises:
         UnusableInputError: fewer than two engines have an impulse response.
     """
     chosen = list(with_impulse_response(found))
     if len(chosen) < 2:
-        raise UnusableInputError("fewer than two engines that give an impulse response were run")
+        raise UnusableInputError(FEW_IMPULSE_RESPONSES)
     record = found.split.record
     unit, scale = kernel_unit(record)
-    out_unit, out_scale = people_unit(record.output_unit)
+    out_unit, out_scale = display_unit(record.output_unit)
     figure = new_figure(FULL_WIDTH, 3.9)
     left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     left.axhline(0.0, color=MUTED, linewidth=0.8)
@@ -171,8 +181,8 @@ def impulse_responses_figure(found: EngineComparison) -> Figure:
         across, along = running_mean(out_scale * run.predicted, out_scale * run.measured)
         right.plot(across, along, linewidth=1.4, **style)
         ends += [float(along.min()), float(along.max())]
-    left.set_xlabel("Lag (ms)")
-    left.set_ylabel(f"Impulse response ({unit})")
+    left.set_xlabel(_("Lag (ms)"))
+    left.set_ylabel(_("Impulse response ({unit})").format(unit=unit))
     left.legend(loc="upper right")
     diagonal(right, min(ends), max(ends))
     right.set_xlabel(axis_label("predicted", out_unit))
@@ -181,7 +191,7 @@ def impulse_responses_figure(found: EngineComparison) -> Figure:
 
 
 def with_impulse_response(found: EngineComparison) -> Iterator[tuple[str, HasImpulseResponse]]:
-    """Engines whose models hold an impulse response."""
+    """Yield name and model of the engines with an impulse response."""
     for name, analysis in found.analyses.items():
         model: Model | HasImpulseResponse = analysis.model
         if isinstance(model, HasImpulseResponse) and isinstance(model.impulse_response, np.ndarray):
@@ -189,28 +199,28 @@ def with_impulse_response(found: EngineComparison) -> Iterator[tuple[str, HasImp
 
 
 def depth_profiles(found: EngineComparison) -> dict[str, DepthProfile]:
-    """Profiles against depth of the engines that have one, by the name in a legend."""
+    """Return the depth profiles of the engines that have one, by engine label."""
     profiles = {engine_label(name): a.depth_profile() for name, a in found.analyses.items()}
     return {name: profile for name, profile in profiles.items() if profile is not None}
 
 
 @drawing
 def distortion_figure(levels: Distortion, record: Record) -> Figure:
-    """Output at the driven lines, and what stands between them: even and odd distortion, and noise."""
-    unit, scale = people_unit(record.output_unit)
+    """Draw the output at the driven lines, even and odd distortion between them, and noise."""
+    unit, scale = display_unit(record.output_unit)
     figure = new_figure(FULL_WIDTH, 3.9)
     axes = figure.subplots()
     for lines, label, colour, marker in (
-        (levels.driven, "driven lines", BLUE, "o"),
-        (levels.detection, "odd, not driven: odd distortion", ORANGE, "^"),
-        (levels.even, "even: even distortion", GREEN, "s"),
+        (levels.driven, _("driven lines"), BLUE, "o"),
+        (levels.detection, _("odd, not driven: odd distortion"), ORANGE, "^"),
+        (levels.even, _("even: even distortion"), GREEN, "s"),
     ):
         if lines.line.size:
             markers(axes, lines.frequency_hz, scale * lines.level, label=label, colour=colour, marker=marker)
     noise = levels.driven.noise * scale
     if np.isfinite(noise).any():
-        axes.plot(levels.driven.frequency_hz, noise, color=MUTED, linestyle=DASHES[1], linewidth=1.0, label="noise")
-    axes.set_xlabel("Frequency (Hz)")
+        axes.plot(levels.driven.frequency_hz, noise, color=MUTED, linestyle=DASHES[1], linewidth=1.0, label=_("noise"))
+    axes.set_xlabel(_("Frequency (Hz)"))
     axes.set_ylabel(axis_label(f"{record.output_name}_level", unit))
     log_axis(axes)
 

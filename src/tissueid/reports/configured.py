@@ -10,6 +10,7 @@ from dataclasses import replace
 from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth, travel_word
 from tissueid.language import _, marked
+from tissueid.messages import translated
 from tissueid.reports.blocks import Picture
 from tissueid.sessions import Test
 
@@ -23,8 +24,8 @@ def surface_of(test: Test) -> float:
     return test.surface_position_m if has_depth(test.configuration) else math.nan
 
 
-def in_words_of(test: Test, pictures: Iterable[Picture]) -> tuple[Picture, ...]:
-    """Pictures with their headings, captions and alternative texts as the test's configuration wants them."""
+def captions_for_configuration(test: Test, pictures: Iterable[Picture]) -> tuple[Picture, ...]:
+    """Return pictures whose texts say displacement where the configuration of the test has no depth."""
     if has_depth(test.configuration):
         return tuple(pictures)
     word = travel_word(test.configuration)
@@ -33,7 +34,13 @@ def in_words_of(test: Test, pictures: Iterable[Picture]) -> tuple[Picture, ...]:
         return _DEPTH.sub(lambda found: (word.capitalize() if found[1] == "D" else word) + found[2], text)
 
     return tuple(
-        replace(one, heading=put(one.heading), alt=put(one.alt), caption=put(one.caption), missing=put(one.missing))
+        replace(
+            one,
+            heading=put(one.heading),
+            alt=put(one.alt),
+            caption=put(one.caption),
+            missing=put(translated(one.missing)),
+        )
         for one in pictures
     )
 

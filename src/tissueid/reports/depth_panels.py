@@ -1,4 +1,4 @@
-"""Mass, damping and stiffness against depth, of one engine or of several on the same axes."""
+"""Panels of mass, damping and stiffness against depth, of one engine or of several on the same axes."""
 
 from __future__ import annotations
 
@@ -9,34 +9,37 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.reports.diagnostics import CONFIDENCE, Array
+from tissueid.language import _, marked
+from tissueid.messages import Message
+from tissueid.reports.diagnostics import Array
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, SERIES, SHADE, drawing, new_figure
 
 _MARKERS = "osD^vP"
 _DENSE = 25
-"""A profile with more rows than this is drawn as a curve with a band, one with fewer as points with bars."""
+"""Number of rows above which a profile is drawn as a curve with a band, not as points with bars."""
 _WIDEST = 1.5
-"""Deviations that are larger than this share of the value do not set the limits of a panel."""
-_APART = 0.01
-"""Share of the depths by which the two directions are moved apart, so that neither hides the other."""
+"""Largest ratio of half bar to value for which a bar counts for the limits of a panel."""
+_DIRECTION_OFFSET = 0.01
+"""Shift of each direction, as a share of the range of depths, so that neither hides the other."""
 _Series = tuple[str, DepthProfile, NDArray[np.intp]]
-"""What gets a colour and a marker of its own: its title, the profile, and which of its rows."""
+"""A title, a profile, and the indices of its rows: one colour and marker in a panel."""
 
 _QUANTITIES = (
-    ("mass", "Mass (g)", 1e3),
-    ("damping", "Damping (N·s/m)", 1.0),
-    ("stiffness", "Stiffness (N/m)", 1.0),
+    ("mass", marked("Mass (g)"), 1e3),
+    ("damping", marked("Damping (N·s/m)"), 1.0),
+    ("stiffness", marked("Stiffness (N/m)"), 1.0),
 )
-_WAYS = {1: "in", -1: "out"}
+_WAYS = {1: marked("inwards"), -1: marked("outwards")}
 
 
 @drawing
 def depth_panels(
     profiles: Mapping[str, DepthProfile], surface_position_m: float = float("nan"), visited: Array | None = None
 ) -> Figure:
-    """Mass, damping and stiffness against depth with 95 % bars or bands; arguments as :func:`draw_depth_panels`.
+    """Return a figure of the depth panels; arguments as :func:`draw_depth_panels`.
 
     Raises:
         UnusableInputError: no row holds a value.
@@ -55,17 +58,19 @@ def draw_depth_panels(
     """Draw mass, damping and stiffness against depth with 95 % bars or bands (Chen 2010, Figs. 5.9 to 5.11).
 
     Args:
-        figure: what is drawn into.
-        profiles: by the name that the legend gives them.
-        surface_position_m: where the tissue begins, from which depth is counted; NaN for positions on the actuator.
-        visited: output (n,), whose distribution is drawn below; the support of a single profile when None.
+        figure: the figure to draw into.
+        profiles: profiles by legend label.
+        surface_position_m: origin of depth, m; NaN to show positions on the actuator.
+        visited: output (n,), m, whose distribution is drawn below; None for the support of the profiles.
 
     Raises:
         UnusableInputError: no row holds a value.
     """
     known = {name: p for name, p in profiles.items() if np.isfinite(p.stiffness).any() or np.isfinite(p.mass).any()}
     if not known:
-        raise UnusableInputError("the record holds mass, damping and stiffness at no depth")
+        raise UnusableInputError(
+            Message("report.no_profile", "mass, damping and stiffness could not be estimated at any depth")
+        )
     origin = surface_position_m if np.isfinite(surface_position_m) else 0.0
     every = figure.subplots(2, 3, sharex=True, height_ratios=(3.2, 1.0))
     series = _series(known)
@@ -74,11 +79,11 @@ def draw_depth_panels(
         for place, (title, profile, rows) in enumerate(series):
             limits.append(_draw(axes, place, title, profile, rows, name, scale, origin))
         _limit(axes, np.concatenate(limits))
-        axes.set_ylabel(label)
+        axes.set_ylabel(_(label))
     for axes in every[1]:
-        _visits(axes, series, origin, visited)
-        axes.set_xlabel("Depth (mm)" if np.isfinite(surface_position_m) else "Position (mm)")
-    every[1, 0].set_ylabel("Samples")
+        _draw_sample_counts(axes, series, origin, visited)
+        axes.set_xlabel(_("Depth (mm)") if np.isfinite(surface_position_m) else _("Position (mm)"))
+    every[1, 0].set_ylabel(_("Samples"))
     figure.align_ylabels()
     if len(series) > 1:
         handles, labels = every[0, 0].get_legend_handles_labels()
@@ -86,13 +91,13 @@ def draw_depth_panels(
 
 
 def _series(profiles: Mapping[str, DepthProfile]) -> list[_Series]:
-    """Every direction of every profile."""
+    """Return every direction of every profile as a series."""
     found = []
     for name, profile in profiles.items():
         for way in (0, 1, -1):
             rows = np.flatnonzero(profile.direction == way)
             if rows.size:
-                found.append((f"{name}, {_WAYS[way]}" if way else name, profile, rows))
+                found.append((f"{name}, {_(_WAYS[way])}" if way else name, profile, rows))
     return found
 
 
@@ -106,11 +111,11 @@ def _draw(
     scale: float,
     origin: float,
 ) -> Array:
-    """Draw one series into one panel, and return the values that its limits have to hold."""
+    """Draw one series into one panel, and return the values that its limits must contain."""
     colour = (*SERIES, MUTED)[place % (len(SERIES) + 1)]
     dash, marker = DASHES[place % len(DASHES)], _MARKERS[place % len(_MARKERS)]
     depth = 1e3 * (profile.position[rows] - origin)
-    depth = depth + _APART * float(profile.direction[rows[0]]) * float(np.ptp(depth))
+    depth = depth + _DIRECTION_OFFSET * float(profile.direction[rows[0]]) * float(np.ptp(depth))
     value = scale * getattr(profile, name)[rows]
     half = CONFIDENCE * scale * getattr(profile, f"{name}_std")[rows]
     bars = np.where(np.isfinite(half), half, 0.0)
@@ -129,20 +134,20 @@ def _draw(
 
 
 def _limit(axes: Axes, values: Array) -> None:
-    """Limits that begin at zero, where the values allow it, and that one wild bar does not set."""
+    """Set limits that begin at zero where the values allow it."""
     finite = values[np.isfinite(values)]
     if finite.size:
         low, high = min(0.0, float(finite.min())), max(0.0, float(finite.max()))
         axes.set_ylim(1.1 * low, 1.1 * high or 1.0)
 
 
-def _visits(axes: Axes, series: Sequence[_Series], origin: float, visited: Array | None) -> None:
-    """How many samples speak for a depth."""
+def _draw_sample_counts(axes: Axes, series: Sequence[_Series], origin: float, visited: Array | None) -> None:
+    """Draw the number of samples at each depth."""
     if visited is not None:
         seen = 1e3 * (visited[np.isfinite(visited)] - origin)
         axes.hist(seen, bins=50, color=MUTED, alpha=0.5, histtype="stepfilled")
     else:
-        for place, (_, profile, rows) in enumerate(series):
+        for place, (_title, profile, rows) in enumerate(series):
             low, high = 1e3 * (profile.low[rows] - origin), 1e3 * (profile.high[rows] - origin)
             colour = SERIES[place % len(SERIES)]
             width = (high - low) / len(series)

@@ -1,4 +1,4 @@
-"""Numbers behind the figures that no engine gives: spectra of any signal, correlations of residuals, thinning."""
+"""Numbers for figures: spectra of signals, correlations of residuals, thinning."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.plot import CONFIDENCE
 
 Array = NDArray[np.float64]
 
-CONFIDENCE = 1.96
-"""Half width, in standard deviations, of an interval that holds 95 % of a normal quantity."""
 WINDOW_S = 0.5
 _SEGMENTS = 4
 _SHORTEST_WINDOW = 16
@@ -21,7 +20,7 @@ _SHORTEST_WINDOW = 16
 
 @dataclass(frozen=True)
 class Prediction:
-    """The held-out part of an analysis: measured, and simulated from the input alone.
+    """Held-out part of an analysis: measured, and simulated from the input alone.
 
     Arrays have shape (n,), SI; ``time_s`` counts from the start of the test. NaN where a sample was not received
     or the model cannot know. ``label`` names the engine.
@@ -39,12 +38,12 @@ class Prediction:
 
     @property
     def residual(self) -> Array:
-        """Measured less predicted, shape (n,)."""
+        """Return measured minus predicted, shape (n,)."""
         return self.measured - self.predicted
 
 
 def held_out_prediction(label: str, analysis: Analysis, start_s: float = 0.0) -> Prediction:
-    """Run the model free over the record that it is validated on, and cut out the part that was not fitted.
+    """Return the held-out part of a free run of the model over its validation record.
 
     Args:
         label: name of the engine, for the legend.
@@ -66,33 +65,13 @@ def held_out_prediction(label: str, analysis: Analysis, start_s: float = 0.0) ->
 
 
 def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and one-past-last index of every stretch of True in a mask of shape (n,)."""
+    """Return first and one-past-last index of every run of True in a mask of shape (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
-def thin(time_s: Array, values: Array, columns: int = 900) -> tuple[Array, Array]:
-    """Least and greatest value in each of so many columns: what a plot that wide can show of a long record.
-
-    Takes and returns time and values of the same shape, (n,) in and at most (2 columns,) out. A column without any
-    received sample is NaN, so that the line is broken there.
-    """
-    if values.size <= 2 * columns:
-        return time_s, values
-    width = -(-values.size // columns)
-    padded = np.full(width * -(-values.size // width), np.nan)
-    padded[: values.size] = values
-    blocks = padded.reshape(-1, width)
-    finite = np.isfinite(blocks)
-    low = np.where(finite, blocks, np.inf).min(axis=1)
-    high = np.where(finite, blocks, -np.inf).max(axis=1)
-    pairs = np.column_stack([low, high]).ravel()
-    pairs[~np.isfinite(pairs)] = np.nan
-    return np.repeat(time_s[::width], 2), pairs
-
-
 def power_spectrum(values: Array, sample_rate_hz: float, window_s: float = WINDOW_S) -> tuple[Array, Array] | None:
-    """Frequencies, Hz, and one-sided power spectral density of a signal (n,), by Welch's method with a Hann window.
+    """Return frequencies, Hz, and one-sided power density of a signal (n,), by Welch's method with a Hann window.
 
     Segments that hold a gap are left out; the mean is removed. The window shrinks for a short record. None when
     nothing is left to average.
@@ -115,7 +94,7 @@ def power_spectrum(values: Array, sample_rate_hz: float, window_s: float = WINDO
 
 
 def power_edge(frequency_hz: Array, density: Array, share: float = 0.99) -> float:
-    """Frequency, Hz, below which this share of a signal's power lies; arrays have shape (bins,).
+    """Return the frequency, Hz, below which a share of the power lies; arrays have shape (bins,).
 
     What counts is the power beyond the median density, which is the sensor's noise where the signal fills less than
     half of the band, and takes as much from every frequency where it fills more. The mean is left out.
@@ -127,7 +106,7 @@ def power_edge(frequency_hz: Array, density: Array, share: float = 0.99) -> floa
 
 
 def autocorrelation(values: Array, lags: int) -> tuple[Array, float]:
-    """Normalised autocorrelation at lags 0 .. lags, shape (lags + 1,), and the half width of its 95 % band.
+    """Return the normalised autocorrelation at lags 0 .. lags, (lags + 1,), and the half width of its 95 % band.
 
     The band is that of white noise, 1.96 / sqrt(N), N the number of received samples; NaN are left out of the sums,
     and each lag is divided by the number of pairs that it has.
@@ -137,7 +116,7 @@ def autocorrelation(values: Array, lags: int) -> tuple[Array, float]:
 
 
 def cross_correlation(u: Array, e: Array, lags: int) -> tuple[Array, Array, float]:
-    """Normalised correlation of input u (n,) with residual e (n,): lags (2 lags + 1,), values, half width of the band.
+    """Correlate input u (n,) with residual e (n,): return lags (2 lags + 1,), values, half width of the band.
 
     At a positive lag the input comes first. The band holds 95 % of the values for unrelated signals that each have
     a colour of their own: the variance is sum(rho_u rho_e) / N (Bartlett 1955, Box and Jenkins 1970).
@@ -155,7 +134,7 @@ def cross_correlation(u: Array, e: Array, lags: int) -> tuple[Array, Array, floa
 
 
 def _pair_means(x: Array, y: Array, lags: int) -> tuple[Array, Array]:
-    """Mean of x[i] y[i + lag] over the pairs that were received, and how many there are; both (lags + 1,)."""
+    """Return mean of x[i] y[i + lag] over received pairs, and their number; both (lags + 1,)."""
     known_x, known_y = np.isfinite(x), np.isfinite(y)
     x = np.where(known_x, x - np.mean(x[known_x]), 0.0)
     y = np.where(known_y, y - np.mean(y[known_y]), 0.0)

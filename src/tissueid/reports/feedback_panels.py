@@ -1,9 +1,10 @@
-"""The panels of tests whose stimulus was generated while they ran (Chen 2010, Figs. 6.7, 6.8 and 6.10 to 6.12)."""
+"""Panels of tests with a feedback stimulus (Chen 2010, Figs. 6.7, 6.8 and 6.10 to 6.12)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from tissueid.language import _
 from tissueid.reports.feedback_figures import (
     FeedbackRun,
     draw_feedback_distributions,
@@ -14,32 +15,36 @@ from tissueid.reports.panel_sheet import Panel
 
 
 def feedback_panels(runs: Sequence[FeedbackRun]) -> Iterator[Panel]:
-    """All panels of one run, or of several side by side."""
+    """Yield all panels of one run, or of several side by side."""
     yield Panel(
         "feedback-series",
-        "Force and depth over time",
-        "Line plots over time of the force and, below, of the depth with the range that was to be visited.",
-        "The force goes to and fro so that the depth visits its range (dashed) as often as it was asked to.",
+        _("Force and depth over time"),
+        _("Line plots over time of the force and, below, of the depth with its desired range."),
+        _("The force sweeps so that the depth covers its range (dashed) with the desired distribution."),
         lambda figure: draw_feedback_series(figure, runs),
         height=3.9,
     )
     yield Panel(
         "feedback-distributions",
-        "Distributions and linear description",
-        "Histograms of force and depth, the linear impulse response, and depth against its linear prediction.",
-        "From the left: force; depth, with the desired distribution (dashed) and Kolmogorov's distance from it; the "
-        "linear response of the whole test; depth against what that response predicts, which bends where the tissue "
-        "stiffens.",
+        _("Distributions and linear description"),
+        _("Histograms of force and depth, the linear impulse response, and depth against its linear prediction."),
+        _(
+            "From left to right: force; depth, with the desired distribution (dashed) and Kolmogorov's distance from "
+            "it; linear response of the whole test; depth against its linear prediction, which bends where the tissue "
+            "stiffens."
+        ),
         lambda figure: draw_feedback_distributions(figure, runs),
         height=0.5 + 2.1 * len(runs),
     )
     yield Panel(
         "feedback-parameters",
-        "Mass, damping and stiffness by depth, as identified on the way",
-        "Three panels against depth: mass, damping and stiffness by level, and below them the samples of each level.",
-        "What the loop identified by adaptive least squares while the test ran. Levels share samples and the "
-        "stochastic part is wide, so neighbours are averaged (Chen 2010, 6.3.2); an engine on the whole record does "
-        "better.",
+        _("Mass, damping and stiffness by depth, identified during the test"),
+        _("Three panels against depth: mass, damping and stiffness by level, and below the samples of each level."),
+        _(
+            "Estimates of the feedback loop by adaptive least squares during the test. Levels share samples and the "
+            "stochastic part is wide, so neighbouring levels are averaged (Chen 2010, 6.3.2); an engine fitted to the "
+            "whole record is more accurate."
+        ),
         lambda figure: draw_feedback_parameters(figure, runs),
         height=4.3,
     )

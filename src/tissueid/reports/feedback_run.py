@@ -1,4 +1,4 @@
-"""What a test with a feedback stimulus left in its session, as figures take it."""
+"""Reading of the feedback report that a test stores in its session."""
 
 from __future__ import annotations
 
@@ -10,47 +10,51 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.depth_profile import DepthProfile
+from tissueid.messages import Message
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.sessions import Test
 
 REPORT_NOTE = "stimulus_report"
-"""Name of the note in which a session keeps what the stimulus said came of it, as JSON."""
+"""Name of the note of a test that contains the report of its feedback stimulus as JSON."""
+NO_DISTRIBUTION = Message("report.no_distribution", "the report of the stimulus contains no distribution of depth")
 
 
 def feedback_run(test: Test, label: str) -> FeedbackRun:
-    """A test as a run; ``label`` is what figures call it.
+    """Return a test as a run; ``label`` names it in figures.
 
     Raises:
-        UnusableInputError: the stimulus of the test was not one that followed the depth, or left no report.
+        UnusableInputError: the test has no report of a feedback stimulus.
     """
     try:
         report = json.loads(str(test.notes[REPORT_NOTE]))
     except (KeyError, ValueError) as error:
-        raise UnusableInputError(f"test {test.number} holds no report of a stimulus that followed the depth") from error
+        raise UnusableInputError(
+            Message("report.no_feedback", "test {number} has no report of a feedback stimulus", number=test.number)
+        ) from error
     record = test.record()
-    return reported_run(report, record.input, record.output - test.surface_position_m, test.sample_rate_hz, label)
+    return run_from_report(report, record.input, record.output - test.surface_position_m, test.sample_rate_hz, label)
 
 
-def reported_run(report: Any, force: Array, depth: Array, sample_rate_hz: float, label: str) -> FeedbackRun:
-    """A run of force (n,), N, and depth (n,), m, with what its stimulus reported of it.
+def run_from_report(report: Any, force: Array, depth: Array, sample_rate_hz: float, label: str) -> FeedbackRun:
+    """Return a run of force (n,), N, and depth (n,), m, with the report of its stimulus.
 
     Raises:
-        UnusableInputError: the report tells of no bins of depth.
+        UnusableInputError: the report has no distribution of depth.
     """
     try:
         edges = np.asarray(report["edges_m"], dtype=np.float64)
         shares = np.asarray(report["desired"], dtype=np.float64)
         profile = _profile(report.get("identification"), edges)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
-        raise UnusableInputError("the stimulus did not report on a distribution of depth") from error
+        raise UnusableInputError(NO_DISTRIBUTION) from error
     if edges.ndim != 1 or shares.shape != (edges.size - 1,) or not np.all(np.diff(edges) > 0.0):
-        raise UnusableInputError("the stimulus did not report on a distribution of depth")
+        raise UnusableInputError(NO_DISTRIBUTION)
     return FeedbackRun(label, force, depth, sample_rate_hz, edges, shares, profile)
 
 
 def _profile(found: Mapping[str, Any] | None, edges: Array) -> DepthProfile | None:
-    """Mass, damping and stiffness by level of depth; None where nothing was identified."""
+    """Return mass, damping and stiffness by depth level; None where nothing was identified."""
     levels = [] if found is None else found["levels"]
     if not levels:
         return None

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from tissueid import __version__
-from tissueid.core_words import for_report, said_by_core
+from tissueid.formatting import fixed, number
 from tissueid.gap.diagnosis import Diagnosis, Ranked
-from tissueid.gap.statement import effect_words, headline_of, listed, next_steps_of, percent, sentences_of
+from tissueid.gap.statement import effect_title, headline_of, next_steps_of, ordered_candidates, percent, sentences_of
 from tissueid.language import _
+from tissueid.messages import MISSING, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_figures import tables_of, times_noise
 from tissueid.reports.gap_panels import gap_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_whole
+from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.tables import Table, readable_date
 from tissueid.sessions import Session
 from tissueid.twin.effect import STAGE_NAMES
-from tissueid.wording import MISSING, fixed, number
 
 _LISTED = 8
 
@@ -48,23 +48,23 @@ def gap_html(found: Diagnosis, title: str = "", origin: Origin | None = None) ->
         FigureGroup("g-which", _("Which cause"), tuple(figures[key] for key in ("ranking",) if key in figures)),
         FigureGroup("g-far", _("How far it closes"), tuple(figures[key] for key in ("overlay",) if key in figures)),
     )
-    headline, level = headline_of(found, said_by_core)
+    headline, level = headline_of(found)
     return template("gap.html.j2").render(
         title=title or _("Simulated and recorded"),
         research_line=_(RESEARCH_LINE),
         software=f"tissueid {__version__}",
         facts=tuple(_facts(found, origin)),
-        headline=headline,
+        headline=translated(headline),
         level=level,
-        sentences=tuple(for_report(line) for line in sentences_of(found)),
+        sentences=tuple(map(translated, sentences_of(found))),
         numbers=tuple(_numbers(found)),
         chain=FigureGroup("g-chain", "", (figures["chain"],)),
         findings=_findings(found),
         groups=tuple(group for group in groups if group.figures),
         ranking=_ranking(found),
-        remedies=tuple(for_report(line) for line in next_steps_of(found, None if origin is None else origin.file)),
+        remedies=tuple(map(translated, next_steps_of(found, None if origin is None else origin.file))),
         tables=tuple(tables_of(found, _effect)),
-        remarks=tuple(for_report(line) for line in found.remarks),
+        remarks=tuple(map(translated, found.remarks)),
     )
 
 
@@ -74,16 +74,16 @@ def write_gap_report(found: Diagnosis, path: Path, title: str = "", origin: Orig
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    write_whole(path, gap_html(found, title, origin))
+    write_text_atomically(path, gap_html(found, title, origin))
 
 
 def _effect(name: str) -> str:
     """Return what an effect is called, in the language of the report."""
-    return said_by_core(effect_words(name))
+    return translated(effect_title(name))
 
 
 def _percent(share: float) -> str:
-    return _("nothing that can be told") if not np.isfinite(share) else f"{fixed(100.0 * share, 0)} %"
+    return _("not determined") if not np.isfinite(share) else f"{fixed(100.0 * share, 0)} %"
 
 
 def _interval(item: tuple[float, float]) -> str:
@@ -94,7 +94,7 @@ def _interval(item: tuple[float, float]) -> str:
 
 
 def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]:
-    device, tests = found.observed.instrument, found.observed.tests
+    device, tests = found.dataset.instrument, found.dataset.tests
     if origin is not None:
         numbers = {test.number for test in tests}
         sites = dict.fromkeys(test.site for test in origin.session.tests if test.number in numbers and test.site)
@@ -105,7 +105,7 @@ def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]
         yield _("Subject"), origin.session.subject.pseudonym or MISSING
     yield _("Instrument"), f"{device.model}, {device.serial_number}"
     yield _("Tests"), ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
-    yield _("Signals"), ", ".join(_(name) for name in found.observed.channels)
+    yield _("Signals"), ", ".join(_(name) for name in found.dataset.channels)
     yield _("Took"), f"{fixed(found.seconds, 0)} s"
 
 
@@ -122,8 +122,10 @@ def _numbers(found: Diagnosis) -> Iterator[tuple[str, str, str]]:
     yield _("Noise alone"), _share(gap.floor), _("what the sensors' noise alone leaves")
     if found.verdict != "no_gap" and np.isfinite(gap.closed):
         note = f"95 %: {_interval(gap.closed_ci)}" if _interval(gap.closed_ci) else _("of what noise does not explain")
-        chosen_by = _("; {percent} predicted on the data used for the choice").format(percent=_percent(gap.announced))
-        yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.announced) else "")
+        chosen_by = _("; {percent} predicted on the data used for the choice").format(
+            percent=_percent(gap.predicted_closed)
+        )
+        yield _("Closed"), _percent(gap.closed), note + (chosen_by if np.isfinite(gap.predicted_closed) else "")
 
 
 def _share(value: float) -> str:
@@ -135,7 +137,7 @@ def _findings(found: Diagnosis) -> Table | None:
     if not where.findings:
         return None
     rows = tuple(
-        (_(STAGE_NAMES[item.stage]), said_by_core(item.what), _(item.channel), times_noise(item.error / item.floor))
+        (_(STAGE_NAMES[item.stage]), translated(item.what), _(item.channel), times_noise(item.error / item.floor))
         for item in where.findings[:_LISTED]
     )
     note = _("× noise: error as a multiple of the noise, which is what the sensors' noise alone would leave.")
@@ -143,7 +145,7 @@ def _findings(found: Diagnosis) -> Table | None:
 
 
 def _ranking(found: Diagnosis) -> Table | None:
-    candidates = listed(found)[:_LISTED]
+    candidates = ordered_candidates(found)[:_LISTED]
     if not candidates:
         return None
     places = {item.effect: str(place) for place, item in enumerate(candidates, 1)}
@@ -153,7 +155,7 @@ def _ranking(found: Diagnosis) -> Table | None:
     kept = [place for place in range(len(head)) if place == 0 or any(row[place] for row in rows)]
     narrowed = tuple(tuple(row[place] for place in kept) for row in rows)
     shown = tuple(head[place] for place in kept)
-    note = _("Alike: candidates, by number, that this data cannot tell from it.") if _("Alike") in shown else ""
+    note = _("Alike: candidates, by number, that this data cannot separate from it.") if _("Alike") in shown else ""
     return Table(_("Candidates"), shown, narrowed, note)
 
 

@@ -1,4 +1,4 @@
-"""The sealed check of the diagnosis as one self-contained page."""
+"""Report of the sealed check of the diagnosis: one self-contained page."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from pathlib import Path
 from typing import Literal
 
 from tissueid import __version__
+from tissueid.formatting import clean, fixed, number
 from tissueid.gap.blind_check import BlindCheck
-from tissueid.gap.sealed import Measured, Rate, Score
+from tissueid.gap.blind_scoring import Measured, Rate, Score
+from tissueid.language import _
+from tissueid.messages import MISSING, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.gap_blind_panels import blind_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_whole
+from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
 from tissueid.reports.tables import Row, Table
-from tissueid.wording import MISSING, clean, fixed, number
 
 Level = Literal["good", "check", "poor"]
 
 
 @dataclass(frozen=True)
 class Section:
-    """What the page shows of one kind of session."""
+    """Results of one kind of session."""
 
     key: str
     title: str
@@ -31,14 +33,18 @@ class Section:
     failures: tuple[str, ...]
 
 
-def blind_html(check: BlindCheck, title: str = "Sealed check of the diagnosis") -> str:
-    """The page as HTML text: for each kind of session the score with intervals, pictures, controls and failures."""
+def blind_html(check: BlindCheck, title: str = "") -> str:
+    """Return the page as HTML text: for each kind of session scores with intervals, figures, controls and failures."""
     headline, level = headline_of(check)
     return template("gap_blind.html.j2").render(
-        title=title,
-        research_line=RESEARCH_LINE,
+        title=title or _("Sealed check of the diagnosis"),
+        research_line=_(RESEARCH_LINE),
         software=f"tissueid {__version__}",
-        facts=(("Scenarios", str(check.n)), ("Seed", str(check.seed)), ("SHA-256 of the labels", clean(check.seal))),
+        facts=(
+            (_("Scenarios"), str(check.n)),
+            (_("Seed"), str(check.seed)),
+            (_("SHA-256 of the labels"), clean(check.seal)),
+        ),
         headline=headline,
         level=level,
         sentences=tuple(_sentences(check)),
@@ -47,22 +53,22 @@ def blind_html(check: BlindCheck, title: str = "Sealed check of the diagnosis") 
 
 
 def write_blind_report(check: BlindCheck, path: Path) -> None:
-    """Write the page so that ``path`` is whole or untouched.
+    """Write the page atomically.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    write_whole(path, blind_html(check))
+    write_text_atomically(path, blind_html(check))
 
 
 def headline_of(check: BlindCheck) -> tuple[str, Level]:
-    """How much of what is asked was reached, in a line, and how that is to be taken."""
+    """Return the share of targets that were reached as a sentence, and its level."""
     items = [item for _, _, score in check.scores.values() for item in _items(score)]
     judged = [item.kept for item in items if item.kept is not None]
     if not judged:
-        return "No case could be judged", "check"
-    words = f"{sum(judged)} of {len(judged)} figures that are asked for were reached"
-    return words, "good" if all(judged) else "poor"
+        return _("No case could be judged"), "check"
+    text = _("{reached} of {count} targets were reached").format(reached=sum(judged), count=len(judged))
+    return text, "good" if all(judged) else "poor"
 
 
 def _items(score: Score) -> list[Rate | Measured]:
@@ -71,42 +77,56 @@ def _items(score: Score) -> list[Rate | Measured]:
 
 def _sentences(check: BlindCheck) -> Iterator[str]:
     for title, count, score in check.scores.values():
-        missed = [item.what for item in _items(score) if item.kept is False]
-        short = f"not reached: {'; '.join(missed)}" if missed else "everything that could be judged was reached"
-        yield f"{title}, {count} scenarios: {short}."
-    yield "The intervals say how little so many scenarios can tell: where one holds what is asked, it is not settled."
+        missed = "; ".join(translated(item.what) for item in _items(score) if item.kept is False)
+        text = _("{kind}, {count} scenarios: all targets that could be judged were reached.")
+        if missed:
+            text = _("{kind}, {count} scenarios: not reached: {missed}.")
+        yield text.format(kind=translated(title), count=count, missed=missed)
+    yield _("An interval that contains its target leaves open whether the target is reached.")
 
 
 def _section(key: str, title: str, count: int, score: Score) -> Section:
     panels = blind_panels(key, score)
     return Section(
         key,
-        f"{title}: {count} scenarios",
-        Table("Score", ("", "Asked", "Measured", "95 % (Wilson)", "Cases", ""), tuple(_rows(score))),
+        _("{kind}: {count} scenarios").format(kind=translated(title), count=count),
         Table(
-            "Controls",
-            ("First place by", "Share", "Cases"),
-            tuple((item.what, _percent(item.value), str(item.cases)) for item in score.controls),
-            "What chance (labels dealt out anew), habit, and a search without held-out data would reach.",
+            _("Score"),
+            ("", _("Target"), _("Measured"), _("95 % (Wilson)"), _("Cases"), ""),
+            tuple(_rows(score)),
+        ),
+        Table(
+            _("Controls"),
+            (_("First place by"), _("Share"), _("Cases")),
+            tuple((translated(item.what), _percent(item.value), str(item.cases)) for item in score.controls),
+            _("Scores of chance (permuted labels), of a constant answer, and of a search without held-out data."),
         ),
         FigureGroup(f"g-{key}", "", tuple(panel.picture().block for panel in panels)),
-        score.failures,
+        tuple(translated(line) for line in score.failures),
     )
 
 
 def _rows(score: Score) -> Iterator[Row]:
     for rate in score.rates:
         low, high = rate.interval
-        asked = f"{'' if rate.at_least else 'at most '}{_percent(rate.asked)}"
-        interval = f"{fixed(100.0 * low, 0)} to {fixed(100.0 * high, 0)} %" if rate.cases else MISSING
-        cases = f"{rate.hits} of {rate.cases}"
-        yield rate.what, asked, _percent(rate.share), interval, cases, _kept(rate.kept)
+        interval = _("{low} to {high} %").format(low=fixed(100.0 * low, 0), high=fixed(100.0 * high, 0))
+        cases = _("{hits} of {cases}").format(hits=rate.hits, cases=rate.cases)
+        yield (
+            translated(rate.what),
+            _target(_percent(rate.asked), at_least=rate.at_least),
+            _percent(rate.share),
+            interval if rate.cases else MISSING,
+            cases,
+            _kept(rate.kept),
+        )
     for figure in score.figures:
-        yield figure.what, _asked(figure), number(figure.value, 3), MISSING, str(figure.cases), _kept(figure.kept)
+        target = MISSING if figure.asked is None else _target(number(figure.asked, 3), at_least=figure.at_least)
+        value = number(figure.value, 3)
+        yield translated(figure.what), target, value, MISSING, str(figure.cases), _kept(figure.kept)
 
 
-def _asked(figure: Measured) -> str:
-    return MISSING if figure.asked is None else f"{'' if figure.at_least else 'at most '}{number(figure.asked, 3)}"
+def _target(value: str, *, at_least: bool) -> str:
+    return value if at_least else _("at most {value}").format(value=value)
 
 
 def _percent(share: float) -> str:
@@ -114,4 +134,4 @@ def _percent(share: float) -> str:
 
 
 def _kept(kept: bool | None) -> str:
-    return MISSING if kept is None else "reached" if kept else "not reached"
+    return MISSING if kept is None else _("reached") if kept else _("not reached")

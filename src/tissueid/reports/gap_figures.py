@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import display_unit, fixed, label_and_unit, number, with_unit
 from tissueid.gap.diagnosis import Diagnosis, parameters_of
-from tissueid.gap.named import twin_of
 from tissueid.gap.scoring import Candidate
+from tissueid.gap.twin_export import twin_of
 from tissueid.language import _, marked
+from tissueid.messages import translated
 from tissueid.reports.tables import Table
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGE_NAMES, STAGES
-from tissueid.wording import fixed, named_unit, number, people_unit, with_unit
 
 _TASKS = {
     "drive": marked("command to voltage"),
@@ -23,7 +23,7 @@ _TASKS = {
     "mechanics": marked("force to motion, without tissue"),
     "tissue": marked("what the probe presses on"),
     "sensing": marked("motion to recorded number"),
-    "environment": marked("what nobody asked for"),
+    "environment": marked("disturbances"),
 }
 _QUESTIONS = {
     "drive": marked("Voltage, from the command"),
@@ -58,11 +58,11 @@ def tables_of(found: Diagnosis, called: Callable[[str], str]) -> Iterator[Table]
             _("Stages"), (), shares, _("Shares of what noise does not explain, as logarithms of error over noise.")
         )
     for name in found.combination:
-        # Of the accepted explanation: beside a second effect they are others than in the ranking of single ones.
+        # parameters of the accepted combination; they differ from those of single effects in the ranking
         if found.best is not None and (table := _parameters(found.best, name, called(name))):
             yield table
     if where.evidence.errors:
-        unasked = set() if any(test.quiet for test in found.observed.tests) else {"quiet"}
+        unasked = set() if any(test.quiet for test in found.dataset.tests) else {"quiet"}
         asked = {name: times for name, times in where.evidence.errors.items() if name not in unasked}
         errors = tuple((_(_QUESTIONS.get(name, name)), times_noise(times)) for name, times in asked.items())
         whole = ""
@@ -88,12 +88,12 @@ def _parameters(best: Candidate, name: str, words: str) -> Table | None:
         stds = {}  # a bare record of input and output makes no twin
     rows = []
     for key, value in values.items():
-        unit, scale = people_unit("" if known[key].unit == "1" else known[key].unit)
+        unit, scale = display_unit("" if known[key].unit == "1" else known[key].unit)
         std = stds.get(f"{name}.{key}", 0.0)
         text = number(scale * value, 3)
         if 0.0 < std < _WIDEST_STD and np.isfinite(std):
             text += f" ± {number(scale * std, 2)}"
-        rows.append((_(named_unit(key)[0]), with_unit(text, unit), said_by_core(known[key].meaning)))
+        rows.append((_(label_and_unit(key)[0]), with_unit(text, unit), translated(known[key].meaning)))
     if not rows:
         return None
     head = (_("Parameter"), _("Value"), _("Meaning"))

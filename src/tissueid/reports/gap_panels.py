@@ -10,20 +10,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from numpy.typing import NDArray
 
-from tissueid.core_words import said_by_core
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label
+from tissueid.gap.dataset import DatasetTest
 from tissueid.gap.diagnosis import Diagnosis
-from tissueid.gap.observed import ObservedTest
-from tissueid.gap.regions import Profile, Regions, Spectrum
+from tissueid.gap.error_regions import ErrorRegions, Profile, Spectrum
 from tissueid.gap.scoring import Candidate
-from tissueid.gap.statement import listed
+from tissueid.gap.statement import effect_title, ordered_candidates
 from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 from tissueid.reports.gap_chain import draw_chain
-from tissueid.reports.panel_sheet import Panel, without
+from tissueid.reports.panel_sheet import Panel, missing_panel
 from tissueid.reports.panels import image
 from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
 from tissueid.twin.effect import STAGE_NAMES
-from tissueid.wording import axis_label
 
 FloatArray = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         height=2.5,
     )
     if not regions.profiles:
-        yield without("where", _("Where the gap lies"), _("nothing was left to look at"))
+        yield missing_panel("where", _("Where the gap lies"), _("nothing was left to look at"))
         return
     of = _(regions.channel)
     yield Panel(
@@ -121,14 +121,14 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
         height=3.2,
     )
     yield from _more_profiles(regions, of)
-    if candidates := listed(found):
+    if candidates := ordered_candidates(found):
         yield Panel(
             "ranking",
             _("Candidates"),
             _("Probability and closed share of each candidate effect."),
             _(
                 "Left: probability that a candidate is the cause. Right: the share of the gap that it closes on "
-                "held-out data, with 95 %. The same colour: candidates that this data cannot tell from the leading one."
+                "held-out data, with 95 %. The same colour: candidates that this data cannot separate."
             ),
             lambda figure: draw_ranking(figure, found),
             height=0.9 + 0.28 * min(len(candidates), _LISTED),
@@ -146,7 +146,7 @@ def gap_panels(found: Diagnosis) -> Iterator[Panel]:
     )
 
 
-def _more_profiles(regions: Regions, of: str) -> Iterator[Panel]:
+def _more_profiles(regions: ErrorRegions, of: str) -> Iterator[Panel]:
     """Along what not every test has: a current, a stimulus whose size changes, the mains."""
     where = (
         (
@@ -249,7 +249,7 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     """
     surface = found.where.regions.surface
     if surface is None:
-        raise UnusableInputError(_("too little of depth and velocity was visited"))
+        raise UnusableInputError(Message("report.no_surface", "too little of depth and velocity was visited"))
     axes = figure.subplots(1, 1)
     image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, _("Residual (× noise)"))
     axes.set_xlabel(_("Depth (mm)"))
@@ -259,7 +259,7 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
 def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
     """Probability and closed share of the leading candidates."""
     left, right = figure.subplots(1, 2, sharey=True)
-    shown = listed(found)[:_LISTED]
+    shown = ordered_candidates(found)[:_LISTED]
     rows = np.arange(len(shown))
     alike = {shown[0].effect, *shown[0].indistinguishable}
     colours = [ORANGE if item.effect in alike else BLUE for item in shown]
@@ -270,7 +270,7 @@ def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:
         low, high = (100.0 * np.clip(end, -1.0, 1.0) for end in item.closed_ci)
         right.plot([low, high], [row, row], color=colour, linewidth=1.6)
         right.plot([100.0 * max(item.closed, -1.0)], [row], color=colour, marker="o", markersize=4.5)
-    left.set_yticks(rows, [said_by_core(item.effect).replace("_", " ") for item in shown])
+    left.set_yticks(rows, [translated(effect_title(item.effect)) for item in shown])
     left.invert_yaxis()
     left.set_xlim(0.0, 100.0)
     left.set_xlabel(_("Probability (%)"))
@@ -288,8 +288,8 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
         UnusableInputError: every sample was fitted.
     """
     regions = found.where.regions
-    test, first, last = unseen_stretch(found, regions.channel)
-    channels = [name for name in found.observed.channels if name != "voltage" or regions.channel == "voltage"][:3]
+    test, first, last = largest_held_out_error(found, regions.channel)
+    channels = [name for name in found.dataset.channels if name != "voltage" or regions.channel == "voltage"][:3]
     grid = figure.subplots(2, len(channels), sharex=True, squeeze=False, gridspec_kw={"height_ratios": (3, 2)})
     shown = slice(first, last)
     time = np.arange(first, last) / test.sample_rate_hz
@@ -305,11 +305,11 @@ def draw_overlay(figure: FigureBase, found: Diagnosis) -> None:
         ):
             if candidate is None:
                 continue
-            simulated = simulated_by(candidate, test, name)[shown]
+            simulated = simulated_signal(candidate, test, name)[shown]
             above.plot(time, scale * simulated, color=colour, linestyle=dashes, linewidth=1.0, label=words)
             left = fine * (recorded - simulated)
             below.plot(time, left, color=colour, linewidth=0.9)
-        _floor(below, fine * found.observed.noise[name])
+        _floor(below, fine * found.dataset.noise[name])
         above.set_ylabel(_(label))
         below.set_ylabel(_("Left over ({unit})").format(unit=unit))
         below.set_xlabel(_("Time (s)"))
@@ -326,28 +326,28 @@ def _spectrum(found: Diagnosis) -> Spectrum:
     return next(item for item in regions.spectra if item.channel == regions.channel)
 
 
-def simulated_by(candidate: Candidate, test: ObservedTest, name: str) -> FloatArray:
-    """What a candidate predicts of a signal of a test, shape (n,), SI."""
-    tests = candidate.fit.parameters.observed.tests
+def simulated_signal(candidate: Candidate, test: DatasetTest, name: str) -> FloatArray:
+    """Return a signal of a test simulated by a candidate, shape (n,), SI."""
+    tests = candidate.fit.parameters.dataset.tests
     place = next(k for k, item in enumerate(tests) if item.number == test.number)
     return candidate.fit.predictions[place][name]
 
 
-def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, int]:
-    """The test and the stretch, first and one past the last sample, held out of the fit with the largest error.
+def largest_held_out_error(found: Diagnosis, channel: str) -> tuple[DatasetTest, int, int]:
+    """Return the test, first sample and end of the held-out block with the largest error of the baseline.
 
-    Stretches in which the signal hardly moves are left out: a rest shows an offset at most.
+    Blocks in which the signal is almost constant are ignored: they show an offset at most.
 
     Raises:
         UnusableInputError: there is none.
     """
-    tried: list[tuple[float, float, ObservedTest, int, int]] = []
-    for test in found.observed.tests:
-        if test.quiet and len(found.observed.tests) > 1:
+    tried: list[tuple[float, float, DatasetTest, int, int]] = []
+    for test in found.dataset.tests:
+        if test.quiet and len(found.dataset.tests) > 1:
             continue
         held = test.purpose > 1
         size = max(8, round(_OVERLAY_S * test.sample_rate_hz))
-        error = (test.signals[channel] - simulated_by(found.found.baseline, test, channel)) / found.observed.noise[
+        error = (test.signals[channel] - simulated_signal(found.found.baseline, test, channel)) / found.dataset.noise[
             channel
         ]
         for start in range(0, max(1, error.size - size + 1), max(1, size // 2)):
@@ -358,6 +358,6 @@ def unseen_stretch(found: Diagnosis, channel: str) -> tuple[ObservedTest, int, i
             moved = float(np.std(test.signals[channel][start : start + size][inside]))
             tried.append((worth, moved, test, start, min(start + size, error.size)))
     if not tried:
-        raise UnusableInputError(_("every sample was fitted"))
+        raise UnusableInputError(Message("report.all_fitted", "every sample was fitted"))
     least = _MOVES * float(np.quantile([item[1] for item in tried], 0.75))
     return max((item for item in tried if item[1] >= least), key=lambda item: item[0])[2:]

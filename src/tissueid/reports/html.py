@@ -1,4 +1,4 @@
-"""The report: one self-contained HTML page, without scripts and without anything to fetch."""
+"""Report of a session: one self-contained HTML page without scripts or external files."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from tissueid.analysis import Analysis
-from tissueid.core_words import for_report
+from tissueid.atomic_write import atomic_file
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.language import _, marked, spoken
+from tissueid.formatting import clean
+from tissueid.language import _, current_language, marked
+from tissueid.messages import Message, translated
+from tissueid.reports.blocks import report_text
 from tissueid.reports.page import test_page
 from tissueid.reports.tables import Comparison, comparison_table, readable_date, settings_tables
 from tissueid.sessions import Session
-from tissueid.whole_file import whole_file
-from tissueid.wording import clean
 
 RESEARCH_LINE = marked("Research use only. Not a medical device; not for diagnosis or treatment.")
+NOTHING_ANALYSED = Message("report.nothing_analysed", "there is nothing to report: no test was analysed")
 
 
 def report_html(
@@ -32,20 +34,22 @@ def report_html(
     title: str | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> str:
-    """The report as HTML text.
+    """Return the report as HTML text.
 
     Args:
-        session: the sitting.
-        analyses: test number, then engine name. The first test is the main one; the others get a shorter section.
-        comparison: what a small-amplitude test found against a plant that knows its own values.
+        session: the session.
+        analyses: analyses by test number and engine name. The first test is the main one; the others get a shorter
+            section.
+        comparison: estimates of a small-amplitude test and the known values of a simulated plant.
         title: heading of the page; the site of the main test by default.
+        refused: engines that could not use the main test, and why.
 
     Raises:
         UnusableInputError: nothing was analysed, or the session lacks one of the tests.
     """
     tests = [(number, engines) for number, engines in analyses.items() if engines]
     if not tests:
-        raise UnusableInputError("there is nothing to report: no test was analysed")
+        raise UnusableInputError(NOTHING_ANALYSED)
     pages = [
         test_page(session, number, engines, full=place == 0, refused=refused or {})
         for place, (number, engines) in enumerate(tests)
@@ -74,27 +78,27 @@ def write_report(
     title: str | None = None,
     refused: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the report so that ``path`` is whole or untouched; arguments and errors as :func:`report_html`.
+    """Write the report atomically; arguments and errors as :func:`report_html`.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    write_whole(path, report_html(session, analyses, comparison=comparison, title=title, refused=refused))
+    write_text_atomically(path, report_html(session, analyses, comparison=comparison, title=title, refused=refused))
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file so that it is whole or untouched.
+def write_text_atomically(path: Path, text: str) -> None:
+    """Write a text file atomically.
 
     Raises:
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
 
 
 @cache
 def template(name: str) -> Template:
-    """A page's template; what it is given is escaped, and what it does not know is refused."""
+    """Return the template of a page. It escapes all values and raises an error for an unknown one."""
     environment = Environment(
         loader=PackageLoader("tissueid.reports"),
         autoescape=True,
@@ -104,7 +108,7 @@ def template(name: str) -> Template:
         finalize=_without_control_characters,
     )
     environment.filters["svg"] = Markup
-    environment.globals |= {"_": _, "for_report": for_report, "language": spoken}
+    environment.globals |= {"_": _, "report_text": report_text, "translated": translated, "language": current_language}
     return environment.get_template(name)
 
 

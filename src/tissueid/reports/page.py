@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from tissueid.analysis import REPORT_ENGINES, Analysis
-from tissueid.core_words import for_report, said_by_core
+from tissueid.analysis import Analysis
+from tissueid.identification import engine_label, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _, marked
+from tissueid.messages import translated
 from tissueid.reports import captions
-from tissueid.reports.blocks import FigureGroup, Picture, absent, picture
-from tissueid.reports.configured import in_words_of, spring_line, surface_of
+from tissueid.reports.blocks import FigureGroup, Picture, absent, picture, report_text
+from tissueid.reports.configured import captions_for_configuration, spring_line, surface_of
 from tissueid.reports.diagnostics import Prediction, held_out_prediction
 from tissueid.reports.figures.registry import Group, all_figures, figures_of
 from tissueid.reports.material import Material
@@ -21,7 +22,6 @@ from tissueid.reports.validation_figures import prediction_figure, residuals_fig
 from tissueid.reports.verdict import KeyNumber, Verdict, judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality, quality_of
-from tissueid.wording import engine_label
 
 _NOT_RUN = marked("the {engine} engine was not run on this test")
 
@@ -65,10 +65,10 @@ def test_page(
         site=test.site,
         kind=_(test.kind.replace("_", " ")),
         configuration=_(test.configuration),
-        verdict=_said(judge(test, analyses)),
+        verdict=_translated_verdict(judge(test, analyses)),
         key_numbers=key_numbers(analyses),
         visited=" ".join(
-            filter(None, [said_by_core(visited(analyses, surface_of(test))), spring_line(analyses.values())])
+            filter(None, [translated(visited(analyses, surface_of(test))), spring_line(analyses.values())])
         ),
         quality=quality,
         groups=groups,
@@ -77,16 +77,16 @@ def test_page(
         warnings=(
             *_warnings(analyses),
             *(
-                _("{engine} could not use it: {why}").format(engine=engine_label(name), why=said_by_core(why))
+                _("{engine} could not use it: {why}").format(engine=engine_label(name), why=translated(why))
                 for name, why in refused.items()
             ),
         ),
     )
 
 
-def _said(verdict: Verdict) -> Verdict:
+def _translated_verdict(verdict: Verdict) -> Verdict:
     """Return a verdict in the language of the page."""
-    return Verdict(verdict.level, _(verdict.headline), tuple(for_report(reason) for reason in verdict.reasons))
+    return Verdict(verdict.level, _(verdict.headline), tuple(report_text(reason) for reason in verdict.reasons))
 
 
 def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
@@ -96,7 +96,7 @@ def _warnings(analyses: Mapping[str, Analysis]) -> Iterator[str]:
         for text in dict.fromkeys(analysis.model.report.warnings):
             said.setdefault(text, []).append(engine_label(name))
     for text, names in said.items():
-        yield f"{', '.join(names)}: {said_by_core(text)}"
+        yield f"{', '.join(names)}: {translated(text)}"
 
 
 def _predictions(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> list[Prediction]:
@@ -142,25 +142,26 @@ def _short_groups(material: Material, key: str) -> tuple[FigureGroup, ...]:
 
 
 def _group(material: Material, key: str, heading: str, *pictures: Picture) -> FigureGroup:
-    return FigureGroup(key, heading, tuple(one.block for one in in_words_of(material.test, pictures)))
+    return FigureGroup(key, heading, tuple(one.block for one in captions_for_configuration(material.test, pictures)))
 
 
 def _of_engines(material: Material, key: str, group: Group, *, short: bool = False) -> Iterator[Picture]:
     """The figures of a group that the models have, and the standard ones for which an engine is lacking."""
+    standard = report_engines()
     places: list[tuple[int, Picture]] = []
     for subject in material.subjects:
-        suffix = "" if subject.name in REPORT_ENGINES else f" ({subject.label})"
+        suffix = "" if subject.name in standard else f" ({subject.label})"
         places += [
             (one.place, one.picture(subject, key, suffix=suffix))
             for one in figures_of(subject)
-            if one.group == group and (one.short or not short) and (one.standard or subject.name not in REPORT_ENGINES)
+            if one.group == group and (one.short or not short) and (one.standard or subject.name not in standard)
         ]
     for one in all_figures():
         there = any(isinstance(a.model, one.model) for a in material.analyses.values())
         if one.group == group and one.standard and not there and (one.short or not short):
             why = material.refused.get(one.standard)
             reason = _("the {engine} engine could not use it: {why}") if why else _NOT_RUN
-            reason = _(reason).format(engine=one.standard, why=said_by_core(why or ""))
+            reason = _(reason).format(engine=engine_label(one.standard), why=translated(why or ""))
             places.append((one.place, absent(f"{key}-{one.key}", _(one.heading), reason, wide=one.wide)))
     for _place, drawn in sorted(places, key=lambda item: item[0]):
         yield drawn

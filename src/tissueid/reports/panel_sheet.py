@@ -1,4 +1,4 @@
-"""Panels that stand alone, on a page, or together on one sheet."""
+"""Panels: single figures on a page, or several on one sheet."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure, FigureBase
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.reports.blocks import Picture, picture
 from tissueid.reports.style import FULL_WIDTH, HALF_WIDTH, drawing, new_figure
 
@@ -16,10 +17,10 @@ _TITLE_HEIGHT = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Something that can be drawn into a figure or a part of one.
+    """A drawing for a figure or a part of one.
 
-    ``draw`` raises :class:`~tissueid.errors.UnusableInputError` where there is nothing to draw; its line then stands
-    in place of the panel. ``height`` is in inches.
+    ``draw`` raises :class:`~tissueid.errors.UnusableInputError` when there is nothing to draw; the page then shows its
+    message in place of the panel. ``height`` is in inches.
     """
 
     key: str
@@ -31,12 +32,12 @@ class Panel:
     height: float = 3.4
 
     def picture(self) -> Picture:
-        """The panel as a figure of its own."""
+        """Return the panel as a figure of its own."""
         return picture(self.key, self.heading, self.alt, lambda: (self.figure(), self.caption), wide=self.wide)
 
     @drawing
     def figure(self) -> Figure:
-        """Draw it.
+        """Draw the panel.
 
         Raises:
             UnusableInputError: there is nothing to draw.
@@ -46,8 +47,8 @@ class Panel:
         return figure
 
 
-def without(key: str, heading: str, reason: str) -> Panel:
-    """A panel that cannot be drawn, for a reason without a full stop."""
+def missing_panel(key: str, heading: str, reason: str) -> Panel:
+    """Return a panel that cannot be drawn, for a reason without a full stop."""
 
     def draw(_: FigureBase) -> None:
         raise UnusableInputError(reason)
@@ -56,15 +57,15 @@ def without(key: str, heading: str, reason: str) -> Panel:
 
 
 @drawing
-def sheet(title: str, panels: Sequence[Panel]) -> Figure:
-    """All panels that can be drawn on one sheet under a title, halves side by side where two follow each other.
+def draw_sheet(title: str, panels: Sequence[Panel]) -> Figure:
+    """Draw all panels that can be drawn on one sheet under a title; consecutive half-width panels share a row.
 
     Raises:
         UnusableInputError: none of them can be drawn.
     """
     rows = list(_rows([panel for panel in panels if panel.picture().figure is not None]))
     if not rows:
-        raise UnusableInputError("there is nothing to draw")
+        raise UnusableInputError(Message("report.nothing_to_draw", "there is nothing to draw"))
     heights = [max(panel.height for panel in row) for row in rows]
     figure = new_figure(FULL_WIDTH, sum(heights) + _TITLE_HEIGHT)
     figure.suptitle(title, x=0.01, ha="left", fontsize=11.0)
@@ -80,7 +81,7 @@ def _parts(figure: Figure, heights: Sequence[float]) -> list[FigureBase]:
 
 
 def _rows(panels: Sequence[Panel]) -> Iterator[list[Panel]]:
-    """A wide panel alone, halves by twos."""
+    """Yield rows: a wide panel alone, half-width panels in pairs."""
     waiting: list[Panel] = []
     for panel in panels:
         if panel.wide:

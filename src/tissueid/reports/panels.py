@@ -1,4 +1,4 @@
-"""Panels that several figures share: images about zero, surfaces, lines coloured by depth, clouds of points."""
+"""Shared parts of figures: images, surfaces, depth colours, point clouds."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def _value_bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
 
 
 def surface(figure: Figure, place: tuple[int, int, int], x: Array, y: Array, values: Array) -> Axes3D:
-    """A surface of values (y, x) over x and y, seen from above.
+    """Draw a surface of values (y, x) over x and y, seen from above.
 
-    The axes are the caller's to label; the scale of the values is that of an image beside it.
+    The caller labels the axes; the values have the colour scale of the corresponding image.
     """
     axes = cast(Axes3D, figure.add_subplot(*place, projection="3d"))
     rows = max(1, -(-y.size // _SURFACE_STEPS))
@@ -104,14 +104,14 @@ def surface(figure: Figure, place: tuple[int, int, int], x: Array, y: Array, val
 
 
 def depth_colours(count: int) -> list[str]:
-    """Colours of so many things from shallow to deep."""
+    """Return ``count`` colours from shallow to deep."""
     if count == 1:
         return [DEPTHS[-1]]
     return [DEPTHS[round(k * (len(DEPTHS) - 1) / (count - 1))] for k in range(count)]
 
 
 def depth_bar(axes: Axes, low: float, high: float, label: str) -> None:
-    """A bar that tells which depth a colour stands for."""
+    """Add a colour bar of depth."""
     bounds = np.linspace(low, high, len(DEPTHS) + 1)
     norm = BoundaryNorm(bounds, len(DEPTHS))
     bar = axes.figure.colorbar(
@@ -124,7 +124,7 @@ def depth_bar(axes: Axes, low: float, high: float, label: str) -> None:
 
 
 def cloud(axes: Axes, x: Array, y: Array, colour: str = POINTS[0]) -> None:
-    """A cloud of points (n,), thinned and rasterised; what is NaN in either is left out."""
+    """Draw a cloud of points (n,), thinned and rasterised, without NaN."""
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     some = known[:: max(1, -(-known.size // _MOST_POINTS))]
     axes.plot(
@@ -141,19 +141,19 @@ def cloud(axes: Axes, x: Array, y: Array, colour: str = POINTS[0]) -> None:
 
 
 def markers(axes: Axes, x: ArrayLike, y: ArrayLike, *, label: str, colour: str, marker: str) -> None:
-    """Points that are few enough to be told apart, such as the lines of a multisine."""
+    """Draw a small number of separate points, such as the lines of a multisine."""
     axes.plot(x, y, color=colour, linestyle="none", marker=marker, markersize=3.5, markeredgewidth=0.0, label=label)
 
 
 def residual_cloud(axes: Axes, modelled: Array, measured: Array, colour: str) -> None:
-    """A cloud of measured against modelled output, (n,) each, and the curve through its middle."""
+    """Draw a cloud of measured against modelled output, (n,) each, and its mean curve."""
     cloud(axes, modelled, measured, colour)
     if np.isfinite(modelled + measured).sum() > 100:
         axes.plot(*running_mean(modelled, measured), color=INK, linewidth=1.6)
 
 
 def running_mean(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
-    """Mean x and mean y over so many bins of x with equal counts: the curve along which a cloud lies, (k,) each."""
+    """Return mean x and mean y in bins of x with equal counts, (k,) each: the curve through a cloud."""
     known = np.isfinite(x) & np.isfinite(y)
     order = np.argsort(x[known])
     parts = [part for part in np.array_split(order, bins) if part.size]
@@ -162,7 +162,7 @@ def running_mean(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array]:
 
 
 def diagonal(axes: Axes, low: float, high: float, label: str | None = None) -> None:
-    """The line of agreement, and equal limits about it."""
+    """Draw the diagonal of agreement, with equal axis limits."""
     margin = 0.06 * (high - low) or 1e-6
     axes.plot([low, high], [low, high], color=MUTED, linewidth=1.0, linestyle=DASHES[1], label=label)
     axes.set_xlim(low - margin, high + margin)

@@ -14,24 +14,27 @@ from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
-from tissueid.calibration.in_force import in_words
-from tissueid.core_words import for_report, said_by_core
+from tissueid.atomic_write import atomic_file
+from tissueid.calibration.active import in_words
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean, display_unit
+from tissueid.identification import engine_label
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
-from tissueid.identification.engines.wiener import WienerModel
+from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _
+from tissueid.messages import Message, translated
+from tissueid.reports.blocks import report_text
+from tissueid.reports.captions import FEW_FREQUENCIES
 from tissueid.reports.configured import surface_of
 from tissueid.reports.diagnostics import held_out_prediction
-from tissueid.reports.html import RESEARCH_LINE
+from tissueid.reports.html import NOTHING_ANALYSED, RESEARCH_LINE
 from tissueid.reports.style import BLUE, GREEN, INK, LOST, MUTED, ORANGE, drawing, frequency_axis, log_axis
-from tissueid.reports.tables import readable_date, said_status
+from tissueid.reports.tables import readable_date, status_text
 from tissueid.reports.validation_figures import readable_stretch
 from tissueid.reports.verdict import judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
-from tissueid.whole_file import whole_file
-from tissueid.wording import clean, engine_label, people_unit
 
 FurtherTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """A heading, the heads of columns, and rows."""
@@ -70,13 +73,13 @@ def write_pdf(
         OSError: the folder is missing, or the disk is full or not writable; nothing is left behind.
     """
     if not analyses:
-        raise UnusableInputError(_("there is nothing to report: no test was analysed"))
+        raise UnusableInputError(NOTHING_ANALYSED)
     written = io.BytesIO()
     with warnings.catch_warnings():
         # Letters that the font lacks stand as boxes; the numbers are what matters.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         _write(written, session, test, analyses, result, further)
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_bytes(written.getvalue())
 
 
@@ -89,7 +92,7 @@ def _write(
     result: tuple[FurtherTable, Sequence[str]] | None,
     further: Sequence[FurtherTable],
 ) -> None:
-    paper = _Paper()
+    paper = _PageWriter()
     _heading(paper, session, test)
     if result is not None:
         table, below = result
@@ -97,7 +100,7 @@ def _write(
         for line in below:
             for words in textwrap.wrap(clean(line), _ACROSS):
                 paper.line(words, size=8.0, colour=MUTED)
-        paper.rule()
+        paper.draw_rule()
     _verdict(paper, test, analyses)
     _numbers(paper, test, analyses)
     for table in further:
@@ -119,21 +122,21 @@ def _write(
             pages.savefig(page)
 
 
-class _Paper:
-    """Pages that are filled from top to bottom; a new one begins where the old one is full."""
+class _PageWriter:
+    """Writer of PDF pages from top to bottom; begins a new page when one is full."""
 
     def __init__(self) -> None:
         self.pages: list[Figure] = []
         self._new_page()
 
-    def room(self, inches: float) -> None:
-        """Make sure that so much is left, on a new page where it has to be."""
+    def ensure_room(self, inches: float) -> None:
+        """Begin a new page where less than this height is left."""
         if self.y - inches < _BOTTOM:
             self._new_page()
 
     def line(self, words: str, *, size: float = 9.0, colour: str = INK, bold: bool = False) -> None:
         """One line of text."""
-        self.room(_LINE)
+        self.ensure_room(_LINE)
         self.y -= max(_LINE, size * 1.35 / 72.0)
         self.text(_LEFT, words, size=size, colour=colour, bold=bold)
 
@@ -142,8 +145,8 @@ class _Paper:
         weight = "bold" if bold else "normal"
         self.pages[-1].text(x / _WIDTH, self.y / _HEIGHT, clean(words), fontsize=size, color=colour, fontweight=weight)
 
-    def rule(self) -> None:
-        """A thin line across."""
+    def draw_rule(self) -> None:
+        """Draw a thin horizontal line."""
         self.y -= 0.09
         at = [self.y / _HEIGHT] * 2
         figure = self.pages[-1]
@@ -155,7 +158,7 @@ class _Paper:
 
     def table(self, heading: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """A table whose columns are as wide as what stands in them; where that is too wide, the first gives way."""
-        self.room(min(3.0, _LINE * (len(rows) + 3)))
+        self.ensure_room(min(3.0, _LINE * (len(rows) + 3)))
         self.y -= 0.08
         self.line(heading, size=11.0, bold=True)
         letters = [max(_shown(head), *(len(row[place]) for row in rows)) for place, head in enumerate(heads)]
@@ -167,7 +170,7 @@ class _Paper:
             for x, head in zip(starts, heads, strict=True):
                 self.text(x, head, size=8.0, colour=MUTED)
         for row in rows:
-            self.room(_LINE)
+            self.ensure_room(_LINE)
             self.y -= _LINE
             for x, cell, wide in zip(starts, row, letters, strict=True):
                 self.text(x, _short(cell, wide))
@@ -179,24 +182,26 @@ class _Paper:
         self.y = _TOP
 
 
-def _heading(paper: _Paper, session: Session, test: Test) -> None:
+def _heading(paper: _PageWriter, session: Session, test: Test) -> None:
     site = test.site[:1].upper() + test.site[1:]
     paper.line(_short(site, 55) or _("Tissue measurement"), size=17.0, bold=True)
     paper.y -= 0.06
     device = session.instrument
-    told = _("number {number}, {status}; {configuration}, {seconds:.1f} s at {rate:g} Hz").format(
-        number=test.number,
-        status=said_status(test.status),
-        configuration=said_by_core(test.configuration),
+    settings = _("{status}; {configuration}, {seconds:.1f} s at {rate:g} Hz").format(
+        status=status_text(test.status),
+        configuration=translated(test.configuration),
         seconds=test.samples / test.sample_rate_hz,
         rate=test.sample_rate_hz,
     )
+    if len(session.tests) > 1:
+        place = _("{number} of the {count} of this session").format(number=test.number, count=len(session.tests))
+        settings = f"{place}, {settings}"
     facts = (
         (_("Subject"), session.subject.pseudonym),
         (_("Date"), readable_date(session.created)),
         (_("Instrument"), f"{device.model}, {device.serial_number}"),
-        (_("Calibration"), for_report(in_words(device))),
-        (_("Test"), told),
+        (_("Calibration"), report_text(in_words(device))),
+        (_("Test"), settings),
         (_("Session"), session.session_id),
     )
     for name, value in facts:
@@ -204,20 +209,20 @@ def _heading(paper: _Paper, session: Session, test: Test) -> None:
         paper.text(_LEFT + 0.95, _short(value, 86))
     if device.simulated:
         paper.line(_(SIMULATED_LINE), bold=True)
-    paper.rule()
+    paper.draw_rule()
 
 
-def _verdict(paper: _Paper, test: Test, analyses: Analyses) -> None:
+def _verdict(paper: _PageWriter, test: Test, analyses: Analyses) -> None:
     verdict = judge(test, analyses)
     paper.line(_(verdict.headline), size=13.0, colour=_COLOURS[verdict.level], bold=True)
-    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(for_report(reason)), _ACROSS)]
+    lines = [line for reason in verdict.reasons for line in textwrap.wrap(clean(report_text(reason)), _ACROSS)]
     for line in lines[:_MOST_REASONS]:
         paper.line(line)
     if len(lines) > _MOST_REASONS:
         paper.line(_("… The HTML report has all of it."), colour=MUTED)
 
 
-def _numbers(paper: _Paper, test: Test, analyses: Analyses) -> None:
+def _numbers(paper: _PageWriter, test: Test, analyses: Analyses) -> None:
     rows = []
     for found in key_numbers(analyses):
         value = f"{found.value} ± {found.std}" if found.std else found.value
@@ -226,7 +231,7 @@ def _numbers(paper: _Paper, test: Test, analyses: Analyses) -> None:
         return
     paper.table(_("This test"), ("", _("Value ± standard deviation"), ""), rows)
     if where := visited(analyses, surface_of(test)):
-        for line in textwrap.wrap(clean(said_by_core(where)), _ACROSS):
+        for line in textwrap.wrap(clean(translated(where)), _ACROSS):
             paper.line(line, size=8.0, colour=MUTED)
 
 
@@ -242,9 +247,9 @@ def _short(text: str, most: int) -> str:
 # -- figures ------------------------------------------------------------------------------------------------------
 
 
-def _figures(paper: _Paper, analyses: Analyses) -> None:
+def _figures(paper: _PageWriter, analyses: Analyses) -> None:
     """Four of them, two by two, in what is left of the page or on a new one."""
-    paper.room(_LEAST_FIGURES)
+    paper.ensure_room(_LEAST_FIGURES)
     figure = paper.pages[-1]
     top = paper.y - 0.4
     width, height = 2.85, (min(_FIGURES, paper.y - _BOTTOM) - 1.6) / 2
@@ -263,14 +268,14 @@ def _figures(paper: _Paper, analyses: Analyses) -> None:
             draw(axes, analyses)
         except UnusableInputError as error:
             axes.set_axis_off()
-            axes.text(0.0, 0.5, textwrap.fill(said_by_core(str(error)), 44), color=MUTED, transform=axes.transAxes)
+            axes.text(0.0, 0.5, textwrap.fill(translated(error.message), 44), color=MUTED, transform=axes.transAxes)
     paper.y = _BOTTOM
 
 
 def _impulse(axes: Axes, analyses: Analyses) -> None:
-    model = analyses["lms"].model if "lms" in analyses else None
-    if not isinstance(model, LmsModel):
-        raise UnusableInputError(_("no impulse response could be estimated"))
+    model = next((a.model for a in analyses.values() if isinstance(a.model, LmsModel)), None)
+    if model is None:
+        raise UnusableInputError(Message("report.no_impulse_response", "no impulse response could be estimated"))
     lag_ms, response, std = 1e3 * model.lag_s, 1e3 * model.impulse_response, 1e3 * model.impulse_response_std
     fine_s = np.linspace(0.0, float(model.lag_s[-1]), 300)
     fitted = 1e3 * model.second_order.sign * model.second_order.system.impulse_response(fine_s)
@@ -283,14 +288,14 @@ def _impulse(axes: Axes, analyses: Analyses) -> None:
 
 
 def _magnitude(axes: Axes, analyses: Analyses) -> None:
-    model = analyses["spectral"].model if "spectral" in analyses else None
-    if not isinstance(model, SpectralModel):
-        raise UnusableInputError(_("no transfer function could be estimated"))
+    model = next((a.model for a in analyses.values() if isinstance(a.model, SpectralModel)), None)
+    if model is None:
+        raise UnusableInputError(Message("report.no_transfer_function", "no transfer function could be estimated"))
     spectra = model.spectra
     shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * spectra.input_psd[1:].max())
     shown &= spectra.magnitude > 0.0
     if shown.sum() < 3:
-        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
+        raise UnusableInputError(FEW_FREQUENCIES)
     frequency = spectra.frequency_hz[shown]
     axes.plot(frequency, 1e3 * spectra.magnitude[shown], color=BLUE, linestyle="none", marker=".", markersize=3.0)
     fine = np.geomspace(frequency[0], frequency[-1], 300)
@@ -301,17 +306,22 @@ def _magnitude(axes: Axes, analyses: Analyses) -> None:
 
 
 def _nonlinearity(axes: Axes, analyses: Analyses) -> None:
-    analysis = analyses.get("wiener")
+    analysis = analyses.get(Wiener.name)
     if analysis is None or not isinstance(analysis.model, WienerModel):
-        raise UnusableInputError(_("no static nonlinearity could be estimated"))
+        raise UnusableInputError(Message("report.no_nonlinearity", "no static nonlinearity could be estimated"))
     record = analysis.record[analysis.fit_part]
     inner = analysis.model.linear_output(record.input)
     known = np.isfinite(inner) & np.isfinite(record.output)
     if known.sum() < 2:
-        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
+        raise UnusableInputError(
+            Message(
+                "report.wiener_not_run",
+                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
+            )
+        )
     inner, measured = inner[known], record.output[known]
     some = slice(None, None, max(1, inner.size // _MOST_DOTS))
-    unit, scale = people_unit(record.output_unit)
+    unit, scale = display_unit(record.output_unit)
     fine = np.linspace(inner.min(), inner.max(), 300)
     axes.plot(
         inner[some],
@@ -328,12 +338,12 @@ def _nonlinearity(axes: Axes, analyses: Analyses) -> None:
 
 
 def _prediction(axes: Axes, analyses: Analyses) -> None:
-    name = "wiener" if "wiener" in analyses else linear_engine(analyses)
+    name = Wiener.name if Wiener.name in analyses else linear_engine(analyses)
     if name is None:
-        raise UnusableInputError(_("no model could be run on motion that it had not seen"))
+        raise UnusableInputError(Message("report.no_free_run", "no model could be run on motion that it had not seen"))
     found = held_out_prediction(engine_label(name), analyses[name])
     part = readable_stretch(found, 0.4)
-    unit, scale = people_unit(found.output_unit)
+    unit, scale = display_unit(found.output_unit)
     time_s = found.time_s[part] - found.time_s[part][0]
     axes.plot(time_s, scale * found.measured[part], color=BLUE, linewidth=2.6, alpha=0.5, label=_("measured"))
     axes.plot(time_s, scale * found.predicted[part], color=ORANGE, linewidth=1.0, label=_("predicted"))

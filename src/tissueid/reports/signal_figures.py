@@ -1,4 +1,4 @@
-"""Figures of what was recorded: signals over time, their power, their distributions."""
+"""Figures of recorded signals: time series, power spectra, distributions."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.plot import thin
 from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label, display_unit
 from tissueid.language import _
+from tissueid.messages import Message
 from tissueid.records import Record
-from tissueid.reports.diagnostics import Array, power_spectrum, runs, thin
+from tissueid.reports.diagnostics import Array, power_spectrum, runs
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,
@@ -30,21 +33,20 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.sessions import SIGNAL_UNITS, Test
-from tissueid.wording import axis_label, people_unit
 
 _COLOURS = {"voltage": SERIES[0], "force": SERIES[1], "current": SERIES[1], "position": SERIES[2]}
-"""A signal keeps its colour from figure to figure."""
+"""Colours of signals, the same in all figures."""
 _MOST_LOST_RUNS = 400
-"""So many stretches of lost samples are marked one by one; beyond that neighbours are marked as one."""
+"""Largest number of marked stretches of lost samples; neighbours are merged beyond it."""
 
 
 def has_samples(test: Test, name: str) -> bool:
-    """True when the test has this signal and at least two samples of it were received."""
+    """Return whether at least two samples of a signal were received."""
     return name in test.signals and int(np.isfinite(test.signals[name]).sum()) >= 2
 
 
 def lost_samples(test: Test) -> NDArray[np.bool_]:
-    """Mask (n,) of the samples that were not received, in any of the main signals."""
+    """Return a mask (n,) of samples that were lost in any of the main signals."""
     mask = np.zeros(test.samples, dtype=np.bool_)
     for name in ("voltage", "current", "force", "position"):
         if has_samples(test, name):
@@ -67,7 +69,7 @@ def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) ->
     load = [name for name in ("force", "current") if has_samples(test, name)][:1]
     panels = [names for names in (drive, load, ["position"] if has_samples(test, "position") else []) if names]
     if not panels:
-        raise UnusableInputError(_("no voltage, current, force or position was received"))
+        raise UnusableInputError(Message("report.no_signals", "no voltage, current, force or position was received"))
     figure = new_figure(FULL_WIDTH, 0.7 + 1.45 * len(panels))
     time_s = np.arange(test.samples) / test.sample_rate_hz
     every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -84,7 +86,7 @@ def signals_figure(test: Test, held_out_s: tuple[float, float] | None = None) ->
 
 
 def _signal_panel(axes: Axes, test: Test, names: list[str], time_s: Array) -> None:
-    unit, scale = people_unit(SIGNAL_UNITS[names[0]])
+    unit, scale = display_unit(SIGNAL_UNITS[names[0]])
     labels = {"command": _("asked for"), "voltage": _("measured across the coil")}
     for name in names:
         thinned = thin(time_s, scale * test.signals[name])
@@ -162,7 +164,7 @@ def power_figure(test: Test) -> Figure:
     for name, dash in zip(("voltage", "force", "position"), DASHES, strict=False):
         if not has_samples(test, name):
             continue
-        unit, scale = people_unit(SIGNAL_UNITS[name])
+        unit, scale = display_unit(SIGNAL_UNITS[name])
         found = power_spectrum(scale * test.signals[name][first:], test.sample_rate_hz)
         if found is None:
             continue
@@ -173,7 +175,9 @@ def power_figure(test: Test) -> Figure:
         )
         low, high = min(low, float(frequency_hz[0])), max(high, float(frequency_hz[-1]))
     if not high > 0.0:
-        raise UnusableInputError(_("the test is too short, or too full of gaps, for a power spectrum"))
+        raise UnusableInputError(
+            Message("report.no_power_spectrum", "the test is too short, or has too many gaps, for a power spectrum")
+        )
     frequency_axis(axes, low, high)
     log_axis(axes)
     axes.set_ylabel(_("Power spectral density"))
@@ -194,11 +198,13 @@ def distributions_figure(record: Record) -> Figure:
         (record.output, record.output_name, record.output_unit),
     )
     for axes, (values, name, si_unit) in zip(figure.subplots(1, 2), sides, strict=True):
-        unit, scale = people_unit(si_unit)
+        unit, scale = display_unit(si_unit)
         values = scale * values[np.isfinite(values)]
         spread = float(np.std(values)) if values.size else 0.0
         if values.size < 20 or not spread > 1e-9 * float(np.max(np.abs(values))):
-            raise UnusableInputError(_("the {name} has too few samples, or does not vary").format(name=_(name)))
+            raise UnusableInputError(
+                Message("report.no_variation", "the {name} has too few samples, or is constant", name=name)
+            )
         bins = int(np.clip(np.sqrt(values.size), 8, 60))
         axes.hist(values, bins=bins, density=True, color=_COLOURS.get(name, MUTED), alpha=0.4, histtype="stepfilled")
         grid = np.linspace(values.min(), values.max(), 200)
@@ -212,7 +218,7 @@ def distributions_figure(record: Record) -> Figure:
 
 
 def skewness(values: Array) -> float:
-    """Third standardised moment of the received samples of a signal (n,)."""
+    """Return the skewness of the received samples of a signal (n,)."""
     centred = values[np.isfinite(values)]
     centred = centred - centred.mean()
     return float(np.mean(centred**3) / np.mean(centred**2) ** 1.5)

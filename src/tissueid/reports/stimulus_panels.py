@@ -1,10 +1,13 @@
-"""The panels of a designed stimulus, each with what was asked for beside what came out."""
+"""Panels of a designed stimulus: what is played, with its targets."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from tissueid.analysis.design import Design
+from tissueid.formatting import number
+from tissueid.language import _, marked
+from tissueid.reports import captions
 from tissueid.reports.panel_sheet import Panel
 from tissueid.reports.stimulus_figures import (
     draw_amplitudes,
@@ -15,14 +18,13 @@ from tissueid.reports.stimulus_figures import (
     draw_time_series,
 )
 from tissueid.stimuli.kinds.multisine import Multisine
-from tissueid.wording import number
 
-_AMPLITUDES = "Left: how often each amplitude is played; right: the share of samples below it."
-_INTENDED = " Dashed: what was asked for, counted in the same bins."
+_AMPLITUDES = marked("Left: histogram of the amplitudes. Right: share of samples below each amplitude.")
+_INTENDED = marked("Dashed: intended amplitudes, counted in the same bins.")
 
 
 def stimulus_panels(design: Design) -> Iterator[Panel]:
-    """All panels that have a meaning for a stimulus."""
+    """Yield the panels that apply to a stimulus."""
     yield _time_series(design)
     yield _amplitudes(design)
     if isinstance(design.specification, Multisine):
@@ -36,9 +38,9 @@ def stimulus_panels(design: Design) -> Iterator[Panel]:
 def _time_series(design: Design) -> Panel:
     return Panel(
         "time-series",
-        "Over time",
-        "Line plots of the stimulus: the whole of it, and a fifth of a second sample by sample.",
-        "Above the whole stimulus, below its beginning sample by sample. Volts are those of a coil at rest.",
+        _("Over time"),
+        _("Line plots of the stimulus: the whole of it, and a fifth of a second sample by sample."),
+        _("Above: the whole stimulus. Below: its beginning sample by sample. Volts are those of a coil at rest."),
         lambda figure: draw_time_series(figure, design.stimulus, design.device),
         height=3.9,
     )
@@ -48,9 +50,9 @@ def _amplitudes(design: Design) -> Panel:
     wanted = design.intended_amplitudes
     return Panel(
         "amplitudes",
-        "Distribution of amplitudes",
-        "Histogram and cumulative distribution of the values, with the intended ones as dashed lines.",
-        _AMPLITUDES if wanted is None else _AMPLITUDES + _INTENDED,
+        _("Distribution of amplitudes"),
+        _("Histogram and cumulative distribution of the values, with the intended ones as dashed lines."),
+        captions.joined(_(_AMPLITUDES), "" if wanted is None else _(_INTENDED)),
         lambda figure: draw_amplitudes(figure, design.played, design.stimulus.unit, wanted),
         height=2.7,
     )
@@ -59,10 +61,12 @@ def _amplitudes(design: Design) -> Panel:
 def _lines(design: Design, multisine: Multisine) -> Panel:
     return Panel(
         "lines",
-        "Lines of one period",
-        "Amplitude of the lines of one period against frequency: driven, detection and other lines.",
-        f"One period has a line every {number(multisine.resolution_hz)} Hz. Lines that are not driven are empty but "
-        "for rounding, so what the answer holds there is noise or distortion.",
+        _("Lines of one period"),
+        _("Amplitude of the lines of one period against frequency: driven, detection and other lines."),
+        _(
+            "One period has a line every {spacing} Hz. Lines that are not driven contain only rounding, so that power "
+            "of the response at these lines is noise or distortion."
+        ).format(spacing=number(multisine.resolution_hz)),
         lambda figure: draw_lines(figure, multisine, design.stimulus),
     )
 
@@ -73,10 +77,12 @@ def _power(design: Design) -> Panel:
     target = design.target_power
     return Panel(
         "power",
-        "Power spectral density",
-        "Power spectral density against frequency, both axes logarithmic, with its target where there is one.",
-        "Welch's estimate. Dotted: where 95 and 99 % of the power about the mean end."
-        + ("" if target is None else " Dashed: the target."),
+        _("Power spectral density"),
+        _("Power spectral density against frequency, both axes logarithmic, with its target where there is one."),
+        captions.joined(
+            _("Welch's estimate. Dotted: frequencies below which 95 % and 99 % of the power about the mean lie."),
+            "" if target is None else _("Dashed: target."),
+        ),
         lambda figure: draw_power(
             figure, design.played, design.stimulus.sample_rate_hz, design.stimulus.unit, target, edges
         ),
@@ -86,15 +92,15 @@ def _power(design: Design) -> Panel:
 
 def _autocorrelation(design: Design) -> Panel:
     rate, error = design.stimulus.sample_rate_hz, design.autocorrelation_error
-    told = "About the mean, divided by its value at lag 0, of the record as it is played."
+    caption = _("Autocorrelation of the played values about their mean, divided by its value at lag 0.")
     if error is not None:
-        lags = design.autocorrelation.size - 1
-        told += f" Below: played less target; its squares over {lags} lags sum to {number(error, 2)}."
+        squares = _("Below: played minus target; the sum of squares over {lags} lags is {sum}.")
+        caption = captions.joined(caption, squares.format(lags=design.autocorrelation.size - 1, sum=number(error, 2)))
     return Panel(
         "autocorrelation",
-        "Autocorrelation",
-        "Normalised autocorrelation against lag, with its target where there is one and the difference below.",
-        told,
+        _("Autocorrelation"),
+        _("Normalised autocorrelation against lag, with its target where there is one and the difference below."),
+        caption,
         lambda figure: draw_autocorrelation(figure, design.autocorrelation, rate, design.target_autocorrelation),
         wide=False,
     )
@@ -103,9 +109,12 @@ def _autocorrelation(design: Design) -> Panel:
 def _swaps(design: Design) -> Panel:
     return Panel(
         "swaps",
-        "Convergence of the interchange",
-        "Sum of squared differences of the autocorrelation from its target against accepted swaps.",
-        "Every accepted swap lowers it. It begins at what the spectral surrogate left (Chen 2010, Fig. 6.2b).",
+        _("Convergence of the interchange"),
+        _("Sum of squared differences of the autocorrelation from its target against accepted swaps."),
+        _(
+            "Every accepted swap reduces the error. It begins at the error of the spectral surrogate (Chen 2010, "
+            "Fig. 6.2b)."
+        ),
         lambda figure: draw_swaps(figure, design.search),
         wide=False,
     )

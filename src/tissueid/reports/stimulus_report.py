@@ -1,4 +1,4 @@
-"""A designed stimulus as a page, as one sheet of figures, or as single figures."""
+"""Report of a designed stimulus or a calibration: a page, or one sheet of figures."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from typing import Any, Literal
 
 from tissueid import __version__
 from tissueid.analysis.design import Design
+from tissueid.atomic_write import atomic_file
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import fixed, grouped
+from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 from tissueid.reports.blocks import FigureGroup
 from tissueid.reports.feedback_figures import FeedbackRun
 from tissueid.reports.feedback_panels import feedback_panels
-from tissueid.reports.html import RESEARCH_LINE, template, write_whole
-from tissueid.reports.panel_sheet import Panel, sheet
+from tissueid.reports.html import RESEARCH_LINE, template, write_text_atomically
+from tissueid.reports.panel_sheet import Panel, draw_sheet
 from tissueid.reports.stimulus_panels import stimulus_panels
 from tissueid.reports.style import plain_image
-from tissueid.reports.tables import Table
+from tissueid.reports.tables import Table, named_text
 from tissueid.stimuli import FeedbackKind
-from tissueid.stimuli.appraisal import Appraisal
-from tissueid.whole_file import whole_file
-from tissueid.wording import fixed, grouped, named_value
+from tissueid.stimuli.stimulus_check import Appraisal
 
 FAR = 0.08
-"""Distance from the desired distribution of depth from which on a page asks to look closer."""
+"""Kolmogorov distance from the desired distribution of depth above which the report shows a caution."""
 
 FORMS: dict[str, tuple[str | bytes, ...]] = {
     ".html": ("<!DOCTYPE html",),
@@ -32,12 +34,12 @@ FORMS: dict[str, tuple[str | bytes, ...]] = {
     ".png": (b"\x89PNG",),
     ".svg": ("<?xml", "<svg"),
 }
-"""Ends of the names of the files that a report can be written to, and what such files begin with."""
+"""File name suffixes of reports, and the first bytes of such files."""
 
 
 @dataclass(frozen=True, eq=False)
 class StimulusReport:
-    """A stimulus with its figures; ``facts`` are label and value."""
+    """A report of verdict, tables and figures in the active language; ``facts`` are label and value."""
 
     title: str
     facts: tuple[tuple[str, str], ...]
@@ -49,60 +51,67 @@ class StimulusReport:
     panels: tuple[Panel, ...]
 
     def html(self) -> str:
-        """The page: what to know before it is played, figures, options."""
+        """Return the page: verdict, figures, tables."""
         blocks = tuple(panel.picture().block for panel in self.panels)
         return template("stimulus.html.j2").render(
             title=self.title,
             facts=self.facts,
-            research_line=RESEARCH_LINE,
+            research_line=_(RESEARCH_LINE),
             software=f"tissueid {__version__}",
             headline=self.headline,
             level=self.level,
             concerns=self.concerns,
             summary=self.summary,
             tables=self.tables,
-            group=FigureGroup("figures", "Figures", blocks),
+            group=FigureGroup("figures", _("Figures"), blocks),
         )
 
     def write(self, path: Path) -> None:
-        """Write a page or a sheet of all figures, whole or not at all, by the end of the name (``FORMS``).
+        """Write a page or a sheet of all figures atomically; the suffix of the name chooses the form (``FORMS``).
 
         Raises:
-            UnusableInputError: the name ends in none of them, or there is nothing to draw.
+            UnusableInputError: the suffix is not one of them, or there is nothing to draw.
             OSError: the folder is missing, or the disk is full or not writable.
         """
-        form = form_of(path)
+        form = output_suffix(path)
         if form == ".html":
-            write_whole(path, self.html())
+            write_text_atomically(path, self.html())
             return
-        figure = sheet(self.title, self.panels)
-        with whole_file(path) as partial:
+        figure = draw_sheet(self.title, self.panels)
+        with atomic_file(path) as partial:
             plain_image(figure, partial, "pdf" if form == ".pdf" else "svg" if form == ".svg" else "png")
 
 
-def form_of(path: Path) -> str:
-    """The form in which a file is written, one of ``FORMS``, by the end of its name.
+def output_suffix(path: Path) -> str:
+    """Return the suffix of a file name, one of ``FORMS``.
 
     Raises:
-        UnusableInputError: it ends in none of ``FORMS``.
+        UnusableInputError: the suffix is not one of ``FORMS``.
     """
     form = path.suffix.lower()
     if form not in FORMS:
-        raise UnusableInputError(f"a plot ends in {', '.join(FORMS)}, and {path.name} does not")
+        raise UnusableInputError(
+            Message(
+                "report.unknown_form",
+                "the file name of a plot must end in {forms}, got {name}",
+                forms=", ".join(FORMS),
+                name=path.name,
+            )
+        )
     return form
 
 
 def judged(found: Appraisal) -> tuple[str, Literal["good", "check", "poor"]]:
-    """What is said over an appraisal, and in which colour."""
+    """Return the headline of a stimulus check and its level."""
     if not found.playable:
-        return "It cannot be played", "poor"
+        return marked("The stimulus cannot be played"), "poor"
     if any(concern.severity == "caution" for concern in found.concerns):
-        return "It can be played: read this first", "check"
-    return "It can be played", "good"
+        return marked("The stimulus can be played: read the cautions first"), "check"
+    return marked("The stimulus can be played"), "good"
 
 
 def stimulus_report(design: Design) -> StimulusReport:
-    """The report of a stimulus that is known before its test."""
+    """Return the report of a stimulus that is designed before its test."""
     stimulus, found, kind = design.stimulus, design.appraisal, design.specification
     headline, level = judged(found)
     length = fixed(stimulus.seconds, 2)
@@ -115,19 +124,24 @@ def stimulus_report(design: Design) -> StimulusReport:
         )
     )
     return StimulusReport(
-        title=f"Stimulus {kind.name}, {fixed(low, 1)} to {fixed(high, 1)} {stimulus.unit}, {length} s",
-        facts=(
-            ("Instrument", f"{design.device.model}, {design.device.serial_number}"),
-            ("Samples", f"{grouped(len(stimulus))} at {fixed(stimulus.sample_rate_hz, 0)} Hz"),
-            ("Seed", str(stimulus.seed)),
+        title=_("Stimulus {kind}, {low} to {high} {unit}, {seconds} s").format(
+            kind=kind.name, low=fixed(low, 1), high=fixed(high, 1), unit=stimulus.unit, seconds=length
         ),
-        headline=headline,
+        facts=(
+            (_("Instrument"), f"{design.device.model}, {design.device.serial_number}"),
+            (
+                _("Samples"),
+                _("{count} at {rate} Hz").format(count=grouped(len(stimulus)), rate=fixed(stimulus.sample_rate_hz, 0)),
+            ),
+            (_("Seed"), str(stimulus.seed)),
+        ),
+        headline=_(headline),
         level=level,
-        concerns=tuple(concern.words for concern in found.concerns),
-        summary=found.summary(),
+        concerns=tuple(translated(concern.words) for concern in found.concerns),
+        summary=tuple(translated(line) for line in found.summary()),
         tables=(
-            Table("What it is", (), design.rows()),
-            Table("Options", (), option_rows(kind.describe())),
+            Table(_("Properties"), (), translated_rows(design.rows())),
+            Table(_("Options"), (), option_rows(kind.describe())),
         ),
         panels=tuple(stimulus_panels(design)),
     )
@@ -136,26 +150,35 @@ def stimulus_report(design: Design) -> StimulusReport:
 def feedback_report(
     kind: FeedbackKind, runs: Sequence[FeedbackRun], rows: tuple[tuple[str, str], ...]
 ) -> StimulusReport:
-    """The report of tests whose stimulus was generated while they ran; ``rows`` are what was found of them."""
+    """Return the report of tests with a feedback stimulus; ``rows`` are their results as label and value."""
     worst = max(run.distance for run in runs)
     return StimulusReport(
-        title=f"Stimulus {kind.name}, {fixed(kind.force_min_n, 1)} to {fixed(kind.force_max_n, 1)} N",
-        facts=(("Played on", ", ".join(run.label for run in runs)), ("Seed", str(kind.seed))),
-        headline=f"The depths keep to the desired distribution within {fixed(worst, 3)}",
+        title=_("Stimulus {kind}, {low} to {high} N").format(
+            kind=kind.name, low=fixed(kind.force_min_n, 1), high=fixed(kind.force_max_n, 1)
+        ),
+        facts=((_("Played on"), ", ".join(run.label for run in runs)), (_("Seed"), str(kind.seed))),
+        headline=_("The depths follow the desired distribution within {distance}").format(distance=fixed(worst, 3)),
         level="good" if worst <= FAR else "check",
         concerns=(),
         summary=(
-            "The number is Kolmogorov's distance: the largest difference between the share of samples above a depth "
-            "and the share that was wanted there.",
+            _(
+                "The number is Kolmogorov's distance: the largest difference between the share of samples above a "
+                "depth and the desired share."
+            ),
         ),
         tables=(
-            Table("What came of it", (), rows),
-            Table("Options", (), option_rows(kind.describe())),
+            Table(_("Results"), (), translated_rows(rows)),
+            Table(_("Options"), (), option_rows(kind.describe())),
         ),
         panels=tuple(feedback_panels(runs)),
     )
 
 
 def option_rows(options: dict[str, Any]) -> tuple[tuple[str, str], ...]:
-    """Options as label and value."""
-    return tuple(named_value(name, value) for name, value in options.items() if name != "type")
+    """Return options as label and value."""
+    return tuple(named_text(name, value) for name, value in options.items() if name != "type")
+
+
+def translated_rows(rows: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+    """Return rows of label and value in the active language."""
+    return tuple((translated(label), translated(value)) for label, value in rows)

@@ -1,4 +1,4 @@
-"""How figures look, and how they become SVG that lives inside a page."""
+"""Style of figures, and their conversion to SVG for pages."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from tissueid.formatting import clean, superscript
 from tissueid.language import _
-from tissueid.wording import clean, superscript
 
 INK = "#24292f"
 MUTED = "#6e7781"
@@ -61,7 +61,7 @@ DIVERGING = LinearSegmentedColormap.from_list(
 """Blue below zero, orange above, and nothing at zero: the page shows through, be it light or dark."""
 SEQUENTIAL = LinearSegmentedColormap.from_list("sequential", [(*_NEGATIVE, 0.0), (*_NEGATIVE, 1.0)])
 RELIEF = LinearSegmentedColormap.from_list("relief", [_NEGATIVE, (0.66, 0.68, 0.70), _POSITIVE])
-"""The same hues for surfaces, which hide what is behind them: the middle is a grey that can be told from any page."""
+"""The same hues for opaque surfaces: the middle is a grey that is visible on light and dark pages."""
 
 FULL_WIDTH = 9.2
 HALF_WIDTH = 4.6
@@ -123,18 +123,18 @@ _R = TypeVar("_R")
 
 
 @contextmanager
-def _house_style() -> Iterator[None]:
-    """Matplotlib's defaults and the house style, whatever the user's own settings; put back afterwards."""
+def _report_style() -> Iterator[None]:
+    """Set Matplotlib defaults and the style of the reports, ignoring user settings; restore them afterwards."""
     with _LOCK, matplotlib_style.context(_STYLE, after_reset=True):
         yield
 
 
 def drawing(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Draw in the house style: decorates the functions that make figures."""
+    """Decorate a function that makes a figure: draw in the style of the reports."""
 
     @wraps(function)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        with _house_style():
+        with _report_style():
             return function(*args, **kwargs)
 
     return drawn
@@ -196,7 +196,7 @@ def plain_image(
     Raises:
         OSError: the target cannot be written.
     """
-    with _house_style(), warnings.catch_warnings():
+    with _report_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         figure.savefig(target, format=form, dpi=dots_per_inch, metadata=_UNDATED[form])
 
@@ -219,7 +219,7 @@ def to_svg(figure: Figure, key: str, alt: str) -> str:
     (``--fig-ink`` and so on) and text stays text in the page's own letters. ``alt`` is what a screen reader says.
     """
     buffer = io.StringIO()
-    with _house_style(), warnings.catch_warnings():
+    with _report_style(), warnings.catch_warnings():
         # Letters that Matplotlib's own font lacks are drawn by the reader's browser, which has them.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         figure.savefig(buffer, format="svg", dpi=144, metadata={"Date": None})

@@ -1,4 +1,4 @@
-"""Tables of a report: parameters, scores, settings. Cells are text; nothing here knows HTML."""
+"""Tables of reports: parameters, scores, settings. Cells are plain text."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ import numpy as np
 from tissueid import __version__
 from tissueid.analysis import Analysis
 from tissueid.configuration import has_depth
-from tissueid.core_words import said_by_core
 from tissueid.device import DeviceDescription
-from tissueid.identification.base import FitReport
-from tissueid.language import _, marked
-from tissueid.records import Estimate
-from tissueid.reports.configured import spring_line
-from tissueid.reports.signal_figures import lost_samples
-from tissueid.sessions import Session, Test
-from tissueid.wording import (
-    MISSING,
+from tissueid.formatting import (
     axis_label,
-    engine_label,
+    display_unit,
     fixed,
     grouped,
+    label_and_unit,
+    label_and_value,
     local_time,
-    named_unit,
-    named_value,
     number,
-    people_unit,
     plain_text,
     plus_minus,
     with_unit,
     zone_offset,
 )
+from tissueid.identification import engine_label
+from tissueid.identification.base import FitReport
+from tissueid.language import _, marked
+from tissueid.messages import MISSING, translated
+from tissueid.records import Estimate
+from tissueid.reports.configured import spring_line
+from tissueid.reports.signal_figures import lost_samples
+from tissueid.sessions import Session, Test
 
 Row = tuple[str, ...]
 
@@ -78,11 +77,11 @@ class Comparison:
 
 _PLUS_MINUS = marked(
     "± is one standard deviation; a value without it has no estimate of its uncertainty, and one that is no larger "
-    "than two of them is called uncertain: it cannot be told from zero. LMS and Spectral share "
+    "than two of them is called uncertain: it cannot be distinguished from zero. LMS and Spectral share "
     "one second-order fit to the record: their mass, damping and stiffness are one answer, not two."
 )
 UNCERTAIN_DEVIATIONS = 2.0
-"""A parameter within so many standard deviations of zero is called uncertain."""
+"""Number of standard deviations from zero within which a parameter counts as uncertain."""
 
 MONTHS = (
     marked("January"),
@@ -100,21 +99,21 @@ MONTHS = (
 )
 STATUSES = (marked("completed"), marked("aborted"), marked("recovered"))
 """How a test can have ended, as a session file has it."""
-_TOLD_ELSEWHERE = ("events", "quality", "samples_lost", "stimulus_report")
+_TOLD_ELSEWHERE = ("events", "quality", "reason_message", "samples_lost", "stimulus_report")
 """Notes of a test that have a row of their own, or are data for programs."""
 
 
 def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
-    """Every parameter of every engine with its standard deviation; None when no engine has any."""
+    """Return a table of all parameters with standard deviations; None if no engine has any."""
     names = list(dict.fromkeys(name for a in analyses.values() for name in a.model.report.reportable_parameters))
     if not names:
         return None
     rows = []
     for name in names:
-        label, si_unit = named_unit(name)
-        unit, scale = people_unit(si_unit)
+        label, si_unit = label_and_unit(name)
+        unit, scale = display_unit(si_unit)
         cells = [
-            _told(parameters[name], scale) if name in parameters else MISSING
+            _parameter_text(parameters[name], scale) if name in parameters else MISSING
             for parameters in (a.model.report.reportable_parameters for a in analyses.values())
         ]
         rows.append((_(label), unit, *cells))
@@ -126,15 +125,15 @@ def parameter_table(analyses: Mapping[str, Analysis]) -> Table | None:
     )
 
 
-def _told(found: Estimate, scale: float) -> str:
-    """A parameter with its deviation; where that leaves open whether it is there at all, it says so."""
+def _parameter_text(found: Estimate, scale: float) -> str:
+    """Return a parameter with its standard deviation, marked as uncertain where it does not differ from zero."""
     text = plus_minus(found, scale)
     uncertain = found.std is not None and abs(found.value) <= UNCERTAIN_DEVIATIONS * found.std
     return _("{value}, uncertain").format(value=text) if uncertain else text
 
 
 def score_table(analyses: Mapping[str, Analysis]) -> Table:
-    """How well each engine does, in sample and held out, and at what cost."""
+    """Return a table of fitted and held-out scores, parameters and seconds of each engine."""
     reports = [(name, a.model.report) for name, a in analyses.items()]
     scheduled = any(report.vaf_scheduled_percent is not None for _name, report in reports)
     head = [_("Engine"), _("VAF, fitted (%)"), _("VAF, held out (%)")]
@@ -146,7 +145,7 @@ def score_table(analyses: Mapping[str, Analysis]) -> Table:
         cells += [fixed(report.vaf_scheduled_percent, 2)] if scheduled else []
         cells += [grouped(report.aicc), grouped(report.n_parameters), grouped(report.n_samples)]
         rows.append((*cells, fixed(report.seconds, 3)))
-    held_out = next((said_by_core(a.validated_on) for a in analyses.values()), "")
+    held_out = next((translated(a.validated_on) for a in analyses.values()), "")
     return Table(
         _("Model scores"),
         tuple(head),
@@ -160,16 +159,16 @@ def score_table(analyses: Mapping[str, Analysis]) -> Table:
 
 
 def held_out_cell(report: FitReport, decimals: int = 2) -> str:
-    """The held-out VAF in percent, marked where the fit predicts nothing."""
+    """Return the held-out VAF in percent, marked if the fit predicts nothing."""
     text = fixed(report.vaf_validation_percent, decimals)
     return _("{score}, predicts nothing").format(score=text) if report.predicts_nothing else text
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """The rows of a comparison with their errors."""
+    """Return a comparison with its errors as a table."""
     rows = []
     for row in comparison.rows:
-        unit, scale = people_unit(row.unit)
+        unit, scale = display_unit(row.unit)
         error = row.small.value - row.truth
         relative = 100.0 * error / row.truth if row.truth else None
         deviations = error / row.small.std if row.small.std else None
@@ -190,7 +189,7 @@ def comparison_table(comparison: Comparison) -> Table:
 
 
 def with_sign(value: float | None, decimals: int) -> str:
-    """A number with its sign always shown."""
+    """Return a number with its sign."""
     text = fixed(value, decimals)
     return text if text == MISSING or text.startswith("−") else f"+{text}"
 
@@ -210,20 +209,20 @@ def readable_date(created: str) -> str:
     return f"{said} {zone_offset(moment) if moment.tzinfo else ''}".rstrip()
 
 
-def said_status(status: str) -> str:
+def status_text(status: str) -> str:
     """Return how a test ended, in the language of the report."""
     return _(status)
 
 
 def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysis]) -> tuple[Table, ...]:
-    """Everything that it takes to make the test and its analysis again."""
+    """Return the settings needed to repeat a test and its analysis."""
     sitting: list[Row] = [
         (_("Session"), session.session_id or MISSING),
         (_("Recorded"), readable_date(session.created)),
         (_("Recorded with"), session.software or MISSING),
         (_("Analysed with"), f"tissueid {__version__}"),
         (_("Subject"), session.subject.pseudonym or MISSING),
-        *(_named(name, value) for name, value in session.subject.demographics.items()),
+        *(named_text(name, value) for name, value in session.subject.demographics.items()),
     ]
     tables = [
         Table(_("Session"), (), tuple(sitting)),
@@ -233,23 +232,28 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
         Table(
             _("Calibration in force"),
             (),
-            _named_rows(
-                _readable_dates(session.instrument.calibration), _("None recorded: nominal figures were used.")
-            ),
+            _named_rows(_shown_calibration(session.instrument), _("None recorded: nominal figures were used.")),
         ),
     ]
     for name, analysis in analyses.items():
         report = analysis.model.report
-        rows: list[Row] = [(_("Held out"), said_by_core(analysis.validated_on))]
+        rows: list[Row] = [(_("Held out"), translated(analysis.validated_on))]
         options = {option: value for option, value in report.options.items() if (option, value) != _NO_SURFACE}
-        rows += [_named(option, value) for option, value in options.items()]
-        rows += [_named(detail, value) for detail, value in report.details.items()]
+        rows += [named_text(option, value) for option, value in options.items()]
+        rows += [named_text(detail, value) for detail, value in report.details.items()]
         tables.append(Table(_("Engine: {name}").format(name=engine_label(name)), (), tuple(rows)))
     return tuple(tables)
 
 
-def _readable_dates(settings: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: readable_date(str(value)) if name == "date" else value for name, value in settings.items()}
+def _shown_calibration(device: DeviceDescription) -> dict[str, Any]:
+    """Return the entries of the calibration in force, with a readable date and translated warnings."""
+    shown: dict[str, Any] = {}
+    for name, value in device.calibration.items():
+        if name == "warnings":
+            shown[name] = "; ".join(translated(warning) for warning in device.calibration_warnings)
+        elif name != "warning_messages":
+            shown[name] = readable_date(str(value)) if name == "date" else value
+    return shown
 
 
 def _named_rows(settings: Mapping[str, Any], otherwise: str) -> tuple[Row, ...]:
@@ -259,18 +263,18 @@ def _named_rows(settings: Mapping[str, Any], otherwise: str) -> tuple[Row, ...]:
 
 
 def _flatten(settings: Mapping[str, Any], rows: dict[str, str], parent: str) -> None:
-    """Settings inside settings, as far as two levels down, get rows of their own; a name used twice is told apart."""
+    """Add rows for nested settings, up to two levels deep; a repeated name gets its parent as prefix."""
     for name, value in settings.items():
         if isinstance(value, dict) and value and parent.count(":") < 2:
-            _flatten(value, rows, f"{parent}{_(named_unit(str(name))[0])}: ")
+            _flatten(value, rows, f"{parent}{_(label_and_unit(str(name))[0])}: ")
             continue
-        label, text = _named(str(name), value)
+        label, text = named_text(str(name), value)
         rows[f"{parent}{label}" if label in rows else label] = text
 
 
-def _named(name: str, value: Any) -> tuple[str, str]:
+def named_text(name: str, value: Any) -> tuple[str, str]:
     """Return a named setting of any kind as label and text, both in the language of the report where it has them."""
-    label, text = named_value(name, value)
+    label, text = label_and_value(name, value)
     return _(label), _(text)
 
 
@@ -279,7 +283,7 @@ def _instrument_rows(device: DeviceDescription) -> tuple[Row, ...]:
     for item in fields(device):
         value = getattr(device, item.name)
         if item.name != "calibration" and value != "":
-            rows.append(_named(item.name, value))
+            rows.append(named_text(item.name, value))
     return tuple(rows)
 
 
@@ -296,7 +300,7 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
         (_("Kind"), _(plain_text(test.kind).replace("_", " "))),
         (_("Configuration"), _(plain_text(test.configuration))),
         (_("Site"), plain_text(test.site)),
-        (_("Status"), said_status(test.status)),
+        (_("Status"), status_text(test.status)),
         (_("Sample rate"), with_unit(number(test.sample_rate_hz), "Hz")),
         (_("Length"), _("{seconds} s, {samples} samples").format(seconds=number(length_s), samples=test.samples)),
         (_("Preload"), with_unit(number(test.preload_s), "s") if test.preload_s else _("none")),
@@ -308,13 +312,13 @@ def _test_rows(test: Test) -> tuple[Row, ...]:
         low, high = fixed(float(force.min()), 1), fixed(float(force.max()), 1)
         rows.append((_("Force reached"), _("{low} to {high} N").format(low=low, high=high)))
     rows.append((_("Samples not received"), f"{lost} ({100 * lost / test.samples:.2f} %)" if lost else _("none")))
-    rows += [_named(name, value) for name, value in test.notes.items() if name not in _TOLD_ELSEWHERE]
+    rows += [named_text(name, value) for name, value in test.notes.items() if name not in _TOLD_ELSEWHERE]
     rows.append((_("Events"), "; ".join(_events(test.notes.get("events", ""))) or _("none")))
     return tuple(rows)
 
 
 def _events(recorded: str | float) -> Sequence[str]:
-    """Events as lines; the note holds a JSON list, or whatever somebody wrote there."""
+    """Return events as lines; the note contains a JSON list, or any other text."""
     try:
         events = json.loads(str(recorded)) if recorded else []
     except (ValueError, RecursionError):

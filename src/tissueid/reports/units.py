@@ -1,25 +1,27 @@
-"""Units of what is drawn, as people read them."""
+"""Display units of ratios and kernels."""
 
 from __future__ import annotations
 
+from tissueid.formatting import display_unit, superscript
 from tissueid.records import Record
-from tissueid.wording import people_unit, superscript
 
 
 def ratio_unit(record: Record, power: int = 1) -> tuple[str, float]:
-    """Unit of output over a power of the input as people read it, and how many of it make one of SI."""
-    out_unit, out_scale = people_unit(record.output_unit)
-    in_unit, in_scale = people_unit(record.input_unit)
+    """Return the display unit of output over a power of the input, and the factor from SI to it."""
+    out_unit, out_scale = display_unit(record.output_unit)
+    in_unit, in_scale = display_unit(record.input_unit)
     raised = "" if power == 1 else superscript(power)
     return f"{out_unit or '1'}/{in_unit or '1'}{raised}", out_scale / in_scale**power
 
 
 def kernel_unit(record: Record, order: int = 1) -> tuple[str, float]:
-    """Unit of a kernel of an order as people read it, and how many of it make one of SI."""
+    """Return the display unit of a kernel of an order, such as mm/(N·s), and the factor from SI to it."""
     unit, scale = ratio_unit(record, order)
-    return f"{unit} per s{'' if order == 1 else superscript(order)}", scale
+    output, _slash, raised = unit.partition("/")
+    seconds = "s" if order == 1 else f"s{superscript(order)}"
+    return f"{output}/{seconds}" if raised.startswith("1") else f"{output}/({raised}·{seconds})", scale
 
 
 def is_mechanical(record: Record) -> bool:
-    """Whether force goes in and position comes out."""
+    """Return whether the input is a force and the output a position."""
     return (record.input_unit, record.output_unit) == ("N", "m")

@@ -1,4 +1,4 @@
-"""Figures of how well the models do on data that they have not seen, and of what they leave over."""
+"""Figures of predictions on held-out data and of their residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label, display_unit
 from tissueid.language import _
+from tissueid.messages import Message
 from tissueid.reports.diagnostics import Prediction, autocorrelation, cross_correlation
 from tissueid.reports.style import (
     DASHES,
@@ -21,7 +23,6 @@ from tissueid.reports.style import (
     drawing,
     new_figure,
 )
-from tissueid.wording import axis_label, people_unit
 
 STRETCH_S = 0.5
 _MOST_POINTS = 3000
@@ -29,7 +30,7 @@ _LEAST_SAMPLES = 32
 
 
 def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slice:
-    """The first stretch of so many seconds in which every sample can be compared, or else the best there is."""
+    """Return the first stretch of ``seconds`` with the largest number of comparable samples."""
     known = np.isfinite(prediction.residual)
     length = min(known.size, max(2, round(seconds * prediction.sample_rate_hz)))
     count = np.convolve(known, np.ones(length), "valid")
@@ -39,14 +40,14 @@ def readable_stretch(prediction: Prediction, seconds: float = STRETCH_S) -> slic
 
 @drawing
 def prediction_figure(predictions: Sequence[Prediction], seconds: float = STRETCH_S) -> Figure:
-    """Measured and simulated output over a stretch of held-out data, and the difference (Chen 2010, Fig. 3.10).
+    """Draw measured and simulated output over a stretch of held-out data, and residuals (Chen 2010, Fig. 3.10).
 
     Raises:
         UnusableInputError: there is nothing to compare.
     """
     first = _comparable(predictions)
     stretch = readable_stretch(first, seconds)
-    unit, scale = people_unit(first.output_unit)
+    unit, scale = display_unit(first.output_unit)
     figure = new_figure(FULL_WIDTH, 4.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     time_s = first.time_s[stretch]
@@ -74,13 +75,13 @@ def prediction_figure(predictions: Sequence[Prediction], seconds: float = STRETC
 
 @drawing
 def scatter_figure(predictions: Sequence[Prediction]) -> Figure:
-    """Measured against simulated output over the whole held-out part, one panel for each engine.
+    """Draw measured against simulated output over the whole held-out part, one panel per engine.
 
     Raises:
         UnusableInputError: there is nothing to compare.
     """
     first = _comparable(predictions)
-    unit, scale = people_unit(first.output_unit)
+    unit, scale = display_unit(first.output_unit)
     figure = new_figure(FULL_WIDTH, 3.3)
     every = figure.subplots(1, max(2, len(predictions)), sharex=True, sharey=True, squeeze=False)[0]
     known = [np.isfinite(prediction.residual) for prediction in predictions]
@@ -115,7 +116,7 @@ def scatter_figure(predictions: Sequence[Prediction]) -> Figure:
 
 @drawing
 def residuals_figure(predictions: Sequence[Prediction]) -> Figure:
-    """Autocorrelation of the held-out residuals, and their correlation with the input, with 95 % bands.
+    """Draw the autocorrelation of the held-out residuals and their correlation with the input, with 95 % bands.
 
     Raises:
         UnusableInputError: there is nothing to correlate.
@@ -156,10 +157,15 @@ def _comparable(predictions: Sequence[Prediction]) -> Prediction:
         UnusableInputError: there is no prediction, or one has too few samples that were received and simulated.
     """
     if not predictions:
-        raise UnusableInputError(_("no engine was validated on this test"))
+        raise UnusableInputError(Message("report.not_validated", "no engine was validated on this test"))
     for prediction in predictions:
         residual = prediction.residual[np.isfinite(prediction.residual)]
         if residual.size < _LEAST_SAMPLES or not float(np.ptp(residual)) > 0.0:
-            words = _("the held-out part has too few samples for {engine} to be judged")
-            raise UnusableInputError(words.format(engine=prediction.label))
+            raise UnusableInputError(
+                Message(
+                    "report.held_out_too_short",
+                    "the held-out part has too few samples to judge {engine}",
+                    engine=prediction.label,
+                )
+            )
     return predictions[0]

@@ -9,20 +9,16 @@ from typing import Literal
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.formatting import display_unit, estimate, fixed, label_and_unit
+from tissueid.identification import label_of, report_engines
 from tissueid.identification.engines.wiener import WienerModel
-from tissueid.language import _
+from tissueid.language import _, marked
+from tissueid.messages import Listing, Message
 from tissueid.reports.configured import surface_of
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
 from tissueid.sessions.quality import HEADLINES, quality_of
 from tissueid.sessions.quality import Verdict as QualityVerdict
-from tissueid.wording import (
-    engine_label,
-    estimate,
-    fixed,
-    named_unit,
-    people_unit,
-)
 
 Level = Literal["good", "check", "poor"]
 
@@ -40,20 +36,25 @@ SURFACE_KNOWN_TO_M = 0.3e-3
 
 _SEVERITY: tuple[Level, ...] = ("good", "check", "poor")
 _VERDICTS: dict[Level, QualityVerdict] = {"good": "good", "check": "look", "poor": "repeat"}
-FROM_ELSEWHERE = "Do not rely on this measurement"
+FROM_ELSEWHERE = marked("Do not rely on this measurement")
 """Headline of a poor test that was imported: it cannot be done again."""
-NOT_JUDGED = "Not judged"
-"""Headline of a test that the quality gate never saw and of which nothing else is doubtful."""
-_LINEAR_FIRST = ("lms", "spectral")
+NOT_JUDGED = marked("Not judged")
+"""Headline of a test that the quality gate never judged and that has no other problem."""
 _KEY_PARAMETERS = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m", "gain", "natural_frequency_rad_per_s")
 
 
+_UNCERTAIN = {
+    "mass_kg": marked("mass"),
+    "damping_n_s_per_m": marked("damping"),
+    "stiffness_n_per_m": marked("stiffness"),
+}
+"""Parameters whose uncertainty counts, by their names within a sentence."""
 _Doubt = tuple[Level, str]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a test can be used, and why not; a good one has remarks at most."""
+    """Whether a test can be used, and the reasons against it."""
 
     level: Level
     headline: str
@@ -72,7 +73,7 @@ class KeyNumber:
 
 
 def judge(test: Test, analyses: Mapping[str, Analysis]) -> Verdict:
-    """Judge a test by facts: how it ended, what was lost, how models do on data that they have not seen."""
+    """Return the verdict on a test, from its end, its lost samples and the held-out scores of the models."""
     doubts = _doubts(test, analyses)
     level: Level = max((level for level, _reason in doubts), key=_SEVERITY.index, default="good")
     imported = level == "poor" and "source_format" in test.notes
@@ -89,21 +90,29 @@ def _doubts(test: Test, analyses: Mapping[str, Analysis]) -> list[_Doubt]:
         found.append(("poor", _how_it_ended(test)))
     lost = int(lost_samples(test).sum())
     if lost > LOST_SHARE * test.samples:
-        share = f"{100 * lost / test.samples:.1f} %"
-        found.append(("check", f"{lost} of {test.samples} samples ({share}) were not received."))
-    found += _gate(test)
+        values = {"lost": lost, "samples": test.samples, "percent": 100 * lost / test.samples}
+        message = Message(
+            "verdict.samples_lost", "{lost} of {samples} samples ({percent:.1f} %) were not received.", **values
+        )
+        found.append(("check", message))
+    found += _quality_doubts(test)
     found += _poorly_explained(analyses)
     found += _uncertain(analyses)
     leading = linear_engine(analyses) or next(iter(analyses), None)
     if leading is not None:
-        label = engine_label(leading)
-        found += [("check", _sentence(f"{label}: {words}")) for words in analyses[leading].model.report.warnings]
+        label = label_of(leading)
+        found += [
+            ("check", Message("verdict.engine_warning", "{engine}: {warning}.", engine=label, warning=warning))
+            for warning in analyses[leading].model.report.warnings
+        ]
     return found
 
 
 ENDED_EARLY = {
-    "aborted": "The test was ended early; only what was recorded until then is analysed.",
-    "recovered": "The test was recovered after its recording was interrupted.",
+    "aborted": Message("verdict.aborted", "The test ended early; the analysis uses the recorded part."),
+    "recovered": Message(
+        "verdict.recovered", "The recording was interrupted; the test was recovered from its journal."
+    ),
 }
 """Statuses of tests that do not count as a repeat, and what is said of them where the quality gate said nothing."""
 
@@ -115,15 +124,11 @@ def _how_it_ended(test: Test) -> str:
     return next((item.words for item in findings if item.code == "ended_early"), ENDED_EARLY[test.status])
 
 
-def _sentence(text: str) -> str:
-    return text if text.endswith((".", "!", "?")) else f"{text}."
-
-
 _GATE: dict[str, Level] = {"good": "good", "look": "check", "repeat": "poor"}
 
 
-def _gate(test: Test) -> list[_Doubt]:
-    """What the quality gate said when the test ended; of a test that it never saw, what the position says."""
+def _quality_doubts(test: Test) -> list[_Doubt]:
+    """Return the doubts of the quality gate; without a stored result, those about contact by the position."""
     quality = quality_of(test)
     if quality is None:
         return _lifted_off(test)
@@ -134,7 +139,7 @@ def _gate(test: Test) -> list[_Doubt]:
 
 
 def _lifted_off(test: Test) -> list[_Doubt]:
-    """What the position says of contact, where the surface is known."""
+    """Return the doubts about lost contact by the position, where the surface is known."""
     if "position" not in test.signals or not np.isfinite(surface_of(test)):
         return []
     position = test.signals["position"][round(test.preload_s * test.sample_rate_hz) :]
@@ -142,31 +147,61 @@ def _lifted_off(test: Test) -> list[_Doubt]:
     above = float(np.mean(position < test.surface_position_m - SURFACE_KNOWN_TO_M)) if position.size else 0.0
     if above <= LIFTED_SHARE:
         return []
-    return [("check", f"The probe stood above the surface for {100 * above:.1f} % of the time: it left the tissue.")]
+    message = Message(
+        "verdict.probe_lifted",
+        "The probe was above the surface for {percent:.1f} % of the time: it left the tissue.",
+        percent=100 * above,
+    )
+    return [("check", message)]
 
 
 def _poorly_explained(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
-    """What the best model on unseen data says of the test."""
+    """Return the doubts about a low held-out score of the best model."""
     scores = {
         name: score
         for name, a in analyses.items()
         if (score := a.model.report.vaf_validation_percent) is not None and np.isfinite(score)
     }
     if not scores:
-        return [("poor", "No model could be tried on data that it had not seen.")]
+        return [("poor", Message("verdict.not_validated", "No model could be validated on held-out data."))]
     name = max(scores, key=lambda engine: scores[engine])
     unseen, seen = scores[name], analyses[name].model.report.vaf_percent
     found: list[_Doubt] = []
     if unseen < POOR_VAF_PERCENT:
-        found.append(("poor", f"No model accounts for more than {fixed(unseen, 0)} % of motion that it had not seen."))
+        message = Message(
+            "verdict.vaf_poor",
+            "No model accounts for more than {percent:.0f} % of the held-out motion.",
+            percent=unseen,
+        )
+        found.append(("poor", message))
     elif unseen < EXPECTED_VAF_PERCENT:
-        usual = "skin usually gives 70 to 95 %"
-        found.append(("check", f"The best model accounts for {fixed(unseen, 0)} % of unseen motion; {usual}."))
-    both = f"({engine_label(name)}: {fixed(seen, 0)} % of the fitted motion, {fixed(unseen, 0)} % of the unseen)"
+        message = Message(
+            "verdict.vaf_low",
+            "The best model accounts for {percent:.0f} % of held-out motion; skin usually gives 70 to 95 %.",
+            percent=unseen,
+        )
+        found.append(("check", message))
+    both = Message(
+        "verdict.both_scores",
+        "{engine}: {seen:.0f} % of the fitted motion, {unseen:.0f} % of the held-out motion",
+        engine=label_of(name),
+        seen=seen,
+        unseen=unseen,
+    )
     if unseen - seen > UNSTEADY_POINTS:
-        found.append(("check", f"The fitted part is harder to explain than the held-out part, as under drift {both}."))
+        message = Message(
+            "verdict.drift",
+            "The fitted part is harder to explain than the held-out part, which drift can cause ({scores}).",
+            scores=both,
+        )
+        found.append(("check", message))
     if seen - unseen > UNSTEADY_POINTS:
-        found.append(("check", f"The models do worse on unseen motion than on what they were fitted to {both}."))
+        message = Message(
+            "verdict.worse_held_out",
+            "The models fit the held-out motion worse than the fitted motion ({scores}).",
+            scores=both,
+        )
+        found.append(("check", message))
     return found
 
 
@@ -175,18 +210,19 @@ def _uncertain(analyses: Mapping[str, Analysis]) -> list[_Doubt]:
     if name is None:
         return []
     wide = []
-    for parameter in ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"):
+    for parameter, words in _UNCERTAIN.items():
         found = analyses[name].model.report.parameters.get(parameter)
         if found is not None and (found.std is None or found.std > LARGE_UNCERTAINTY * abs(found.value)):
-            wide.append(named_unit(parameter)[0].lower())
+            wide.append(words)
     if not wide:
         return []
-    return [("check", f"Uncertain by more than {100 * LARGE_UNCERTAINTY:.0f} %: {', '.join(wide)}.")]
+    values = {"percent": 100 * LARGE_UNCERTAINTY, "names": Listing(tuple(wide))}
+    return [("check", Message("verdict.uncertain", "Uncertain by more than {percent:.0f} %: {names}.", **values))]
 
 
 def linear_engine(analyses: Mapping[str, Analysis]) -> str | None:
     """The engine whose second-order parameters lead the report: LMS, or else the first linear one that has any."""
-    ordered = [name for name in _LINEAR_FIRST if name in analyses] + list(analyses)
+    ordered = [name for name in report_engines() if name in analyses] + list(analyses)
     for name in ordered:
         if analyses[name].model.report.parameters and not isinstance(analyses[name].model, WienerModel):
             return name
@@ -205,8 +241,8 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
         for name in _KEY_PARAMETERS:
             if name not in parameters:
                 continue
-            label, si_unit = named_unit(name)
-            unit, scale = people_unit(si_unit)
+            label, si_unit = label_and_unit(name)
+            unit, scale = display_unit(si_unit)
             value, std, power = estimate(parameters[name], scale)
             note = "" if std else _("without an estimate of its uncertainty")
             if name == "stiffness_n_per_m" and (spring := analyses[source].external_spring_n_per_m):
@@ -230,8 +266,14 @@ def key_numbers(analyses: Mapping[str, Analysis]) -> tuple[KeyNumber, ...]:
     return tuple(numbers)
 
 
+_VISITED_DEPTH = marked(
+    "Averages over {low:.1f} to {high:.1f} {unit} of position, which is {above:.1f} to {below:.1f} {unit} below the "
+    "surface."
+)
+
+
 def visited(analyses: Mapping[str, Analysis], surface_position_m: float) -> str:
-    """Over which output range the numbers are averages, as a sentence; empty when nobody knows."""
+    """Return the range of the output over which the parameters are averages, as a sentence; "" if it is unknown."""
     analysis = next(iter(analyses.values()), None)
     if analysis is None:
         return ""
@@ -239,10 +281,11 @@ def visited(analyses: Mapping[str, Analysis], surface_position_m: float) -> str:
     output = output[np.isfinite(output)]
     if output.size == 0:
         return ""
-    unit, scale = people_unit(analysis.record.output_unit)
+    unit, scale = display_unit(analysis.record.output_unit)
     low, high = (float(scale * np.quantile(output, q)) for q in (0.005, 0.995))
-    text = f"Averages over {fixed(low, 1)} to {fixed(high, 1)} {unit} of {analysis.record.output_name}"
+    values = {"low": low, "high": high, "unit": unit, "output": analysis.record.output_name}
     if np.isfinite(surface_position_m) and analysis.record.output_name == "position":
         surface = scale * surface_position_m
-        text += f", which is {fixed(low - surface, 1)} to {fixed(high - surface, 1)} {unit} below the surface"
-    return f"{text}."
+        values |= {"above": low - surface, "below": high - surface}
+        return Message("verdict.visited_depth", _VISITED_DEPTH, **values)
+    return Message("verdict.visited", "Averages over {low:.1f} to {high:.1f} {unit} of {output}.", **values)

@@ -1,11 +1,11 @@
 """Sessions: one sitting, any number of tests, in one HDF5 file that is written once (docs/sessions.md)."""
 
-from tissueid.sessions.file import read_session as read_own_session
+from tissueid.sessions.hdf5_reading import read_session as read_own_session
+from tissueid.sessions.hdf5_writing import write_session
+from tissueid.sessions.isolated_reading import read_outline, read_session, read_session_head, read_test
 from tissueid.sessions.model import KINDS, SIGNAL_UNITS, Session, Subject, Test
 from tissueid.sessions.outline import Outline, TestOutline
-from tissueid.sessions.reading import read_outline, read_session, read_session_head, read_test
-from tissueid.sessions.writing import write_session
-from tissueid.untrusted import MAX_NUMBERS, MAX_TESTS
+from tissueid.untrusted_input import MAX_NUMBERS, MAX_TESTS
 
 __all__ = [
     "KINDS",

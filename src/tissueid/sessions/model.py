@@ -1,9 +1,9 @@
-"""What a session holds, apart from how it is stored."""
+"""A session, its tests and its subject, independent of their storage."""
 
 from __future__ import annotations
 
+import json
 import uuid
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from tissueid import __version__
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Listing, Message, message_from
 from tissueid.records import Record
+from tissueid.untrusted_input import json_value
 
 SIGNAL_UNITS = {
     "time": "s",
@@ -40,15 +42,29 @@ SIGNAL_NAMES = {
     "input": "input of a system that is no instrument of this kind",
     "output": "output of a system that is no instrument of this kind",
 }
+IMPORTED = "source_format"
+"""Note that every test has that was imported from elsewhere: the format of its file."""
+DATE_NOTE = "source_date"
+"""Note of an imported test that names the origin of its date: "header" of its file, or when that was "modified"."""
 STAND_INS = {"force": "input", "position": "output"}
-"""What stands in where a test has no force, or no position: signals of any unit, kept in the test's ``units``."""
+"""Signals of imported tests that replace a missing force or position; ``Test.units`` has their units."""
+_REASON_MESSAGE = "reason_message"
+"""Note that holds code, template and values of the note ``reason`` as JSON."""
 KINDS = ("stochastic", "quiet", "slow_ramp", "step_hold", "spring", "free_air")
 STATUSES = ("completed", "aborted", "recovered")
 
 
+def reason_notes(reason: str) -> dict[str, str | float]:
+    """Return the notes that store why a test ended early; ``Test.reason`` reads them."""
+    notes: dict[str, str | float] = {"reason": str(reason)}
+    if isinstance(reason, Message):
+        notes[_REASON_MESSAGE] = json.dumps(reason.as_dict(), allow_nan=False)
+    return notes
+
+
 @dataclass(frozen=True)
 class Subject:
-    """Who was measured: a pseudonym, never a name, and what else the study wants to know."""
+    """The person who was measured: a pseudonym, never a name, and demographic values of the study."""
 
     pseudonym: str = "anonymous"
     demographics: dict[str, str | float] = field(default_factory=dict)
@@ -58,10 +74,10 @@ class Subject:
 class Test:
     """One test. ``signals`` maps names to arrays of shape (n,), SI; NaN marks a sample that was not received.
 
-    ``units`` has the SI units of signals that are none of the format's own (``SIGNAL_UNITS``), where they have one.
+    ``units`` has the SI units of signals that are not in ``SIGNAL_UNITS``.
     """
 
-    __test__ = False  # not a test case, whatever pytest thinks of the name
+    __test__ = False  # keeps pytest from collecting the class
 
     number: int
     kind: str
@@ -78,20 +94,31 @@ class Test:
     notes: dict[str, str | float] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def reason(self) -> str:
+        """Why the test ended early: a message where its code and values are stored; "" if no reason is stored."""
+        text = self.notes.get("reason")
+        if not isinstance(text, str):
+            return ""
+        try:
+            return message_from(json_value(str(self.notes.get(_REASON_MESSAGE)).encode()), text)
+        except ValueError:
+            return text
+
     def unit(self, name: str) -> str:
-        """The SI unit of a signal; "" where it has none, or none is known."""
+        """Return the SI unit of a signal; "" if it has none or it is unknown."""
         return SIGNAL_UNITS.get(name) or self.units.get(name, "")
 
     @property
     def samples(self) -> int:
-        """Number of samples, received or not."""
+        """Number of samples, including those not received."""
         return next(iter(self.signals.values())).size
 
     def record(self, input_name: str = "force", output_name: str = "position", *, preload: bool = False) -> Record:
-        """Input and output of this test; the preload is cut off unless ``preload`` asks for it.
+        """Return input and output of this test; without the preload unless ``preload`` is true.
 
-        Where there is no force, or no position, a bare ``input`` or ``output`` from elsewhere is taken in its place,
-        under its own name and with its own unit.
+        A missing force is replaced by an imported signal ``input``, a missing position by ``output``; they keep their
+        names and units.
 
         Raises:
             UnusableInputError: the test lacks one of the signals.
@@ -99,11 +126,20 @@ class Test:
         input_name, output_name = self._present(input_name), self._present(output_name)
         for name in (input_name, output_name):
             if name not in self.signals or name == "time":
-                have = ", ".join(sorted(set(self.signals) - {"time"}))
-                raise UnusableInputError(f"test {self.number} has no signal {name!r}; it has: {have}")
+                raise UnusableInputError(
+                    Message(
+                        "session.no_signal",
+                        "test {number} has no signal '{signal}'; it has: {signals}",
+                        number=self.number,
+                        signal=name,
+                        signals=Listing(tuple(sorted(set(self.signals) - {"time"}))),
+                    )
+                )
         first = 0 if preload else round(self.preload_s * self.sample_rate_hz)
         if first >= self.samples:
-            raise UnusableInputError(f"test {self.number} ends within its preload")
+            raise UnusableInputError(
+                Message("session.only_preload", "test {number} ends within its preload", number=self.number)
+            )
         return Record(
             self.signals[input_name][first:],
             self.signals[output_name][first:],
@@ -121,7 +157,7 @@ class Test:
 
 @dataclass(frozen=True)
 class Session:
-    """One sitting: one subject, one instrument, any number of tests."""
+    """One sitting: a subject, an instrument and any number of tests."""
 
     instrument: DeviceDescription
     subject: Subject = field(default_factory=Subject)
@@ -130,23 +166,26 @@ class Session:
     created: str = field(default_factory=lambda: datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
     software: str = f"tissueid {__version__}"
     audit_head: str = ""
-    """Number and hash of the newest line of the audit log when this was written; empty where none was kept."""
+    """Number and hash of the newest line of the audit log when the session was written; "" without a log."""
 
     def test(self, number: int | None = None) -> Test:
-        """A test by its number; without one the first stochastic test, or else the first of all.
+        """Return a test by its number; by default the first stochastic test, or else the first test.
 
         Raises:
             UnusableInputError: there is no such test.
         """
         if not self.tests:
-            raise UnusableInputError("the session holds no tests")
+            raise UnusableInputError(Message("session.empty", "the session holds no tests"))
         if number is None:
             return next((test for test in self.tests if test.kind == "stochastic"), self.tests[0])
         for test in self.tests:
             if test.number == number:
                 return test
-        raise UnusableInputError(f"the session has no test {number}; it has {_ranges(t.number for t in self.tests)}")
-
-
-def _ranges(numbers: Iterable[int]) -> str:
-    return ", ".join(str(number) for number in numbers)
+        raise UnusableInputError(
+            Message(
+                "session.no_test",
+                "the session has no test {number}; it has {numbers}",
+                number=number,
+                numbers=", ".join(str(test.number) for test in self.tests),
+            )
+        )

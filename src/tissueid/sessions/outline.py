@@ -1,4 +1,4 @@
-"""What a session says of itself before its signals are read: enough for a list of a thousand."""
+"""A session without its signals: enough for a list of a thousand sessions."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class TestOutline:
 
     @property
     def seconds(self) -> float:
-        """How long the test is, s."""
+        """Length of the test, s."""
         return self.samples / self.test.sample_rate_hz
 
 
 @dataclass(frozen=True)
 class Outline:
-    """A session without its tests, which are outlined beside it in the order of their numbers."""
+    """A session without its tests (``head``), and the outlines of the tests in the order of their numbers."""
 
     head: Session
     tests: tuple[TestOutline, ...]

@@ -1,28 +1,31 @@
-"""What the quality gate says of a test (``acquisition.quality``), and how a session keeps it."""
+"""Results of the quality gate (``acquisition.quality``) and their form in a session file."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any, Literal, get_args
 
+from tissueid.language import marked
+from tissueid.messages import Message, message_from, sentences
 from tissueid.sessions.model import Test
 
 Severity = Literal["note", "look", "repeat"]
-"""``note``: good to know; ``look``: read before you use it; ``repeat``: do the test again."""
+"""``note``: information only; ``look``: read before the test is used; ``repeat``: repeat the test."""
 
 Verdict = Literal["good", "look", "repeat"]
 
 SEVERITIES: tuple[Severity, ...] = get_args(Severity)
 NOTE = "quality"
-"""The note of a test, and so the attribute in its file, that holds the gate's answer as JSON."""
+"""Name of the note of a test, an attribute in its file, that holds the result as JSON."""
 
 HEADLINES: dict[Verdict, str] = {
-    "good": "Good test",
-    "look": "Read this before you use the test",
-    "repeat": "Do the test again",
+    "good": marked("Good test"),
+    "look": marked("Read this before you use the test"),
+    "repeat": marked("Do the test again"),
 }
+"""Verdicts as headlines."""
 
 _MOST_FINDINGS = 50
 _LONGEST_TEXT = 1000
@@ -30,9 +33,10 @@ _LONGEST_TEXT = 1000
 
 @dataclass(frozen=True)
 class QualityFinding:
-    """One thing that was seen. ``code`` is for scripts; ``words`` say what happened, ``advice`` what to do.
+    """A finding of the quality gate.
 
-    ``value`` is the figure behind it, SI or a share from 0 to 1, where there is one.
+    ``code`` is for scripts; ``words`` say what happened, ``advice`` what to do: both are messages or texts that a
+    catalogue translates. ``value`` is the figure behind the finding, SI or a share from 0 to 1, or None.
     """
 
     code: str
@@ -41,57 +45,67 @@ class QualityFinding:
     advice: str
     value: float | None = None
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the finding for JSON; under ``messages``, the code, template and values of its texts."""
+        texts = {"words": self.words, "advice": self.advice}
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            **{name: str(text) for name, text in texts.items()},
+            "value": self.value,
+            "messages": {name: text.as_dict() for name, text in texts.items() if isinstance(text, Message)},
+        }
+
 
 @dataclass(frozen=True)
 class Quality:
-    """All that was seen in one test, worst first."""
+    """All findings about one test, worst first."""
 
     findings: tuple[QualityFinding, ...]
 
     @property
     def verdict(self) -> Verdict:
-        """``good`` where nothing asks to be looked at."""
+        """``good`` if no finding is worse than a note."""
         severities = {finding.severity for finding in self.findings}
         return "repeat" if "repeat" in severities else "look" if "look" in severities else "good"
 
     @property
     def headline(self) -> str:
-        """The verdict in words."""
+        """The verdict as a headline."""
         return HEADLINES[self.verdict]
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The findings as people read them, one line each."""
-        return tuple(f"{finding.words} {finding.advice}".strip() for finding in self.findings)
+        """Each finding with its advice, one line each."""
+        return tuple(sentences(finding.words, finding.advice) for finding in self.findings)
 
     def as_dict(self) -> dict[str, Any]:
-        """The verdict and the findings, fit for JSON."""
-        return {"verdict": self.verdict, "findings": [asdict(finding) for finding in self.findings]}
+        """Return the verdict and the findings for JSON."""
+        return {"verdict": self.verdict, "findings": [finding.as_dict() for finding in self.findings]}
 
     def as_notes(self) -> dict[str, str | float]:
-        """What goes into the session with the test."""
+        """Return the note that is stored with the test."""
         return {NOTE: json.dumps(self.as_dict(), allow_nan=False)}
 
 
 def worst_first(findings: list[QualityFinding]) -> Quality:
-    """Findings in order of severity; of the same one as they were found."""
-    told = [
+    """Return findings in order of severity; those of the same severity keep their order."""
+    finite = [
         replace(item, value=None) if item.value is not None and not isfinite(item.value) else item for item in findings
     ]
-    return Quality(tuple(sorted(told, key=lambda finding: -SEVERITIES.index(finding.severity))))
+    return Quality(tuple(sorted(finite, key=lambda finding: -SEVERITIES.index(finding.severity))))
 
 
 def quality_of(test: Test) -> Quality | None:
-    """What the gate said when the test ended; None for a test from before there was a gate, or from elsewhere.
+    """Return the stored result of the quality gate; None if the test was never judged.
 
-    Files come from anywhere: what is not a finding is left out, and what is too long is cut off.
+    The note may be damaged or hostile: entries that are not findings are left out, and long texts are truncated.
     """
     note = test.notes.get(NOTE)
     if not isinstance(note, str):
         return None
     try:
-        kept = json.loads(note)["findings"]
-        items = list(kept)[:_MOST_FINDINGS]
+        items = list(json.loads(note)["findings"])[:_MOST_FINDINGS]
     except (ValueError, TypeError, KeyError, RecursionError):
         return None
     return worst_first([finding for item in items if (finding := _finding(item)) is not None])
@@ -104,6 +118,14 @@ def _finding(item: object) -> QualityFinding | None:
     if not all(isinstance(text, str) for text in texts):
         return None
     code, words, advice = (str(text)[:_LONGEST_TEXT] for text in texts)
+    messages = item.get("messages")
+    if isinstance(messages, dict):
+        words, advice = _restored(messages.get("words"), words), _restored(messages.get("advice"), advice)
     value = item.get("value")
     number = float(value) if isinstance(value, int | float) and abs(value) < 1e300 else None
     return QualityFinding(code, item["severity"], words, advice, number)
+
+
+def _restored(stored: object, text: str) -> str:
+    message = message_from(stored, text)
+    return message if len(message) <= _LONGEST_TEXT else text

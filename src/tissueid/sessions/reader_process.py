@@ -17,13 +17,15 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
-from tissueid.children import start
+from tissueid.child_process import start
 from tissueid.errors import SessionFormatError, UnusableInputError
-from tissueid.sessions import file, members
-from tissueid.untrusted import MEMORY_BYTES, most_seconds
+from tissueid.messages import Action, Message
+from tissueid.sessions import hdf5_mat, hdf5_members, hdf5_reading
+from tissueid.untrusted_input import MEMORY_BYTES, allowed_seconds
 
 _COMMAND = "from tissueid.sessions.reader_process import serve; serve()"
 _TIMED_OUT = -signal.SIGPROF if hasattr(signal, "SIGPROF") else 1
@@ -36,13 +38,31 @@ _KEPT = 100_000_000
 """A child that holds this much more than at its start ends after the file, and another one takes its place."""
 
 
+def _slow(path: Path) -> Message:
+    return Message("session.slow", "{path} is damaged: it takes too long to be read", path=str(path))
+
+
+def _crashed(path: Path) -> Message:
+    return Message("session.crashed", "{path} is damaged: it ends the reading process", path=str(path))
+
+
+def _renamed(value: Any, old: str, new: str) -> Any:
+    """Return a text, message or value of one with a path replaced."""
+    if isinstance(value, Message):
+        values = {name: _renamed(item, old, new) for name, item in value.values.items()}
+        return Message(value.code, value.template, **values)
+    if isinstance(value, Action):
+        return replace(value, command=value.command.replace(old, new))
+    return value.replace(old, new) if isinstance(value, str) else value
+
+
 class ReaderProcess:
     """A child process that reads HDF5 files, one at a time. Threads wait for each other.
 
     ``seconds`` is the time for one file, by its size.
     """
 
-    def __init__(self, seconds: Callable[[int], float] = most_seconds) -> None:
+    def __init__(self, seconds: Callable[[int], float] = allowed_seconds) -> None:
         self._seconds = seconds
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -60,12 +80,11 @@ class ReaderProcess:
                 return self._ask(pickle.dumps((task, absolute, self._seconds(path.stat().st_size), arguments)))
             except (EOFError, OSError, pickle.UnpicklingError) as error:
                 timed_out = self._ended() == _TIMED_OUT
-                how = "takes too long to be read" if timed_out else "cannot be read: it ends the reading process"
-                raise SessionFormatError(f"{path} is damaged: it {how}") from error
+                raise SessionFormatError(_slow(path) if timed_out else _crashed(path)) from error
             except UnusableInputError as error:
-                raise type(error)(str(error).replace(str(absolute), str(path))) from error
+                raise type(error)(_renamed(error.message, str(absolute), str(path))) from error
             except BaseException:
-                self._ended()  # an interrupt, or a defect: what is still to come from the child is not for others
+                self._ended()  # an interrupt or a defect: the next caller must not receive the rest of the answer
                 raise
 
     def close(self) -> None:
@@ -117,7 +136,13 @@ class ReaderProcess:
                 creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
             )
         except OSError as error:
-            raise UnusableInputError(f"the reading process cannot be started: {error.strerror or error}") from error
+            raise UnusableInputError(
+                Message(
+                    "reader.not_started",
+                    "the reading process cannot be started: {reason}",
+                    reason=str(error.strerror or error),
+                )
+            ) from error
         return self._process
 
     def _ended(self) -> int | None:
@@ -151,35 +176,23 @@ def read_in_child(task: str, path: Path, *arguments: Any) -> list[Any]:
 
 
 def _session(path: Path) -> Iterator[Any]:
-    with members.opened(path) as opened:
-        yield file.read_all_but_tests(opened)
-        tests = members.subgroup(opened, "tests")
+    with hdf5_members.opened(path) as opened:
+        yield hdf5_reading.read_all_but_tests(opened)
+        tests = hdf5_members.subgroup(opened, "tests")
         for name in sorted(tests):
-            yield file.read_numbered(name, members.subgroup(tests, name))
+            yield hdf5_reading.read_numbered(name, hdf5_members.subgroup(tests, name))
 
 
 def _head(path: Path) -> Iterator[Any]:
-    yield file.read_session_head(path)
+    yield hdf5_reading.read_session_head(path)
 
 
 def _outline(path: Path) -> Iterator[Any]:
-    yield file.read_outline(path)
+    yield hdf5_reading.read_outline(path)
 
 
 def _test(path: Path, number: int) -> Iterator[Any]:
-    yield file.read_test(path, number)
-
-
-def _mat_vectors(path: Path) -> Iterator[Any]:
-    from tissueid.sessions.imports.mat import hdf5_vectors
-
-    return hdf5_vectors(path)
-
-
-def _mat_values(path: Path, where: str, index: tuple[int | slice, ...]) -> Iterator[Any]:
-    from tissueid.sessions.imports.mat import hdf5_values
-
-    return hdf5_values(path, where, index)
+    yield hdf5_reading.read_test(path, number)
 
 
 _TASKS: dict[str, Callable[..., Iterator[Any]]] = {
@@ -187,8 +200,8 @@ _TASKS: dict[str, Callable[..., Iterator[Any]]] = {
     "head": _head,
     "outline": _outline,
     "test": _test,
-    "MAT vectors": _mat_vectors,
-    "MAT values": _mat_values,
+    "MAT vectors": hdf5_mat.hdf5_vectors,
+    "MAT values": hdf5_mat.hdf5_values,
 }
 
 
@@ -225,7 +238,9 @@ def _served(
     except UnusableInputError as error:
         return "done", error.with_traceback(None)
     except MemoryError:
-        return "done", SessionFormatError(f"{path} is damaged: it would take too much memory")
+        return "done", SessionFormatError(
+            Message("session.memory", "{path} is damaged: it would take too much memory", path=str(path))
+        )
     except Exception:  # noqa: BLE001 - a defect of the software, and the parent's to report
         return "defect", traceback.format_exc()
     return "done", None

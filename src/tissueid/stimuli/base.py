@@ -1,9 +1,9 @@
-"""What can be played: specifications that build a force or voltage history, and how they are found.
+"""Kinds of stimulus: specifications that build a force or voltage history, and their registry.
 
-A kind of stimulus registers by one declaration in a file of its own under ``kinds/``; other packages add theirs by
-an entry point in the group ``tissueid.stimuli``. Open-loop kinds are built before the test, and a built stimulus
-carries a description from which it can be built again, sample for sample. Feedback kinds are generated while the test
-runs (:mod:`tissueid.stimuli.feedback`).
+A kind of stimulus is one class in a file of its own under ``kinds/``, with its title and the descriptions of its
+options; the command line and the window find it there. Other packages add theirs by an entry point in the group
+``tissueid.stimuli``. Open-loop kinds are built before the test, and a built stimulus carries a description from which
+it can be rebuilt, sample for sample. Feedback kinds are generated during the test (:mod:`tissueid.stimuli.feedback`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
-from tissueid.options import refused
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.option_errors import option_error
 from tissueid.plugins import Registry
 
 GUIDED = "guided"
@@ -29,7 +31,7 @@ LONGEST_PRELOAD_S = 60.0
 LEAST_SPAN = 1e-6
 """Narrowest range of a stimulus, N or V: narrower ones are lost in rounding."""
 MOST_SAMPLES = 5_000_000
-"""Samples of a stimulus: more than any instrument plays, and what a machine has room for."""
+"""Largest number of samples of a stimulus."""
 
 Array = NDArray[np.float64]
 
@@ -70,8 +72,10 @@ class StimulusKind(BaseModel, ABC):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    """Title in the window; the name by default."""
     test_kind: ClassVar[str] = "stochastic"
-    """Kind of the test that plays it, as a session tells it."""
+    """Kind of the tests that play the stimulus, in a session."""
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -83,7 +87,8 @@ class StimulusKind(BaseModel, ABC):
         try:
             return cls(**options)
         except ValidationError as error:
-            raise UnusableInputError(refused(f"stimulus {cls.name}", cls.model_fields, error)) from error
+            stimulus = Message("option.stimulus", "stimulus {name}", name=cls.name)
+            raise UnusableInputError(option_error(stimulus, cls.model_fields, error)) from error
 
     def describe(self) -> dict[str, Any]:
         """Return the kind and its options as plain values, fit for JSON."""
@@ -91,15 +96,26 @@ class StimulusKind(BaseModel, ABC):
 
 
 def check_rising(what: str, least: float, greatest: float, unit: str) -> None:
-    """Refuse a range of ``what`` that is upside down or empty.
+    """Raise for an inverted or empty range of ``what``, such as "force".
 
     Raises:
-        UnusableInputError: the least is not below the greatest.
+        UnusableInputError: the least value is not below the greatest.
     """
     if least >= greatest:
         raise UnusableInputError(
-            f"the least {what} ({least:g} {unit}) must be below the greatest ({greatest:g} {unit})"
+            Message(
+                "stimulus.range",
+                "the least {what} ({least:g} {unit}) must be below the greatest ({greatest:g} {unit})",
+                what=what,
+                least=least,
+                greatest=greatest,
+                unit=unit,
+            )
         )
+
+
+_WHAT = (marked("force"), marked("voltage"), marked("depth"))
+"""Quantities whose range is checked."""
 
 
 class OpenLoopKind(StimulusKind):
@@ -110,12 +126,12 @@ class OpenLoopKind(StimulusKind):
         """Build the history. The same specification always gives the same samples."""
 
     def planned_samples(self) -> int | None:
-        """How many samples :meth:`build` makes, from the options alone; None where they do not tell."""
+        """Return the number of samples of :meth:`build`, from the options alone; None where it is not known."""
         seconds, rate = getattr(self, "seconds", None), getattr(self, "sample_rate", None)
         return round(seconds * rate) if isinstance(seconds, float) and isinstance(rate, float) else None
 
     def check_size(self) -> None:
-        """Refuse to be built where that would take more samples than any test plays.
+        """Raise for a stimulus with too many samples.
 
         Raises:
             UnusableInputError: the options ask for more than ``MOST_SAMPLES``.
@@ -123,30 +139,48 @@ class OpenLoopKind(StimulusKind):
         samples = self.planned_samples()
         if samples is not None and samples > MOST_SAMPLES:
             raise UnusableInputError(
-                f"the stimulus {self.name} would have {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
-                "lower its length or its sample rate"
+                Message(
+                    "stimulus.samples",
+                    "the stimulus {name} would have {samples:.3g} samples, and {limit:.3g} is the most: lower its "
+                    "length "
+                    "or its sample rate",
+                    name=self.name,
+                    samples=samples,
+                    limit=MOST_SAMPLES,
+                )
             )
 
 
 class Ranged(OpenLoopKind):
-    """An open-loop stimulus that keeps to a range: of force, or of voltage when both its ends are given."""
+    """An open-loop stimulus within a range of force, or of voltage when both its ends are given."""
 
-    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description="Least force, N")
-    force_max_n: float = Field(8.0, ge=-100.0, le=100.0, description="Greatest force, N")
+    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description=marked("Least force, N"))
+    force_max_n: float = Field(8.0, ge=-100.0, le=100.0, description=marked("Greatest force, N"))
     voltage_min_v: float | None = Field(
-        None, ge=-1000.0, le=1000.0, description="Least voltage, V: designs the voltage instead of the force"
+        None, ge=-1000.0, le=1000.0, description=marked("Least voltage, V: designs the voltage instead of the force")
     )
-    voltage_max_v: float | None = Field(None, ge=-1000.0, le=1000.0, description="Greatest voltage, V")
+    voltage_max_v: float | None = Field(None, ge=-1000.0, le=1000.0, description=marked("Greatest voltage, V"))
 
     @model_validator(mode="after")
     def _range_holds(self) -> Self:
         if (self.voltage_min_v is None) != (self.voltage_max_v is None):
-            raise UnusableInputError("a range of voltage needs both its ends, voltage_min_v and voltage_max_v")
+            raise UnusableInputError(
+                Message(
+                    "stimulus.voltage_ends", "a range of voltage needs both its ends, voltage_min_v and voltage_max_v"
+                )
+            )
         low, high, unit = self.span
         check_rising("force" if unit == "N" else "voltage", low, high, unit)
         if high - low < LEAST_SPAN:
             raise UnusableInputError(
-                f"the range from {low:g} to {high:g} {unit} is narrower than {LEAST_SPAN:g} {unit}: widen it"
+                Message(
+                    "stimulus.narrow",
+                    "the range from {low:g} to {high:g} {unit} is narrower than {least:g} {unit}: widen it",
+                    low=low,
+                    high=high,
+                    least=LEAST_SPAN,
+                    unit=unit,
+                )
             )
         return self
 
@@ -196,15 +230,19 @@ def build_stimulus(name: str, options: Mapping[str, Any]) -> Stimulus:
 
 
 def build_specified(specification: StimulusKind, preload_s: float | None = None) -> Stimulus:
-    """Build the stimulus of a specification, behind a preload of so many seconds where one is given.
+    """Build the stimulus of a specification, after a preload of ``preload_s`` seconds if one is given.
 
     Raises:
         UnusableInputError: the kind is generated while a test runs, it would be too long, or the preload too short.
     """
     if not isinstance(specification, OpenLoopKind):
         raise UnusableInputError(
-            f"the stimulus {specification.name!r} is generated while the test runs: "
-            "what was played is the recorded command"
+            Message(
+                "stimulus.feedback",
+                "the stimulus '{name}' cannot be rebuilt, because it was generated during the test: "
+                "use the recorded command",
+                name=specification.name,
+            )
         )
     specification.check_size()
     built = specification.build()
@@ -220,25 +258,37 @@ def specified(description: object) -> tuple[StimulusKind, float | None]:
         UnusableInputError: no known kind, options that do not hold, or a preload that is no length of time.
     """
     if not isinstance(description, Mapping) or not all(isinstance(name, str) for name in description):
-        raise UnusableInputError("the description of the stimulus is no list of options by name")
+        raise UnusableInputError(
+            Message("stimulus.description", "the description of the stimulus is no list of options by name")
+        )
     fields = dict(description)
     kind = fields.pop("type", None)
     if kind == GUIDED:
         preload_s, inner = fields.get("preload_s"), fields.get("stimulus")
         if not isinstance(preload_s, int | float) or not isinstance(inner, Mapping) or inner.get("type") == GUIDED:
-            raise UnusableInputError("the description of the stimulus with its preload does not hold together")
+            raise UnusableInputError(
+                Message(
+                    "stimulus.preload_description",
+                    "the description of the stimulus with its preload does not hold together",
+                )
+            )
         if not RISE_S <= preload_s <= LONGEST_PRELOAD_S:
             raise UnusableInputError(
-                f"the preload must last from its rise of {RISE_S:g} s up to {LONGEST_PRELOAD_S:g} s"
+                Message(
+                    "stimulus.preload_length",
+                    "the preload must last from its rise of {rise:g} s up to {limit:g} s",
+                    rise=RISE_S,
+                    limit=LONGEST_PRELOAD_S,
+                )
             )
         return specified(inner)[0], float(preload_s)
     if not isinstance(kind, str):
-        raise UnusableInputError("the description of the stimulus does not say its type")
+        raise UnusableInputError(Message("stimulus.no_type", "the description of the stimulus does not say its type"))
     return get_stimulus(kind[:100]).from_options(fields), None
 
 
 def rebuild(description: Mapping[str, Any]) -> Stimulus:
-    """Build a stimulus again from its description, as a session holds it.
+    """Rebuild a stimulus from the description that a session stores.
 
     Raises:
         UnusableInputError: the description is of no known kind, its options or its preload do not hold, or it was
@@ -281,11 +331,22 @@ def preload_values(load: float, preload_s: float, sample_rate_hz: float) -> Arra
         UnusableInputError: the preload is shorter than its rise, or has more samples than any stimulus.
     """
     if not preload_s >= RISE_S:
-        raise UnusableInputError(f"the preload must last at least its rise of {RISE_S:g} s, not {preload_s:g} s")
+        raise UnusableInputError(
+            Message(
+                "stimulus.preload_short",
+                "the preload must last at least its rise of {rise:g} s, not {seconds:g} s",
+                rise=RISE_S,
+                seconds=preload_s,
+            )
+        )
     if preload_s * sample_rate_hz > MOST_SAMPLES:
         raise UnusableInputError(
-            f"the preload would have {preload_s * sample_rate_hz:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
-            "shorten it"
+            Message(
+                "stimulus.preload_samples",
+                "the preload would have {samples:.3g} samples, and {limit:.3g} is the most: shorten it",
+                samples=preload_s * sample_rate_hz,
+                limit=MOST_SAMPLES,
+            )
         )
     rise = np.minimum(np.arange(round(preload_s * sample_rate_hz)) / (RISE_S * sample_rate_hz), 1.0)
     return load * 0.5 * (1.0 - np.cos(np.pi * rise))
@@ -300,11 +361,22 @@ def to_voltage(values: Array, device: DeviceDescription, unit: Unit = "N") -> Ar
     voltage = np.asarray(values, dtype=np.float64) * (device.voltage_for_force(1.0) if unit == "N" else 1.0)
     peak = float(np.max(np.abs(voltage), initial=0.0))
     if peak > device.amplifier_limit_v:
-        least = "lower the voltage range (--max-volts) to that"
         if unit == "N":
-            least = f"lower the highest force (--max-force) to {device.greatest_force_n:.1f} N"
+            advice = Message(
+                "stimulus.lower_force",
+                "lower the highest force (--max-force) to {force:.1f} N",
+                force=device.greatest_force_n,
+            )
+        else:
+            advice = Message("stimulus.lower_voltage", "lower the voltage range (--max-volts) to that")
         raise LimitError(
-            f"the stimulus asks for {peak:.3g} V and the amplifier gives {device.amplifier_limit_v:g} V: {least}"
+            Message(
+                "stimulus.amplifier",
+                "the stimulus asks for {peak:.3g} V and the amplifier gives {limit:g} V: {advice}",
+                peak=peak,
+                limit=device.amplifier_limit_v,
+                advice=advice,
+            )
         )
     return voltage
 

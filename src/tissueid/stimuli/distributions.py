@@ -1,8 +1,10 @@
-"""Amplitude distributions, each by its quantile function, and the exact amplitudes that a signal of n samples holds.
+"""Amplitude distributions, each by its quantile function, and their registry.
 
-A signal has a distribution exactly when its samples, sorted, are the distribution's ``levels(n)``. Tails without end
-are cut, at a stated number of standard deviations from the mean, and what is left is the distribution: no samples
-are heaped up at the cut.
+A signal has a distribution exactly when its sorted samples are ``levels(n)`` of the distribution. Infinite tails are
+cut at a number of standard deviations from the mean, without an accumulation of samples at the cut.
+
+A distribution is one class with the decorator ``distribution``. A further one is a file in ``distribution_kinds/`` or
+an entry point in the group ``tissueid.distributions``; the command line and the window then offer it.
 """
 
 from __future__ import annotations
@@ -10,48 +12,103 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
+from tissueid.plugins import Registry
 
 Array = NDArray[np.float64]
-
-DistributionName = Literal["gaussian", "uniform", "rayleigh", "exponential", "binary", "quantiles"]
 
 _NEAREST, _FARTHEST = 1e-300, 1e300
 """Spans of quantiles that can be scaled to a range without leaving the numbers there are."""
 
 
 class Distribution(ABC):
-    """A distribution of amplitudes over a range with ends."""
+    """A distribution of amplitudes over a finite range."""
+
+    name: ClassVar[str]
+
+    @classmethod
+    def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
+        """Return the distribution for the options of a stimulus; by default it has none.
+
+        Args:
+            cut: standard deviations from the mean at which an infinite tail is cut.
+            quantiles: table of values.
+            probabilities: of the values; empty where they are evenly spaced.
+
+        Raises:
+            UnusableInputError: the table is not valid.
+        """
+        del cut, quantiles, probabilities
+        return cls()
 
     @abstractmethod
     def quantile(self, probability: Array) -> Array:
-        """The amplitude, in a unit of its own, that is not exceeded with each probability (k,)."""
+        """Return the amplitude, in any unit, that is not exceeded with each probability (k,)."""
 
     def levels(self, n: int) -> Array:
-        """The n amplitudes (n,), ascending from -1, the lower end of the range, to 1, the upper.
+        """Return n amplitudes (n,), ascending from -1, the lower end of the range, to 1, the upper.
 
-        They are the quantiles at n evenly spaced probabilities from 0 to 1. A distribution that leans keeps its lean:
-        its mean is not 0.
+        They are the quantiles at n evenly spaced probabilities from 0 to 1. The mean of an asymmetric distribution is
+        not 0.
 
         Raises:
             UnusableInputError: n is below 2.
         """
         if n < 2:
-            raise UnusableInputError(f"a distribution needs at least 2 samples, not {n}")
+            raise UnusableInputError(
+                Message("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
+            )
         raw = self.quantile(np.linspace(0.0, 1.0, n))
         levels = 2.0 * (raw - raw[0]) / (raw[-1] - raw[0]) - 1.0
         return np.asarray(np.clip(levels, -1.0, 1.0), dtype=np.float64)
 
 
+_Declared = TypeVar("_Declared", bound=type[Distribution])
+_distributions: Registry[Distribution] = Registry(
+    "distribution",
+    Distribution,  # type: ignore[type-abstract]
+    "tissueid.stimuli.distribution_kinds",
+    "tissueid.distributions",
+)
+
+
+def distribution(declared: _Declared) -> _Declared:
+    """Register a distribution under its ``name``; used as a decorator.
+
+    Raises:
+        ValueError: another class already has that name.
+    """
+    _distributions.register(declared)
+    return declared
+
+
+def get_distribution(name: str) -> type[Distribution]:
+    """Return the distribution registered under a name.
+
+    Raises:
+        UnusableInputError: there is none of that name.
+    """
+    return _distributions.get(name)
+
+
+def distribution_names() -> tuple[str, ...]:
+    """Return the names of all distributions, in alphabetical order."""
+    return _distributions.names()
+
+
+@distribution
 @dataclass(frozen=True)
 class Uniform(Distribution):
-    """Every amplitude of the range as often as every other."""
+    """Equal density over the range."""
+
+    name: ClassVar[str] = "uniform"
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,)."""
@@ -60,15 +117,24 @@ class Uniform(Distribution):
     def levels(self, n: int) -> Array:
         """Evenly spaced amplitudes (n,) from -1 to 1."""
         if n < 2:
-            raise UnusableInputError(f"a distribution needs at least 2 samples, not {n}")
+            raise UnusableInputError(
+                Message("distribution.samples", "a distribution needs at least 2 samples, not {n}", n=n)
+            )
         return np.linspace(-1.0, 1.0, n)
 
 
+@distribution
 @dataclass(frozen=True)
 class Gaussian(Distribution):
-    """The normal distribution up to ``cut`` standard deviations on either side."""
+    """The normal distribution, truncated at ``cut`` standard deviations on either side of the mean."""
 
+    name: ClassVar[str] = "gaussian"
     cut: float = 3.0
+
+    @classmethod
+    def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
+        """Return the distribution with this cut."""
+        return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,), in standard deviations before the cut."""
@@ -78,11 +144,18 @@ class Gaussian(Distribution):
         return np.asarray(0.5 * (below + above), dtype=np.float64)  # symmetric to the last bit
 
 
+@distribution
 @dataclass(frozen=True)
 class Rayleigh(Distribution):
     """The length of a vector of two Gaussian components, up to ``cut`` standard deviations above its mean."""
 
+    name: ClassVar[str] = "rayleigh"
     cut: float = 3.0
+
+    @classmethod
+    def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
+        """Return the distribution with this cut."""
+        return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,), in standard deviations of a component."""
@@ -91,11 +164,18 @@ class Rayleigh(Distribution):
         return np.asarray(np.sqrt(-2.0 * np.log1p(-probability * kept)), dtype=np.float64)
 
 
+@distribution
 @dataclass(frozen=True)
 class Exponential(Distribution):
-    """The waiting time for a chance event, up to ``cut`` standard deviations above its mean."""
+    """The waiting time for a random event, up to ``cut`` standard deviations above its mean."""
 
+    name: ClassVar[str] = "exponential"
     cut: float = 3.0
+
+    @classmethod
+    def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
+        """Return the distribution with this cut."""
+        return cls(cut)
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,), in means before the cut."""
@@ -103,53 +183,83 @@ class Exponential(Distribution):
         return np.asarray(-np.log1p(-probability * kept), dtype=np.float64)
 
 
+@distribution
 @dataclass(frozen=True)
 class Binary(Distribution):
-    """The two ends of the range, each half of the time; of an odd number of samples one more at the lower."""
+    """Both ends of the range, each half of the time; an odd number of samples has one more at the lower end."""
+
+    name: ClassVar[str] = "binary"
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,), -1 or 1, at probabilities (k,)."""
         return np.where(probability > 0.5, 1.0, -1.0)
 
 
+@distribution
 @dataclass(frozen=True)
 class Quantiles(Distribution):
-    """Any distribution, by its quantiles: straight lines between ``values`` (m,) at ``probabilities`` (m,).
+    """A distribution given by its quantiles, with linear interpolation.
 
-    Without probabilities the values are evenly spaced in probability from 0 to 1. The least value is brought to the
-    lower end of the range and the greatest to the upper. A value given twice is an amplitude that is held for the
-    share of the time between its probabilities.
+    ``values`` (m,) are those at ``probabilities`` (m,), by default evenly spaced from 0 to 1. The least value is scaled
+    to the lower end of the range and the greatest to the upper. A value given twice is held for the share of the time
+    between its probabilities.
 
     Raises:
-        UnusableInputError: the tables are no quantile function.
+        UnusableInputError: the tables are not a quantile function.
     """
 
+    name: ClassVar[str] = "quantiles"
     values: tuple[float, ...]
     probabilities: tuple[float, ...] = ()
 
+    @classmethod
+    def from_options(cls, cut: float, quantiles: tuple[float, ...], probabilities: tuple[float, ...]) -> Distribution:
+        """Return the distribution of these tables."""
+        return cls(quantiles, probabilities)
+
     def __post_init__(self) -> None:
         if len(self.values) < 2:
-            raise UnusableInputError(f"quantiles need at least 2 values, not {len(self.values)}")
+            raise UnusableInputError(
+                Message("quantiles.few", "quantiles need at least 2 values, not {values}", values=len(self.values))
+            )
         if any(b < a for a, b in pairwise(self.values)):
-            raise UnusableInputError("the values of quantiles must not fall: sort them")
+            raise UnusableInputError(Message("quantiles.fall", "the values of quantiles must not fall: sort them"))
         if not self.values[-1] > self.values[0]:
-            raise UnusableInputError(f"all values of the quantiles are {self.values[0]:g}: give at least two")
+            raise UnusableInputError(
+                Message(
+                    "quantiles.equal",
+                    "all values of the quantiles are {values:g}: give at least two",
+                    values=self.values[0],
+                )
+            )
         if not _NEAREST <= self.values[-1] - self.values[0] <= _FARTHEST:
             raise UnusableInputError(
-                f"the quantiles from {self.values[0]:g} to {self.values[-1]:g} are too near or too far to be scaled: "
-                "give values nearer 1"
+                Message(
+                    "quantiles.scale",
+                    "the quantiles from {low:g} to {high:g} are too near or too far to be scaled: give values nearer 1",
+                    low=self.values[0],
+                    high=self.values[-1],
+                )
             )
         if not self.probabilities:
             return
         if len(self.probabilities) != len(self.values):
             raise UnusableInputError(
-                f"quantiles need a probability for each value: {len(self.values)} values, "
-                f"{len(self.probabilities)} probabilities"
+                Message(
+                    "quantiles.lengths",
+                    "quantiles need a probability for each value: {values} values, {probabilities} probabilities",
+                    values=len(self.values),
+                    probabilities=len(self.probabilities),
+                )
             )
         if self.probabilities[0] != 0.0 or self.probabilities[-1] != 1.0:
-            raise UnusableInputError("the probabilities of quantiles must begin at 0 and end at 1")
+            raise UnusableInputError(
+                Message("quantiles.ends", "the probabilities of quantiles must begin at 0 and end at 1")
+            )
         if any(b <= a for a, b in pairwise(self.probabilities)):
-            raise UnusableInputError("the probabilities of quantiles must rise from one to the next")
+            raise UnusableInputError(
+                Message("quantiles.rise", "the probabilities of quantiles must rise from one to the next")
+            )
 
     def quantile(self, probability: Array) -> Array:
         """Amplitudes (k,) at probabilities (k,), in the unit of the values."""

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
+from tissueid.language import marked
 from tissueid.stimuli.base import Array, StimulusKind, check_rising
 
 BLOCK = 50
@@ -39,12 +40,18 @@ class FeedbackSource(ABC):
 class FeedbackKind(StimulusKind):
     """The specification of a stimulus that is generated while the test runs."""
 
-    seconds: float = Field(5.0, gt=0.0, le=600.0, description="Length, s; the preload comes before it")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="The same seed and the same answers give the same samples")
-    lead: int = Field(3, ge=1, le=20, description="Blocks by which the set-points are ahead of what was measured")
-    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description="Least force that is ever asked for, N")
-    force_max_n: float = Field(10.0, ge=-100.0, le=100.0, description="Greatest force that is ever asked for, N")
+    seconds: float = Field(5.0, gt=0.0, le=600.0, description=marked("Length, s; the preload comes before it"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    seed: int = Field(
+        0, ge=0, le=2**63 - 1, description=marked("The same seed and the same answers give the same samples")
+    )
+    lead: int = Field(
+        3, ge=1, le=20, description=marked("Blocks by which the set-points are ahead of what was measured")
+    )
+    force_min_n: float = Field(0.0, ge=-100.0, le=100.0, description=marked("Least force that is ever asked for, N"))
+    force_max_n: float = Field(
+        10.0, ge=-100.0, le=100.0, description=marked("Greatest force that is ever asked for, N")
+    )
 
     @model_validator(mode="after")
     def _range_holds(self) -> Self:

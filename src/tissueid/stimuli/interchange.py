@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
 from tissueid.stimuli import _interchange as kernel
 from tissueid.stimuli.spectra import Spectrum
 from tissueid.stimuli.surrogate import first_at_the_mean, lag_surrogate, spectral_surrogate
@@ -24,7 +25,7 @@ from tissueid.stimuli.surrogate import first_at_the_mean, lag_surrogate, spectra
 Array = NDArray[np.float64]
 
 AGREEMENT = 1e-10
-"""How far any lag, followed from swap to swap, may be from the one that is worked out anew."""
+"""Largest difference of a lag that is updated with each swap from its recomputed value."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Interchanged:
 
     ``values`` (n,) are those of the start in another order. ``error_before`` and ``error`` are sums of squares over
     the ``lags``, the latter audited: worked out from the values alone, lag by lag. ``drift`` is the largest difference
-    ever found between a lag followed from swap to swap and the lag worked out anew. ``history`` (m, 3) holds tried
+    found between a lag that is updated with each swap and its recomputed value. ``history`` (m, 3) holds tried
     swaps, accepted swaps and the error, from the start to the end (Chen 2010, Fig. 6.2b).
     """
 
@@ -88,9 +89,16 @@ def autocorrelation(values: Array, lags: int) -> Array:
 def _unit(values: Array, lags: int) -> Array:
     """Values (n,) less their mean, of unit energy; refused when they have no autocorrelation at these lags."""
     if lags >= values.size:
-        raise UnusableInputError(f"{values.size} samples have no autocorrelation at {lags} lags: use a longer stimulus")
+        raise UnusableInputError(
+            Message(
+                "interchange.short",
+                "{size} samples have no autocorrelation at {lags} lags: use a longer stimulus",
+                size=values.size,
+                lags=lags,
+            )
+        )
     if np.ptp(values) == 0.0:
-        raise UnusableInputError("all samples are equal: there is no autocorrelation")
+        raise UnusableInputError(Message("interchange.constant", "all samples are equal: there is no autocorrelation"))
     about = values - np.mean(values)
     return np.asarray(about / np.sqrt(about @ about), dtype=np.float64)
 
@@ -122,7 +130,7 @@ def interchange(
 
     Guided, a sample is drawn and its partner chosen by what the gradient of the error promises, among ranks near and
     far; otherwise both are drawn, as in the original. The first sample stays where it is. All lags are followed from
-    swap to swap, worked out anew after every sweep, and audited at the end.
+    swap to swap, recomputed after every sweep, and checked at the end.
 
     Args:
         start: (n,), the samples in the order to begin with.
@@ -131,19 +139,21 @@ def interchange(
         max_trials: swaps to try, at most.
         seed: of the drawing; the same seed gives the same result.
         guided: choose partners.
-        on_progress: told after every sweep; what it raises ends the search.
+        on_progress: called after every sweep; an exception from it ends the search.
 
     Raises:
         UnusableInputError: the target does not begin with 1, or there are too few samples for its lags.
         ArithmeticError: the result does not pass its audit, which is a defect.
     """
     if target.size < 2 or abs(target[0] - 1.0) > 1e-9:
-        raise UnusableInputError("a target is an autocorrelation from lag 0, where it is 1, to lag 1 at least")
+        raise UnusableInputError(
+            Message("interchange.target", "a target is an autocorrelation from lag 0, where it is 1, to lag 1 at least")
+        )
     search = _Search(np.asarray(start, dtype=np.float64), np.asarray(target, dtype=np.float64), seed)
     while search.error > tolerance and search.tried < max_trials:
         search.sweep(min(search.size_of_sweep(guided), max_trials - search.tried), tolerance, guided)
-        told = Progress(search.tried, max_trials, search.error, tolerance)
-        if on_progress is not None and on_progress(told) is False:
+        progress = Progress(search.tried, max_trials, search.error, tolerance)
+        if on_progress is not None and on_progress(progress) is False:
             break
     return search.audited(tolerance)
 
@@ -169,7 +179,7 @@ class _Search:
         self._curvature = 4.0 * lags / start.size
         tied = np.count_nonzero(np.diff(self._levels)) < start.size // 2  # ranks then do not tell near from far
         self._nearby = self._curvature * (1.0 - target[1 : _NEARBY + 1]) if tied else np.empty(0)
-        self._errors, self._gradient = self._anew()
+        self._errors, self._gradient = self._recomputed()
         self.error = float(self._errors @ self._errors)
         self._drift = 0.0
         self._history = [(0.0, 0.0, self.error)]
@@ -183,7 +193,7 @@ class _Search:
         return max(64, self._start.size // 20) if guided else max(10_000, self._start.size)
 
     def sweep(self, trials: int, tolerance: float, guided: bool) -> None:
-        """Try so many swaps, and work out all lags anew."""
+        """Try ``trials`` swaps, and recompute all lags."""
         n = self._start.size
         if guided:
             kernel.try_chosen(
@@ -206,7 +216,7 @@ class _Search:
             pairs = self._draw.integers(1, n, (trials, 2))
             kernel.try_pairs(self._x, self._errors, self._room, self._rank, pairs, self._counts, self.error, tolerance)
         followed = self._errors
-        self._errors, self._gradient = self._anew()
+        self._errors, self._gradient = self._recomputed()
         self._drift = max(self._drift, float(np.max(np.abs(followed - self._errors))))
         self.error = float(self._errors @ self._errors)
         self._history.append((float(self._counts[kernel.TRIED]), float(self._counts[kernel.ACCEPTED]), self.error))
@@ -232,7 +242,7 @@ class _Search:
             tolerance=tolerance,
         )
 
-    def _anew(self) -> tuple[Array, Array]:
+    def _recomputed(self) -> tuple[Array, Array]:
         """Errors (lags,) from the samples as they stand, and the gradient (n,) of half their sum of squares."""
         n, lags = self._start.size, self._target.size - 1
         spectrum = fft.rfft(self._x[0, lags : lags + n], self._padded)

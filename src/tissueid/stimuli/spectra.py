@@ -17,6 +17,8 @@ import scipy
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli.base import MOST_SAMPLES
 
 Array = NDArray[np.float64]
@@ -64,8 +66,14 @@ class Spectrum(ABC):
 def _below_nyquist(what: str, frequency_hz: float, sample_rate_hz: float) -> None:
     if frequency_hz >= 0.5 * sample_rate_hz:
         raise UnusableInputError(
-            f"{what} of {frequency_hz:g} Hz needs more than {2 * frequency_hz:g} samples a second, "
-            f"not {sample_rate_hz:g}"
+            Message(
+                "spectrum.nyquist",
+                "{what} of {frequency_hz:g} Hz needs more than {needed:g} samples a second, not {sample_rate_hz:g}",
+                what=what,
+                frequency_hz=frequency_hz,
+                needed=2 * frequency_hz,
+                sample_rate_hz=sample_rate_hz,
+            )
         )
 
 
@@ -89,13 +97,28 @@ def check_settling(cutoff_hz: float, sample_rate_hz: float, grid_cycles: float =
     least = max(settled, summed)
     if cutoff_hz < least:
         reason = (
-            f"the filter would take more than {MOST_SAMPLES:.3g} samples to settle"
+            Message(
+                "spectrum.settling",
+                "the filter would take more than {limit:.3g} samples to settle",
+                limit=MOST_SAMPLES,
+            )
             if cutoff_hz < settled
-            else f"its power would have to be summed over more than {_MOST_GRID:.3g} samples"
+            else Message(
+                "spectrum.grid",
+                "its power would have to be summed over more than {limit:.3g} samples",
+                limit=_MOST_GRID,
+            )
         )
         raise UnusableInputError(
-            f"a cut-off of {cutoff_hz:g} Hz is too low at {sample_rate_hz:g} samples a second: {reason}; "
-            f"{1.005 * least:.3g} Hz is about the least"
+            Message(
+                "spectrum.low_cutoff",
+                "a cut-off of {cutoff_hz:g} Hz is too low at {sample_rate_hz:g} samples a second: "
+                "{reason}; {least:.3g} Hz is about the least",
+                cutoff_hz=cutoff_hz,
+                sample_rate_hz=sample_rate_hz,
+                reason=reason,
+                least=1.005 * least,
+            )
         )
 
 
@@ -128,11 +151,11 @@ class Butterworth(Spectrum):
 
     def check(self, sample_rate_hz: float) -> None:
         """The cut-off lies below half the sample rate, and the filter settles within a stimulus."""
-        _below_nyquist("a cut-off", self.cutoff_hz, sample_rate_hz)
+        _below_nyquist(marked("a cut-off"), self.cutoff_hz, sample_rate_hz)
         check_settling(self.cutoff_hz, sample_rate_hz, _GRID_CYCLES * self.order)
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """Sum of the filter's power over so many frequencies that its response has died away between repeats."""
+        """Sum of the filter's power over enough frequencies for its response to decay between repeats."""
         correlation = scipy.fft.irfft(*self._fine(lags, sample_rate_hz))[: lags + 1]
         return np.asarray(correlation / correlation[0], dtype=np.float64)
 
@@ -163,7 +186,7 @@ class Band(Spectrum):
 
     def check(self, sample_rate_hz: float) -> None:
         """The cut-off lies below half the sample rate."""
-        _below_nyquist("a cut-off", self.cutoff_hz, sample_rate_hz)
+        _below_nyquist(marked("a cut-off"), self.cutoff_hz, sample_rate_hz)
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
         """sin(x) / x, x = 2 pi cutoff lag."""
@@ -186,16 +209,22 @@ class ExponentialDecay(Spectrum):
         samples = self.time_constant_s * sample_rate_hz
         if not 1e-3 <= samples <= MOST_SAMPLES:
             raise UnusableInputError(
-                f"a time constant of {self.time_constant_s:g} s is {samples:.3g} samples: it must be 0.001 to "
-                f"{MOST_SAMPLES:.3g}; at its short end the spectrum is white"
+                Message(
+                    "spectrum.time_constant",
+                    "a time constant of {time_constant_s:g} s is {samples:.3g} samples: it must be 0.001 to "
+                    "{limit:.3g}; at its short end the spectrum is white",
+                    time_constant_s=self.time_constant_s,
+                    samples=samples,
+                    limit=MOST_SAMPLES,
+                )
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
-        """One more factor for every lag."""
+        """Return the exponential autocorrelation at lags 0 to ``lags``, shape (lags + 1,)."""
         return np.asarray(np.exp(-np.arange(lags + 1) / (self.time_constant_s * sample_rate_hz)), dtype=np.float64)
 
     def power(self, n: int, sample_rate_hz: float) -> Array:
-        """That of a geometric autocorrelation."""
+        """Return the power of a geometric autocorrelation at ``n`` frequencies."""
         return _geometric_power(-1.0 / (self.time_constant_s * sample_rate_hz), n)
 
 
@@ -208,12 +237,18 @@ class SecondOrder(Spectrum):
 
     def check(self, sample_rate_hz: float) -> None:
         """The natural frequency lies below half the sample rate, and the oscillation dies away within a stimulus."""
-        _below_nyquist("a natural frequency", self.natural_hz, sample_rate_hz)
+        _below_nyquist(marked("a natural frequency"), self.natural_hz, sample_rate_hz)
         least = sample_rate_hz / (2.0 * np.pi * self.damping * MOST_SAMPLES)
         if self.natural_hz < least:
             raise UnusableInputError(
-                f"an oscillation of {self.natural_hz:g} Hz with a damping of {self.damping:g} takes longer to die away "
-                f"than any stimulus lasts; at that damping {1.005 * least:.3g} Hz is about the least"
+                Message(
+                    "spectrum.slow",
+                    "an oscillation of {natural_hz:g} Hz with a damping of {damping:g} takes longer to die "
+                    "away than any stimulus lasts; at that damping {least:.3g} Hz is about the least",
+                    natural_hz=self.natural_hz,
+                    damping=self.damping,
+                    least=1.005 * least,
+                )
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
@@ -243,27 +278,44 @@ class PowerTable(Spectrum):
     def __post_init__(self) -> None:
         if len(self.frequencies_hz) != len(self.densities) or len(self.densities) < 2:
             raise UnusableInputError(
-                "a power spectrum needs at least 2 frequencies and a density for each: "
-                f"{len(self.frequencies_hz)} frequencies, {len(self.densities)} densities"
+                Message(
+                    "spectrum.table_lengths",
+                    "a power spectrum needs at least 2 frequencies and a density for each: {frequencies_hz} "
+                    "frequencies, {densities} densities",
+                    frequencies_hz=len(self.frequencies_hz),
+                    densities=len(self.densities),
+                )
             )
         if self.frequencies_hz[0] < 0.0 or any(b <= a for a, b in pairwise(self.frequencies_hz)):
             raise UnusableInputError(
-                "the frequencies of a power spectrum must rise from one to the next, from 0 or above"
+                Message(
+                    "spectrum.table_rise",
+                    "the frequencies of a power spectrum must rise from one to the next, from 0 or above",
+                )
             )
         if min(self.densities) < 0.0:
             at = self.frequencies_hz[int(np.argmin(self.densities))]
             raise UnusableInputError(
-                f"the power density at {at:g} Hz is {min(self.densities):g}: it cannot be negative"
+                Message(
+                    "spectrum.negative",
+                    "the power density at {at:g} Hz is {densities:g}: it cannot be negative",
+                    at=at,
+                    densities=min(self.densities),
+                )
             )
         if max(self.densities) == 0.0:
-            raise UnusableInputError("the power spectrum has no power at any frequency")
+            raise UnusableInputError(Message("spectrum.zero", "the power spectrum has no power at any frequency"))
         f, s = np.array(self.frequencies_hz), np.array(self.densities)
         with np.errstate(all="ignore"):
             total, slopes = float(np.trapezoid(s, f)), np.diff(s) / np.diff(f)
         if not (_TINY <= total < np.inf and np.all(np.isfinite(slopes))):
             raise UnusableInputError(
-                f"the power spectrum adds up to {total:g}, or is steeper than a number can say: "
-                "give densities nearer 1, and frequencies further apart"
+                Message(
+                    "spectrum.scale",
+                    "the power spectrum adds up to {total:g}, or is steeper than a number can say: give "
+                    "densities nearer 1, and frequencies further apart",
+                    total=total,
+                )
             )
 
     def check(self, sample_rate_hz: float) -> None:
@@ -272,8 +324,14 @@ class PowerTable(Spectrum):
         highest = float(f[min(int(np.flatnonzero(s)[-1]) + 1, f.size - 1)])
         if highest > 0.5 * sample_rate_hz:
             raise UnusableInputError(
-                f"a power spectrum up to {highest:g} Hz needs at least {2 * highest:g} samples a second, "
-                f"not {sample_rate_hz:g}"
+                Message(
+                    "spectrum.table_rate",
+                    "a power spectrum up to {highest:g} Hz needs at least {needed:g} samples a second, "
+                    "not {sample_rate_hz:g}",
+                    highest=highest,
+                    needed=2 * highest,
+                    sample_rate_hz=sample_rate_hz,
+                )
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:
@@ -306,20 +364,38 @@ class AutocorrelationTable(Spectrum):
     def __post_init__(self) -> None:
         if len(self.lags_s) != len(self.correlations) or len(self.lags_s) < 2:
             raise UnusableInputError(
-                "an autocorrelation needs at least 2 lags and a value for each: "
-                f"{len(self.lags_s)} lags, {len(self.correlations)} values"
+                Message(
+                    "autocorrelation.lengths",
+                    "an autocorrelation needs at least 2 lags and a value for each: {lags_s} lags, "
+                    "{correlations} values",
+                    lags_s=len(self.lags_s),
+                    correlations=len(self.correlations),
+                )
             )
         if self.lags_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.lags_s)):
-            raise UnusableInputError("the lags of an autocorrelation must begin at 0 and rise from one to the next")
+            raise UnusableInputError(
+                Message(
+                    "autocorrelation.rise",
+                    "the lags of an autocorrelation must begin at 0 and rise from one to the next",
+                )
+            )
         if abs(self.correlations[0] - 1.0) > 1e-9:
             raise UnusableInputError(
-                f"an autocorrelation is 1 at lag 0, not {self.correlations[0]:g}: divide the values by it"
+                Message(
+                    "autocorrelation.lag_zero",
+                    "an autocorrelation is 1 at lag 0, not {correlations:g}: divide the values by it",
+                    correlations=self.correlations[0],
+                )
             )
         largest = int(np.argmax(np.abs(self.correlations[1:]))) + 1
         if abs(self.correlations[largest]) > 1.0:
             raise UnusableInputError(
-                f"an autocorrelation lies between -1 and 1, and at {self.lags_s[largest]:g} s this one is "
-                f"{self.correlations[largest]:g}"
+                Message(
+                    "autocorrelation.range",
+                    "an autocorrelation lies between -1 and 1, and at {largest:g} s this one is {value:g}",
+                    largest=self.lags_s[largest],
+                    value=self.correlations[largest],
+                )
             )
 
     def check(self, sample_rate_hz: float) -> None:
@@ -327,8 +403,13 @@ class AutocorrelationTable(Spectrum):
         samples = self.lags_s[-1] * sample_rate_hz
         if samples > MOST_SAMPLES:
             raise UnusableInputError(
-                f"the table of the autocorrelation reaches {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: "
-                "give its lags in seconds"
+                Message(
+                    "autocorrelation.long",
+                    "the table of the autocorrelation reaches {samples:.3g} samples, and {limit:.3g} "
+                    "is the most: give its lags in seconds",
+                    samples=samples,
+                    limit=MOST_SAMPLES,
+                )
             )
         reach = self._reach(sample_rate_hz)
         n = max(8192, 1 << int(np.ceil(np.log2(4.0 * reach + 4.0))))
@@ -339,8 +420,13 @@ class AutocorrelationTable(Spectrum):
         if error > UNREACHABLE:
             lowest = int(np.argmin(density))
             raise UnusableInputError(
-                f"no signal has this autocorrelation: its spectrum would be negative, at "
-                f"{lowest * sample_rate_hz / n:.4g} Hz by {-density[lowest]:.2g} times the mean power"
+                Message(
+                    "autocorrelation.impossible",
+                    "no signal has this autocorrelation: its spectrum would be negative, at {frequency:.4g} Hz by "
+                    "{power:.2g} times the mean power",
+                    frequency=lowest * sample_rate_hz / n,
+                    power=-density[lowest],
+                )
             )
 
     def autocorrelation(self, lags: int, sample_rate_hz: float) -> Array:

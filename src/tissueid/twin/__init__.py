@@ -1,20 +1,20 @@
-"""The twin: our belief about the signal chain, from command to recorded numbers. Pure: arrays in, arrays out."""
+"""The twin: a model of the signal chain from command to recorded numbers. Pure: arrays in, arrays out."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.lazily import on_first_use
+from tissueid.lazy_import import lazy_attributes
 
 if TYPE_CHECKING:
-    from tissueid.twin.figures import Instrument, Tissue
+    from tissueid.twin.chain_parameters import Instrument, Tissue
     from tissueid.twin.player import Player
     from tissueid.twin.simulation import Start, simulate
 else:
-    __getattr__ = on_first_use(
+    __getattr__ = lazy_attributes(
         __name__,
         {
-            "figures": ("Instrument", "Tissue"),
+            "chain_parameters": ("Instrument", "Tissue"),
             "player": ("Player",),
             "simulation": ("Start", "simulate"),
         },

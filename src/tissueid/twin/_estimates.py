@@ -1,4 +1,4 @@
-"""Rough estimates from recorded signals, with which effects start the search for their parameters. Private."""
+"""Estimates from recorded signals that provide starting values of effects. Private."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from scipy import optimize
 FloatArray = NDArray[np.float64]
 
 SETTLING_S = 0.3
-"""The start of a test is left out: what is at rest swings into its place."""
+"""Time at the start of a test that is left out, s: the probe moves to its equilibrium."""
 _WINDOWS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512)
-"""Edges of past windows, samples, whose means stand for the memory of coil and mechanics."""
+"""Edges of windows in the past, samples; the means in the windows represent the memory of coil and mechanics."""
 
 
 def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: float) -> FloatArray:
-    """What is left of a recorded signal, shape (n,), 0 where nothing was recorded or the start still rings.
+    """Return the unexplained part of a recorded signal, shape (n,); 0 where it was not received and during settling.
 
-    Where the signals hold the baseline's prediction, that is taken off; else what a regression on the past of the
-    command (for the voltage) or of the voltage (for the others), and on its square and cube, can explain.
+    The prediction of the baseline is subtracted where the signals include it. Otherwise a regression is subtracted: on
+    the past of the command (for the voltage) or of the voltage (for the others), and on its square and cube.
     """
     recorded = np.asarray(signals[name], np.float64)
     known = np.isfinite(recorded)
@@ -36,7 +36,7 @@ def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: fl
         cause = np.asarray(signals["command" if name == "voltage" else "voltage"], np.float64)
         features = _features(np.where(np.isfinite(cause), cause, 0.0))
         used, mean = features[known], float(recorded[known].mean())
-        # A trace of ridge, for commands that do not change.
+        # A small ridge, for commands that do not change.
         squares = used.T @ used + 1e-8 * used.shape[0] * np.eye(used.shape[1])
         left[known] = recorded[known] - mean - used @ np.linalg.solve(squares, used.T @ (recorded[known] - mean))
     left[known] -= left[known].mean()
@@ -44,7 +44,7 @@ def unexplained(signals: Mapping[str, FloatArray], name: str, sample_rate_hz: fl
 
 
 def _features(cause: FloatArray) -> FloatArray:
-    """Means of a signal over windows of its past, their squares and cubes, shape (n, features), of like size."""
+    """Return means of a signal over windows of its past, with their squares and cubes, shape (n, features), scaled."""
     scaled = (cause - cause.mean()) / max(float(cause.std()), 1e-6)
     past = np.concatenate((np.full(_WINDOWS[-1], scaled[0]), scaled))
     sums = np.concatenate(([0.0], np.cumsum(past)))
@@ -54,16 +54,15 @@ def _features(cause: FloatArray) -> FloatArray:
 
 
 def waves(angle: FloatArray, harmonics: Iterable[int]) -> FloatArray:
-    """Cosine and sine of each harmonic of an angle, shape (n,), in turn: shape (n, 2 harmonics)."""
+    """Return cosine and sine of each harmonic of an angle, shape (n,), as columns: shape (n, 2 harmonics)."""
     return np.stack([wave(h * angle) for h in harmonics for wave in (np.cos, np.sin)], axis=1)
 
 
 def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[float, FloatArray]:
-    """Sum of squares that waves, shape (n, waves), and a constant take out of what is left; the waves' amplitudes.
+    """Return the sum of squares that waves, shape (n, waves), and a constant explain, and the amplitudes of the waves.
 
-    A small ridge keeps the amplitudes of slow waves that the record is too short to tell apart from running away; it
-    grows with the harmonic, of which ``orders`` tells each wave's, so that no lower frequency lends its harmonics to a
-    wave that has none.
+    A small ridge bounds the amplitudes of slow waves that the record is too short to separate. It grows with the
+    harmonic (``orders``), so that a wave without harmonics is not fitted at a fraction of its frequency.
     """
     columns = np.concatenate((columns, np.ones((left.size, 1))), axis=1)
     product = columns.T @ left
@@ -75,7 +74,7 @@ def fitted(left: FloatArray, columns: FloatArray, orders: FloatArray) -> tuple[f
 def line(
     left: FloatArray, time: FloatArray, harmonics: Sequence[int], low_hz: float, high_hz: float
 ) -> tuple[float, FloatArray]:
-    """Frequency whose harmonics take most out of what is left, and their amplitudes (cosine, sine, cosine, ...)."""
+    """Return the frequency whose harmonics explain most, and their amplitudes (cosine, sine, cosine, ...)."""
     if time.size < 2 or not left.any():
         return 0.5 * (low_hz + high_hz), np.zeros(2 * len(harmonics))
     orders = np.repeat(np.asarray(harmonics, np.float64), 2)

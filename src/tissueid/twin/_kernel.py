@@ -1,33 +1,56 @@
-"""The compiled loop of the chain. Private: ``chain`` is its only caller."""
+"""The compiled loop of the chain. Private to ``simulation``."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import intrinsic
 
 from tissueid.twin import bus as b
-from tissueid.twin._pointer import address
 
-# Figures of the instrument, in the order of ``Instrument``.
+
+@intrinsic  # type: ignore[untyped-decorator]
+def address(typing_context: Any, array: Any, offset: Any) -> Any:
+    """Address of an element of a contiguous array of float64; the caller keeps the array alive."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        held = context.make_array(signature.args[0])(context, builder, arguments[0])
+        return builder.gep(held.data, [arguments[1]])
+
+    return types.CPointer(types.float64)(array, types.int64), generate
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def offset(typing_context: Any, pointer: Any, count: Any) -> Any:
+    """Return the address ``count`` numbers after an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.gep(arguments[0], [arguments[1]])
+
+    return pointer(pointer, types.int64), generate
+
+
+# Parameters of the instrument, in the order of ``Instrument``.
 GAIN, LIMIT, RESISTANCE, INDUCTANCE, FORCE_CONSTANT, MASS, DAMPING, WEIGHT, STROKE = range(9)
-# Figures of what the probe meets, in the order of ``Tissue``.
+# Parameters of the tissue, in the order of ``Tissue``.
 SURFACE_M, TISSUE_MASS, TISSUE_DAMPING, DAMPING_GROWTH, STIFFNESS, STIFFNESS_GROWTH = range(6)
-# The state: three numbers, and the acceleration of the step before.
+# The state; the acceleration is that of the previous step.
 CURRENT, POSITION, VELOCITY, ACCELERATION = range(4)
-# Measured signals that take the place of simulated ones.
+# Measured signals that replace simulated ones.
 VOLTAGE_GIVEN, CURRENT_GIVEN, MOTION_GIVEN = range(3)
-# What comes out, a row each.
+# Rows of the output.
 OUT_VOLTAGE, OUT_CURRENT, OUT_POSITION, OUT_VELOCITY = range(4)
 
 MOST_EXPONENT = 12.0
-"""Growth with depth is followed as far as e^12: beyond it no tissue is meant and the figures would overflow."""
+"""Largest exponent of growth with depth: beyond it there is no tissue and numbers would overflow."""
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def grown(value, growth, depth):  # type: ignore[no-untyped-def]
-    """A coefficient that grows exponentially with depth."""
+    """Return a coefficient that grows exponentially with depth."""
     exponent = growth * depth
     if exponent == 0.0:
         return value
@@ -35,45 +58,32 @@ def grown(value, growth, depth):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _call(place, effects, places, bus, p, s, step):  # type: ignore[no-untyped-def]
+def _call(place, effects, places, bus, p, wide, s, deep, step):  # type: ignore[no-untyped-def]
     for k in range(b.SLOTS):
         if places[k, place]:
-            effects[k](place, bus, p[k], s[k], step)
+            effects[k](place, bus, offset(p, k * wide), offset(s, k * deep), step)
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
 def integrate(  # type: ignore[no-untyped-def]
     command, measured, given, figures, tissue, period, substeps, state, effects, places, parameters, states, out
 ):
-    """Play commands held over each sample; fills ``out``, shape (4, n), with readings at the end of each sample.
+    """Simulate commands that are held over each sample; fill ``out``, shape (4, n), with readings at the end of each.
 
-    The current has its exact solution within a step, the viscous part of the motion is implicit; both are of second
-    order in the step. ``measured``, shape (4, n), holds voltage, current, position and velocity for those that are
-    ``given``.
+    The current is solved exactly within a step and viscous motion implicitly; both are of second order in the step.
+    ``measured``, shape (4, n), holds voltage, current, position and velocity for the signals that are ``given``.
     """
     step = period / substeps
     bus = states[b.SLOTS]
     at_bus = address(bus, 0)
     wide, deep = parameters.shape[1], states.shape[1]
-    at_parameters = (
-        address(parameters, 0),
-        address(parameters, wide),
-        address(parameters, 2 * wide),
-        address(parameters, 3 * wide),
-        address(parameters, 4 * wide),
-    )
-    at_states = (
-        address(states, 0),
-        address(states, deep),
-        address(states, 2 * deep),
-        address(states, 3 * deep),
-        address(states, 4 * deep),
-    )
+    at_parameters = address(parameters, 0)
+    at_states = address(states, 0)
     used = np.zeros(b.PLACES, np.bool_)
     for k in range(b.SLOTS):
         used |= places[k]
     current, position, velocity, acceleration = state
-    # Samples that were played before, where a command comes in pieces.
+    # Samples of earlier pieces of the command.
     first = bus[b.SAMPLE]
     for n in range(command.size):
         target = min(max(figures[GAIN] * command[n], -figures[LIMIT]), figures[LIMIT])
@@ -92,7 +102,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 bus[b.VOLTAGE] = measured[0, n]
             else:
                 if used[b.AMPLIFIER]:
-                    _call(b.AMPLIFIER, effects, places, at_bus, at_parameters, at_states, step)
+                    _call(b.AMPLIFIER, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
 
             if given[MOTION_GIVEN]:
                 share = (m + 0.5) / substeps
@@ -105,7 +115,7 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.POSITION] = half
             bus[b.SURFACE_POSITION] = tissue[SURFACE_M]
             if used[b.SURFACE]:
-                _call(b.SURFACE, effects, places, at_bus, at_parameters, at_states, step)
+                _call(b.SURFACE, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
             depth = half - bus[b.SURFACE_POSITION]
             bus[b.DEPTH] = depth
 
@@ -115,7 +125,7 @@ def integrate(  # type: ignore[no-untyped-def]
             bus[b.OPPOSING_VOLTAGE] = 0.0
             bus[b.FORCE] = figures[WEIGHT]
             if used[b.COIL]:
-                _call(b.COIL, effects, places, at_bus, at_parameters, at_states, step)
+                _call(b.COIL, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
             decay = bus[b.RESISTANCE] * step / bus[b.INDUCTANCE]
             if given[CURRENT_GIVEN]:
                 # Between two readings the current settles with the coil's time constant, well within the interval.
@@ -129,7 +139,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 kept = math.exp(-decay)
                 mean = settled + (current - settled) * (1.0 - kept) / decay
                 current = settled + (current - settled) * kept
-                # A ramp about the mean voltage moves the end of the step, and the mean in return.
+                # A ramp around the mean voltage changes the current at the end of the step, and its mean inversely.
                 tilted = bus[b.VOLTAGE_TILT] / bus[b.RESISTANCE] * (1.0 + kept - 2.0 * (1.0 - kept) / decay)
                 current += tilted
                 mean -= tilted / decay
@@ -140,7 +150,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 bus[b.DAMPING] = figures[DAMPING]
                 bus[b.MASS] = figures[MASS]
                 if used[b.MECHANICS]:
-                    _call(b.MECHANICS, effects, places, at_bus, at_parameters, at_states, step)
+                    _call(b.MECHANICS, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
                 bus[b.STIFFNESS] = tissue[STIFFNESS]
                 bus[b.STIFFNESS_GROWTH] = tissue[STIFFNESS_GROWTH]
                 bus[b.SURFACE_DAMPING] = tissue[TISSUE_DAMPING]
@@ -151,7 +161,7 @@ def integrate(  # type: ignore[no-untyped-def]
                 if used[b.TISSUE]:
                     bus[b.VELOCITY_JUMP] = 0.0
                     bus[b.POSITION_SHIFT] = 0.0
-                    _call(b.TISSUE, effects, places, at_bus, at_parameters, at_states, step)
+                    _call(b.TISSUE, effects, places, at_bus, at_parameters, wide, at_states, deep, step)
                     velocity += bus[b.VELOCITY_JUMP]
                     half += 0.5 * step * bus[b.VELOCITY_JUMP] + bus[b.POSITION_SHIFT]
                 mass = bus[b.MASS] + bus[b.TISSUE_MASS]

@@ -1,4 +1,4 @@
-"""The library of effects: found by scanning ``tissueid.twin.effects`` and by entry points."""
+"""The library of effects: the modules of ``tissueid.twin.effects`` and plug-ins by entry points."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import lru_cache
 from importlib.metadata import entry_points
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
 from tissueid.twin import effects
 from tissueid.twin.effect import STAGES, Effect
 
@@ -17,9 +18,9 @@ GROUP = "tissueid.effects"
 
 @lru_cache(maxsize=1)
 def all_effects() -> dict[str, Effect]:
-    """Every effect by its name, in the order of the chain and then of the alphabet.
+    """Return all effects by name, ordered by stage and name.
 
-    A plug-in that fails to load, or takes a name that exists, is left out with a warning.
+    A plug-in that fails to load, or has the name of another effect, is left out with a warning.
     """
     found: list[Effect] = []
     for module in pkgutil.iter_modules(effects.__path__):
@@ -40,12 +41,19 @@ def all_effects() -> dict[str, Effect]:
 
 
 def effect(name: str) -> Effect:
-    """The effect of that name.
+    """Return the effect of a name.
 
     Raises:
-        UnusableInputError: there is none; the line lists those that there are.
+        UnusableInputError: the library has no such effect.
     """
     known = all_effects()
     if name not in known:
-        raise UnusableInputError(f"there is no effect {name!r}: choose one of {', '.join(known)}")
+        raise UnusableInputError(
+            Message(
+                "effect.unknown",
+                "there is no effect {name}: choose one of {known}",
+                name=Verbatim(name),
+                known=", ".join(known),
+            )
+        )
     return known[name]

@@ -1,32 +1,33 @@
-"""What an effect declares of itself: its equation, parameters, stage, signature, source and rivals.
+"""Declaration of an effect: equation, parameters, stage, signature, source and rivals.
 
-Adding an effect is adding one file to ``tissueid.twin.effects`` that ends in ``EFFECT = Effect(...)``; another package
-adds one under the entry point group ``tissueid.effects``.
+To add an effect, add one file to ``tissueid.twin.effects`` that ends in ``EFFECT = Effect(...)``, or an entry point of
+the group ``tissueid.effects`` to another package.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.language import marked
 from tissueid.twin import bus
 
 Stage = Literal["drive", "coil", "mechanics", "tissue", "sensing", "environment"]
 STAGES: tuple[Stage, ...] = ("drive", "coil", "mechanics", "tissue", "sensing", "environment")
-"""In the order of the chain."""
+"""Stages in the order of the chain."""
 STAGE_NAMES: Mapping[Stage, str] = {
-    "drive": "amplifier",
-    "coil": "coil",
-    "mechanics": "moving part (mechanics)",
-    "tissue": "tissue",
-    "sensing": "sensors",
-    "environment": "surroundings",
+    "drive": marked("amplifier"),
+    "coil": marked("coil"),
+    "mechanics": marked("moving part (mechanics)"),
+    "tissue": marked("tissue"),
+    "sensing": marked("sensors"),
+    "environment": marked("surroundings"),
 }
-"""What people read for a stage."""
+"""Names of the stages for people."""
 
 FloatArray = NDArray[np.float64]
 Hook = Callable[[int, FloatArray, FloatArray, FloatArray, float], None]
@@ -35,7 +36,7 @@ Recording = Callable[["Readings", FloatArray], "Readings"]
 
 @dataclass(frozen=True)
 class Readings:
-    """What the recorder is given and what it keeps: arrays of shape (n,), SI, one number a sample."""
+    """Signals before or after the sensors: arrays of shape (n,), SI."""
 
     time: FloatArray
     voltage: FloatArray
@@ -46,15 +47,15 @@ class Readings:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect, with the range in which it is looked for.
+    """One parameter of an effect, with its bounds in a fit.
 
-    ``neutral`` is the value at which the effect vanishes (``inf`` where only a limit does); where several parameters
-    have a neutral value, any one at its own is enough, unless the effect says that they vanish ``jointly``. ``low``
-    and ``high`` bound the fit; ``logarithmic`` says that it is fitted by its logarithm, so both are then positive.
-    ``per_test`` says that every test has a value of its own (a phase, say). ``fixed`` says that it is not searched
-    for: it keeps the value that ``from_test`` or the start gives it, and costs a fit nothing. ``prior`` is the value
-    thought likeliest before seeing data and ``prior_std`` how far off it may be, in units of the fitted quantity (of
-    its natural logarithm where ``logarithmic``); None: no opinion in bounds.
+    ``neutral`` is the value at which the effect vanishes (``inf`` for a limit). Where several parameters have a neutral
+    value, one of them is sufficient, unless the effect vanishes ``jointly``. ``low`` and ``high`` are the bounds of the
+    fit. A ``logarithmic`` parameter is fitted by its logarithm, and its bounds are positive. A ``per_test`` parameter
+    has its own value in every test (for instance a phase). A ``fixed`` parameter is not fitted: it keeps the value of
+    ``estimate_from_record`` or of the start. ``prior`` is its most probable value before the data and ``prior_std`` the
+    standard deviation, in units of the fitted quantity (of its natural logarithm where ``logarithmic``); None: no
+    prior.
     """
 
     name: str
@@ -76,23 +77,23 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect that a recording may contain and the baseline twin does not model.
+    """One effect that a recording can contain and that the baseline twin does not model.
 
-    Either ``hook`` acts inside the integration at ``places`` (see ``tissueid.twin.bus``), or ``recording`` turns what
-    the sensors met into what was recorded, sample by sample, or both. ``starts`` are sets of parameters to begin a fit
-    at, in the order of ``parameters``; they differ where the error has more than one valley.
+    Either ``hook`` acts inside the integration at ``places`` (see ``tissueid.twin.bus``), or ``recording`` maps the
+    signals before the sensors to the recorded ones, or both. ``starts`` are starting points of a fit, each with a value
+    of every parameter; there are several where the cost has several minima.
 
     Raises:
-        ValueError: a declaration that cannot work.
+        ValueError: the declaration is not consistent.
     """
 
     name: str
     stage: Stage
     title: str
     equation: str
-    """With its neutral value, as a person reads it."""
+    """Equation with its neutral value, as text."""
     signature: str
-    """What it leaves in the records: in which signals, when, at what frequencies."""
+    """Trace in the records: in which signals, when, at what frequencies."""
     source: str
     parameters: tuple[Parameter, ...]
     starts: tuple[tuple[float, ...], ...]
@@ -101,44 +102,55 @@ class Effect:
     hook: Hook | None = None
     recording: Recording | None = None
     needs: frozenset[str] = frozenset({"position"})
-    """Recorded signals without which it cannot be told."""
-    from_test: Callable[[Mapping[str, FloatArray], float], Mapping[str, float]] | None = None
-    """Where the search for a ``per_test`` parameter starts, read from the test's signals and sample rate.
+    """Recorded signals that are needed to identify the effect."""
+    estimate_from_record: Callable[[Mapping[str, FloatArray], float], Mapping[str, float]] | None = None
+    """Return starting values of ``per_test`` parameters, estimated from the signals and the sample rate of a test.
 
-    The signals are ``command``, ``voltage``, ``current`` and ``position`` as recorded, NaN where nothing was, each of
-    shape (n,). Beside them may stand ``predicted_voltage``, ``predicted_current`` and ``predicted_position``, the
-    baseline's own after its refit: what is estimated is then the sharper for it."""
-    from_tests: Callable[[Sequence[Mapping[str, FloatArray]], float], Sequence[Mapping[str, float]]] | None = None
-    """The same for all tests in which it acts at once, where these have something in common (a rate of breathing)."""
-    read_again: bool = False
-    """Whether ``from_test`` is asked once more where a fit with the effect ended: what is predicted is then what the
-    rest of the chain makes of the test, without the effect."""
+    The signals are ``command``, ``voltage``, ``current`` and ``position`` as recorded, shape (n,), NaN where not
+    received. They can include ``predicted_voltage``, ``predicted_current`` and ``predicted_position`` of the refitted
+    baseline, which makes the estimates more precise.
+    """
+    estimate_from_records: (
+        Callable[[Sequence[Mapping[str, FloatArray]], float], Sequence[Mapping[str, float]]] | None
+    ) = None
+    """The same for all tests at once, for parameters that tests have in common, such as a rate of breathing."""
+    re_estimate: bool = False
+    """Whether ``estimate_from_record`` is repeated after a fit, with the prediction of the fit without the effect."""
     starts_from: Callable[[Sequence[Mapping[str, FloatArray]], float], tuple[tuple[float, ...], ...]] | None = None
-    """Further starts, found in the signals of all tests (as ``from_test`` has them) and their sample rate.
+    """Return further starting points, estimated from the signals of all tests and their sample rate.
 
-    What lies in narrow valleys (a period, a step) is read from the record so; none is found where there is nothing."""
+    For parameters with narrow minima, such as a period or a step.
+    """
     scan: tuple[tuple[float, ...], ...] = ()
-    """Points on a fine grid where the valleys are narrow (a resonance): the one that shows best becomes a start."""
+    """Starting points on a fine grid for narrow minima, such as a resonance: the best aligned one is used."""
     special_case_of: str = ""
-    """The effect that this one is a special case of; parameters of the same name mean the same in both."""
+    """Name of the effect that includes this one as a special case. Parameters of the same name have the same meaning.
+    """
     irreducible: Callable[[FloatArray], Mapping[str, float]] | None = None
-    """What stays unexplained however well the effect is known: a standard deviation by signal, from the parameters.
+    """Return the standard deviation by signal that the effect leaves at given parameters, however well it is known.
 
-    It comes besides the noise: a score that weighs errors by the noise alone would take it for a gap."""
+    It adds to the noise: otherwise a score would count it as a gap.
+    """
     jointly: bool = False
-    """Whether it vanishes only with all its parameters that have a neutral value at theirs, as two quadratures do."""
+    """Whether it vanishes only when all parameters with a neutral value have it, as two quadratures do."""
     exact: bool = False
-    """Whether its law has one form in every instrument: where it is the cause, little but noise is left.
+    """Whether its law is the same in every instrument, so that the residual of the true cause is close to noise.
 
-    Laws of materials differ from one to the next, and leave more."""
+    Laws of materials differ between specimens and leave more.
+    """
     switches: bool = False
-    """Whether something begins or ends at instants that its parameters move.
+    """Whether it contains events whose instants depend on its parameters.
 
-    A signal then has corners along a parameter, and slopes are taken over wider steps."""
+    A signal then has corners along a parameter, and derivatives are taken over wider steps.
+    """
     remedy: str = ""
-    """What a technician does about it, in one sentence."""
-    on_spring: bool = field(default=True)
-    """Whether it is there as well while the calibration spring or nothing is under the probe."""
+    """What a technician can do about it, in one sentence."""
+    on_spring: bool = True
+    """Whether it acts in tests on the calibration spring and in free air as well."""
+    models_lift_off: bool = False
+    """Whether it contains the end of contact. A simulation in real time then adds no one-sided contact of its own."""
+    in_laboratory: bool = True
+    """Whether the simulated laboratory of the blind check has an independent effect of the same name."""
 
     def __post_init__(self) -> None:
         if self.stage not in STAGES:
@@ -153,11 +165,17 @@ class Effect:
             raise ValueError(f"effect {self.name}: it neither hooks into the chain nor changes what is recorded")
 
     @property
+    def neutral(self) -> tuple[Mapping[str, float], ...]:
+        """Return the sets of parameter values with which it vanishes; one set where it vanishes ``jointly``."""
+        values = {item.name: item.neutral for item in self.parameters if item.neutral is not None}
+        return (values,) if self.jointly else tuple({name: value} for name, value in values.items())
+
+    @property
     def order(self) -> int:
-        """Number of parameters that a fit searches for; those that every test has for its own count once."""
+        """Number of fitted parameters; a parameter with a value for each test counts once."""
         return sum(not parameter.fixed for parameter in self.parameters)
 
 
-def kin(one: Effect, other: Effect) -> bool:
-    """Whether one of two effects is a special case of the other."""
+def nested(one: Effect, other: Effect) -> bool:
+    """Return whether one of two effects is a special case of the other."""
     return one.special_case_of == other.name or other.special_case_of == one.name

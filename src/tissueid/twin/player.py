@@ -1,4 +1,4 @@
-"""The chain played piece by piece, as an instrument plays a command: its state is kept from one piece to the next."""
+"""Simulation of the chain in pieces, as an instrument plays a command: the state continues from piece to piece."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.twin import bus
+from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.effect import Readings
-from tissueid.twin.figures import Instrument, Tissue
-from tissueid.twin.housing import HOUSING
-from tissueid.twin.simulation import Acting, Prepared, Start, prepared, run
+from tissueid.twin.end_bumpers import END_BUMPERS
+from tissueid.twin.simulation import ActiveEffect, Prepared, Start, prepared, run
 
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 20
-"""At 2 kHz one step is 25 us: what is played live need not be as quick as what is fitted."""
+"""Integration steps in a sample: 25 us each at 2 kHz. Speed matters less than in a fit."""
 REMEMBERED = 512
-"""Samples of the past that effects on the recorded numbers (filters, clocks) are given beside every piece."""
+"""Past samples that effects on the recorded numbers (filters, clocks) get with every piece."""
 
 
 class Player:
-    """The chain under way. Pieces of a command, however cut, give what the whole would give.
+    """A simulation in progress. Any division of a command into pieces gives the same result.
 
     Args:
-        instrument: figures of amplifier, coil and moving part.
-        tissue: what the probe meets.
-        start: where it starts.
-        acting: effects that act, at most four; the housing is the fifth.
+        instrument: parameters of amplifier, coil and moving part.
+        tissue: parameters of the tissue.
+        start: state at the start.
+        acting: effects, at most ``bus.MOST_EFFECTS``; the end bumpers are added.
         sample_rate_hz: samples a second.
         on_tissue: whether effects of the stage ``tissue`` take part.
         substeps: integration steps in a sample.
@@ -43,16 +43,15 @@ class Player:
         instrument: Instrument,
         tissue: Tissue,
         start: Start,
-        acting: Sequence[Acting] = (),
+        acting: Sequence[ActiveEffect] = (),
         *,
         sample_rate_hz: float,
         on_tissue: bool = True,
         substeps: int = SUBSTEPS,
     ) -> None:
-        # A twin that knows how the probe lifts off says itself what the tissue does then.
-        one_sided = all(item.effect.name != "contact_loss" for item in acting)
-        rubber = HOUSING.starts[0][:2]
-        self._acting = (*acting, Acting(HOUSING, np.array([*rubber, 1.0 if one_sided else 0.0])))
+        one_sided = not any(item.effect.models_lift_off for item in acting)
+        rubber = END_BUMPERS.starts[0][:2]
+        self._acting = (*acting, ActiveEffect(END_BUMPERS, np.array([*rubber, 1.0 if one_sided else 0.0])))
         self._instrument, self._tissue = instrument, tissue
         self._rate, self._substeps, self._on_tissue = sample_rate_hz, substeps, on_tissue
         self._prepared: Prepared = prepared(self._acting, on_tissue)
@@ -61,19 +60,19 @@ class Player:
         self._past = np.empty((3, 0))
 
     @property
-    def where(self) -> Start:
-        """Where it stands now."""
+    def state(self) -> Start:
+        """The present current, position and velocity."""
         return Start(float(self._state[0]), float(self._state[1]), float(self._state[2]))
 
-    def meet(self, surface_m: float) -> None:
-        """From now on the tissue begins there, m."""
+    def set_surface(self, surface_m: float) -> None:
+        """Set where the tissue begins from now on, m."""
         self._tissue = replace(self._tissue, surface_m=surface_m)
 
-    def vary(self, tissue: Tissue, acting: Sequence[Acting]) -> None:
-        """Go on with other figures of the tissue, whose surface stays where it is, and of the same effects.
+    def set_parameters(self, tissue: Tissue, acting: Sequence[ActiveEffect]) -> None:
+        """Continue with other parameters of the tissue, at the same surface, and of the same effects.
 
         Raises:
-            ValueError: other effects than those that act.
+            ValueError: other effects than those in use.
         """
         if [item.effect for item in acting] != [item.effect for item in self._acting[:-1]]:
             raise ValueError("only the parameters of effects change under way, not which effects act")
@@ -83,7 +82,7 @@ class Player:
             self._prepared.parameters[k, : item.values.size] = item.values
 
     def play(self, command_v: FloatArray) -> FloatArray:
-        """Voltage (V), current (A) and position (m) at the end of each sample of a command, shape (3, n)."""
+        """Return voltage (V), current (A) and position (m) at the end of each sample of a command, shape (3, n)."""
         command = np.ascontiguousarray(command_v, np.float64)
         self._prepared.states[bus.SLOTS, bus.SAMPLE] = self._samples
         out = run(self._prepared, command, self._instrument, self._tissue, self._rate, self._substeps, self._state)

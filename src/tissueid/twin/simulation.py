@@ -1,4 +1,4 @@
-"""Playing commands through the chain, with any effects in it, from simulated or from measured upstream signals."""
+"""Simulation of commands through the chain, with effects, from simulated or measured upstream signals."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from numba.core.errors import NumbaExperimentalFeatureWarning
 from numpy.typing import NDArray
 
 from tissueid.twin import _kernel, bus
+from tissueid.twin.chain_parameters import Instrument, Tissue
 from tissueid.twin.effect import Effect, Hook, Readings
-from tissueid.twin.figures import Instrument, Tissue
 
-# Functions as arguments are marked experimental; their use here is covered by tests of every effect. For good, since
-# filters are shared by all threads.
+# Numba marks functions as arguments as experimental; tests of every effect cover this use. The filter is permanent,
+# because filters are shared by all threads.
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
 SUBSTEPS = 5
-"""At 2 kHz one step is 0.1 ms; half of it changes free-run signals by less than 0.02 % of their deviation."""
+"""Integration steps in a sample: 0.1 ms each at 2 kHz. Half of it changes free-run signals by less than 0.02 % of their
+standard deviation."""
 
 _NUMBERS = numba.types.CPointer(numba.types.float64)
 _HOOK = numba.types.void(numba.types.int64, _NUMBERS, _NUMBERS, _NUMBERS, numba.types.float64)
@@ -30,7 +31,7 @@ _HOOK = numba.types.void(numba.types.int64, _NUMBERS, _NUMBERS, _NUMBERS, numba.
 
 @dataclass(frozen=True)
 class Start:
-    """Where a test starts: coil current (A), position (m), velocity (m/s)."""
+    """State at the start of a test: coil current (A), position (m), velocity (m/s)."""
 
     current_a: float
     position_m: float
@@ -38,8 +39,8 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Acting:
-    """An effect with its parameters, shape (parameters,), SI, in the order of their declaration."""
+class ActiveEffect:
+    """An effect with the values of its parameters, shape (parameters,), SI, in the order of their declaration."""
 
     effect: Effect
     values: NDArray[np.float64]
@@ -52,11 +53,10 @@ class Acting:
 
 
 @dataclass(frozen=True)
-class Given:
-    """Measured signals that take the place of simulated ones, each of shape (n,), SI, without gaps.
+class MeasuredSignals:
+    """Measured signals that replace simulated ones, each of shape (n,), SI, without gaps.
 
-    With ``voltage`` the amplifier is left out, with ``current`` the coil, with ``position`` and ``velocity`` (both)
-    what moves.
+    ``voltage`` replaces the amplifier, ``current`` the coil, and ``position`` with ``velocity`` the moving part.
     """
 
     voltage: NDArray[np.float64] | None = None
@@ -65,12 +65,12 @@ class Given:
     velocity: NDArray[np.float64] | None = None
 
 
-NOTHING_GIVEN = Given()
+NOTHING_MEASURED = MeasuredSignals()
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a simulation gives: readings, and the velocity of the probe (m/s), all of shape (n,)."""
+    """Result of a simulation: readings, and the velocity of the probe (m/s), all of shape (n,)."""
 
     readings: Readings
     velocity: NDArray[np.float64] = field(repr=False)
@@ -82,27 +82,27 @@ def simulate(
     instrument: Instrument,
     tissue: Tissue,
     start: Start,
-    acting: Sequence[Acting] = (),
+    acting: Sequence[ActiveEffect] = (),
     *,
-    given: Given = NOTHING_GIVEN,
+    given: MeasuredSignals = NOTHING_MEASURED,
     on_tissue: bool = True,
     substeps: int = SUBSTEPS,
 ) -> Simulated:
-    """Run the chain through a command, shape (n,), V, held over each sample; readings are those at its end.
+    """Simulate a command, shape (n,), V, held over each sample; readings are those at the end of each sample.
 
     Args:
-        command_v: what the host asked for.
+        command_v: the command of the host.
         sample_rate_hz: samples a second.
-        instrument: figures of amplifier, coil and moving part.
-        tissue: what the probe meets; ``figures.spring`` and ``figures.nothing`` make others of it.
-        start: where it starts.
-        acting: effects that act, at most five.
-        given: measured signals in place of simulated ones.
+        instrument: parameters of amplifier, coil and moving part.
+        tissue: parameters of the tissue, or ``chain_parameters.spring`` or ``nothing``.
+        start: state at the start.
+        acting: effects, at most ``bus.SLOTS``.
+        given: measured signals that replace simulated ones.
         on_tissue: whether effects of the stage ``tissue`` take part; False on the calibration spring and in free air.
         substeps: integration steps in a sample.
 
     Raises:
-        ValueError: more than five effects, or arrays that do not fit each other.
+        ValueError: too many effects, or arrays of different lengths.
     """
     met = simulated_motion(
         command_v,
@@ -124,13 +124,13 @@ def simulated_motion(
     instrument: Instrument,
     tissue: Tissue,
     start: Start,
-    acting: Sequence[Acting] = (),
+    acting: Sequence[ActiveEffect] = (),
     *,
-    given: Given = NOTHING_GIVEN,
+    given: MeasuredSignals = NOTHING_MEASURED,
     on_tissue: bool = True,
     substeps: int = SUBSTEPS,
 ) -> Simulated:
-    """What the sensors meet: as ``simulate``, before effects on the recorded numbers."""
+    """Simulate as ``simulate``, without effects on the recorded numbers."""
     command = np.ascontiguousarray(command_v, np.float64)
     state = np.array([start.current_a, start.position_m, start.velocity_m_s, 0.0])
     out = run(prepared(acting, on_tissue), command, instrument, tissue, sample_rate_hz, substeps, state, given)
@@ -138,8 +138,8 @@ def simulated_motion(
     return Simulated(Readings(times, out[0], out[1], out[2], sample_rate_hz), out[3])
 
 
-def recorded(met: Readings, acting: Sequence[Acting], on_tissue: bool = True) -> Readings:
-    """What is recorded of what the sensors met."""
+def recorded(met: Readings, acting: Sequence[ActiveEffect], on_tissue: bool = True) -> Readings:
+    """Apply effects on the recorded numbers."""
     readings = met
     for item in acting:
         if item.effect.recording is not None and (on_tissue or item.effect.on_spring):
@@ -149,7 +149,7 @@ def recorded(met: Readings, acting: Sequence[Acting], on_tissue: bool = True) ->
 
 @dataclass(frozen=True)
 class Prepared:
-    """Effects as the compiled loop takes them; ``states`` is what they keep from step to step, and the bus."""
+    """Effects in the form of the compiled loop. ``states`` holds their states and the bus."""
 
     hooks: tuple[Any, ...]
     places: NDArray[np.bool_]
@@ -157,11 +157,11 @@ class Prepared:
     states: NDArray[np.float64]
 
 
-def prepared(acting: Sequence[Acting], on_tissue: bool) -> Prepared:
-    """Effects ready to run, at the start of a test.
+def prepared(acting: Sequence[ActiveEffect], on_tissue: bool) -> Prepared:
+    """Return effects in the form of the compiled loop, at the start of a test.
 
     Raises:
-        ValueError: more than five effects.
+        ValueError: too many effects.
     """
     if len(acting) > bus.SLOTS:
         raise ValueError(f"at most {bus.SLOTS} effects act at once, not {len(acting)}")
@@ -184,11 +184,11 @@ def run(
     sample_rate_hz: float,
     substeps: int,
     state: NDArray[np.float64],
-    given: Given = NOTHING_GIVEN,
+    given: MeasuredSignals = NOTHING_MEASURED,
 ) -> NDArray[np.float64]:
-    """One piece of a command, shape (n,): voltage, current, position and velocity, shape (4, n).
+    """Simulate one piece of a command, shape (n,): voltage, current, position and velocity, shape (4, n).
 
-    ``state``, shape (4,), and the effects' own are where it goes on from, and are left where it ends.
+    ``state``, shape (4,), and the states of the effects are updated in place.
     """
     size = command.size
     measured = np.zeros((4, size if _any(given) else 1))
@@ -215,30 +215,30 @@ def run(
     return out
 
 
-def _any(given: Given) -> bool:
+def _any(given: MeasuredSignals) -> bool:
     return given.voltage is not None or given.current is not None or given.position is not None
 
 
-def _takes_part(item: Acting, on_tissue: bool) -> bool:
+def _takes_part(item: ActiveEffect, on_tissue: bool) -> bool:
     effect = item.effect
     return effect.hook is not None and (on_tissue or (effect.stage != "tissue" and effect.on_spring))
 
 
 def _idle(where: int, bus: Any, p: Any, s: Any, dt: float) -> None:
-    """Stands where no effect does."""
+    """Do nothing: fills unused places for effects."""
 
 
 @lru_cache(maxsize=256)
 def compiled(hook: Hook) -> Any:
-    """The hook as compiled code behind a plain address, so that one compiled loop serves every effect."""
+    """Return the hook compiled to a C function, so that one compiled loop serves every effect."""
     return numba.cfunc(_HOOK, cache=True)(hook)
 
 
 def values_by_name(effect: Effect, values: Mapping[str, float]) -> NDArray[np.float64]:
-    """Parameters in the order of their declaration from a mapping of names.
+    """Return parameters in the order of their declaration from a mapping by name.
 
     Raises:
-        ValueError: one is missing or unknown.
+        ValueError: a parameter is missing or unknown.
     """
     names = [parameter.name for parameter in effect.parameters]
     if set(names) != set(values):

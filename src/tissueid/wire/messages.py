@@ -62,7 +62,7 @@ class Result(IntEnum):
 
 
 class Fault(IntFlag):
-    """Latched causes of a release. They stay until CLEAR_FAULTS, and the test must be armed anew."""
+    """Latched causes of a release. They stay until CLEAR_FAULTS, and the test must be armed again."""
 
     NONE = 0
     WATCHDOG = 1

@@ -9,12 +9,12 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import QCoreApplication, QEvent, QPoint, QSettings, Qt
 from PySide6.QtWidgets import QMainWindow
 
+from tissueid.app.context import AppContext
 from tissueid.app.jobs import Jobs
-from tissueid.app.surroundings import Surroundings
+from tissueid.app.services import AppServices
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.session_model import SITE
 from tissueid.app.views.researcher.view import ResearchView
-from tissueid.app.views.view import Desk
 from tissueid.device import DeviceDescription
 from tissueid.sessions import Session, Subject, Test, write_session
 from tissueid.sessions.quality import NOTE
@@ -69,23 +69,23 @@ class Host(QMainWindow):
         self.jobs = Jobs(self)
         self.settings = QSettings(str(ini), QSettings.Format.IniFormat)
         self.said, self.opened = [], []
-        around = Surroundings(folder=folder)
+        services = AppServices(folder=folder)
         none = [lambda *_: None] * 2
-        desk = Desk(
-            around, self.jobs, self.settings, self.say, lambda: "researcher", none[0], self.opened.append, *none
+        context = AppContext(
+            services, self.jobs, self.settings, self.say, lambda: "researcher", none[0], self.opened.append, *none
         )
-        self.view = ResearchView(desk)
-        self.jobs.changed.connect(self.settle)
-        self.view.paint_with(LIGHT)
+        self.view = ResearchView(context)
+        self.jobs.changed.connect(self.update_enabled)
+        self.view.apply_theme(LIGHT)
         self.setCentralWidget(self.view)
         self.resize(1000, 580)
-        self.settle()
+        self.update_enabled()
 
     def say(self, text, *, problem=False):
         self.said.append(text)
 
-    def settle(self):
-        self.view.settle(busy=bool(self.jobs), testing=False)
+    def update_enabled(self):
+        self.view.update_enabled(busy=bool(self.jobs), testing=False)
 
     def start(self):
         self.view.enter()

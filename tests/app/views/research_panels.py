@@ -1,4 +1,4 @@
-"""The panel of analyses on a desk of its own, and an engine that takes its time, for the tests of both."""
+"""The panel of analyses on a context of its own, and an engine that takes its time, for the tests of both."""
 
 import dataclasses
 import threading
@@ -11,14 +11,14 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.context import AppContext
 from tissueid.app.jobs import Jobs
-from tissueid.app.surroundings import Surroundings
+from tissueid.app.services import AppServices
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher import batch
 from tissueid.app.views.researcher.analysis import AnalysisPanel
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.history import History
-from tissueid.app.views.view import Desk
+from tissueid.app.views.researcher.analysis_history import AnalysisHistory
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.sessions import read_session, write_session
 
 
@@ -39,12 +39,12 @@ def strip():
 
 @pytest.fixture
 def history(tmp_path):
-    return History(tmp_path / "data" / "analyses.jsonl")
+    return AnalysisHistory(tmp_path / "data" / "analyses.jsonl")
 
 
 @pytest.fixture
 def open_panel(qtbot, tmp_path, strip, history):
-    """Opens panels on a desk of their own; each is settled as the window would, and its work is waited for."""
+    """Opens panels on a context of their own; each is settled as the window would, and its work is waited for."""
     opened = []
 
     def make():
@@ -53,11 +53,11 @@ def open_panel(qtbot, tmp_path, strip, history):
         jobs = Jobs(home)
         settings = QSettings(str(tmp_path / "panel.ini"), QSettings.Format.IniFormat)
         nothing = lambda *_: None  # noqa: E731
-        around = Surroundings(folder=tmp_path)
-        desk = Desk(around, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
-        panel = AnalysisPanel(desk, home, history=history)
-        jobs.changed.connect(lambda: panel.settle(busy=bool(jobs), testing=False))
-        panel.paint_with(LIGHT)
+        services = AppServices(folder=tmp_path)
+        context = AppContext(services, jobs, settings, strip, lambda: "researcher", nothing, nothing, nothing, nothing)
+        panel = AnalysisPanel(context, home, history=history)
+        jobs.changed.connect(lambda: panel.update_enabled(busy=bool(jobs), testing=False))
+        panel.apply_theme(LIGHT)
         home.resize(700, 560)
         panel.resize(700, 560)
         home.show()
@@ -76,7 +76,7 @@ def panel(open_panel):
 
 
 def wait(qtbot, panel):
-    qtbot.waitUntil(lambda: not panel.desk.jobs, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: not panel.context.jobs, timeout=WAIT_MS)
 
 
 def press(qtbot, widget):
@@ -84,7 +84,7 @@ def press(qtbot, widget):
 
 
 def chosen_of(path, subject="P-001", number=1):
-    return Chosen(path, number, "left calf", subject, f"{subject} #{number}")
+    return SelectedTest(path, number, "left calf", subject, f"{subject} #{number}")
 
 
 @pytest.fixture

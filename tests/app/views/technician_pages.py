@@ -52,8 +52,10 @@ def page(qtbot, open_window, calibrations, audit_file):
     """Opens the window on the page, and waits until what it reads by itself is read."""
 
     def make(tab=HEALTH, **changes):
-        around = dict(first_page="instrument", role="technician", calibrations=calibrations, audit=AuditLog(audit_file))
-        window = open_window(**(around | changes))
+        services = dict(
+            first_page="instrument", role="technician", calibrations=calibrations, audit=AuditLog(audit_file)
+        )
+        window = open_window(**(services | changes))
         view = next(view for view in window.pages.views if view.name == "instrument")
         view.window_ = window
         rest(qtbot, view)

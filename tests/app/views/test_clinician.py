@@ -8,7 +8,7 @@ from app.benches import WAIT_MS
 from PySide6.QtCore import Qt
 
 from tissueid.acquisition import Phase
-from tissueid.app.live import Glance
+from tissueid.app.live_signals import Snapshot
 from tissueid.app.plan import SITES
 from tissueid.app.safety import Safety
 from tissueid.app.views.clinician.body import HEIGHT, SPOTS, WIDTH, outline
@@ -129,23 +129,23 @@ def test_a_free_probe_tells_how_it_stands(samples, said):
     assert contact_of_free(samples, DeviceDescription()) is said
 
 
-def glance(phase, position_m, contact=None):
+def snapshot(phase, position_m, contact=None):
     time_s = np.arange(600) / 2000.0
-    return Glance(time_s, 0 * time_s, 0 * time_s + position_m, phase, 0.5, Safety(CLINICAL, contact=contact))
+    return Snapshot(time_s, 0 * time_s, 0 * time_s + position_m, phase, 0.5, Safety(CLINICAL, contact=contact))
 
 
 @pytest.mark.parametrize(
     ("seen", "said"),
     [
-        (glance(None, 0.01), Contact.FINDING),
-        (glance(Phase.PLACE, 0.010), Contact.ON),
-        (glance(Phase.PLACE, 0.0319), Contact.OFF),
-        (glance(Phase.PLACE, 0.0002), Contact.TOO_FAR),
-        (glance(Phase.STIMULUS, 0.010), Contact.FINDING),
-        (glance(Phase.STIMULUS, 0.012, True), Contact.ON),
-        (glance(Phase.STIMULUS, 0.012, False), Contact.OFF),
-        (glance(Phase.STIMULUS, 0.0314, True), Contact.TOO_DEEP),
-        (glance(Phase.RELEASE, 0.012, True), Contact.UNWATCHED),
+        (snapshot(None, 0.01), Contact.FINDING),
+        (snapshot(Phase.PLACE, 0.010), Contact.ON),
+        (snapshot(Phase.PLACE, 0.0319), Contact.OFF),
+        (snapshot(Phase.PLACE, 0.0002), Contact.TOO_FAR),
+        (snapshot(Phase.STIMULUS, 0.010), Contact.FINDING),
+        (snapshot(Phase.STIMULUS, 0.012, True), Contact.ON),
+        (snapshot(Phase.STIMULUS, 0.012, False), Contact.OFF),
+        (snapshot(Phase.STIMULUS, 0.0314, True), Contact.TOO_DEEP),
+        (snapshot(Phase.RELEASE, 0.012, True), Contact.UNWATCHED),
     ],
 )
 def test_the_light_follows_a_test(seen, said):

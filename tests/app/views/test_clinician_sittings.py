@@ -43,6 +43,17 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     assert len({test.notes["sitting"] for test in tests}) == 1
     assert sorted(test.notes["repeat"] for test in tests) == [1.0, 2.0]
     assert ui.result.summary.cells["mass_kg"][1].text().endswith(" g")
+    tile = next(tile for tile in ui.result._tiles if tile._number.quantity == "mass_kg")
+    own = tile._number
+    press(qtbot, bar.accept)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    mean = window.clinician.sitting.result.values["mass_kg"]
+    assert tile._number.found == Estimate(mean.mean, mean.std)
+    assert tile._note.text() == "accepted: mean of 2 tests"
+    assert f"{tile._value.text()} {tile._rest.text()}" == ui.result.summary.cells["mass_kg"][1].text()
+    press(qtbot, bar.undo)
+    qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
+    assert tile._number is own
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bar.repeat.isHidden()
@@ -55,7 +66,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
 def _logged(window):
     from types import SimpleNamespace
 
-    path = window.around.audit.path
+    path = window.services.audit.path
     return [SimpleNamespace(what=what) for what in ("sitting.accepted",) if what in path.read_text(encoding="utf-8")]
 
 

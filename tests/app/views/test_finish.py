@@ -10,11 +10,11 @@ from tissueid.app.units import shown_si
 from tissueid.app.views.clinician.finishing import finish
 from tissueid.audit import AuditError
 from tissueid.errors import LinkLostError
+from tissueid.formatting import display_unit, label_and_unit, plus_minus
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
 from tissueid.reports import pdf
-from tissueid.sessions.accepted import read_result
-from tissueid.wording import named_unit, people_unit, plus_minus
+from tissueid.sessions.accepted_result import read_result
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -67,7 +67,7 @@ def settle(qtbot, window):
 
 
 def entries(window, what):
-    lines = [json.loads(line) for line in window.around.audit.path.read_text(encoding="utf-8").splitlines()]
+    lines = [json.loads(line) for line in window.services.audit.path.read_text(encoding="utf-8").splitlines()]
     return [line for line in lines if line["what"] == what]
 
 
@@ -96,8 +96,8 @@ def check_agreement(qtbot, window, papers, folder, files):
     by_name = {row[0]: row[1] for row in rows}
     assert set(result.values) == {"mass_kg", "damping_n_s_per_m", "stiffness_n_per_m"}
     for quantity, value in result.values.items():
-        name, si_unit = named_unit(quantity)
-        for shown, unit_for in ((by_name[name], people_unit), (summary.cells[quantity][1].text(), shown_si)):
+        name, si_unit = label_and_unit(quantity)
+        for shown, unit_for in ((by_name[name], display_unit), (summary.cells[quantity][1].text(), shown_si)):
             unit, scale = unit_for(si_unit)
             assert shown == f"{plus_minus(Estimate(value.mean, value.std), scale)} {unit}"
     assert session.session_id.encode() in path.read_bytes()  # the shell knows by it whose report it is

@@ -8,15 +8,16 @@ from html import escape
 
 import numpy as np
 import pytest
+from coded import says
 from gap_records import observed, recorded
 
+from tissueid.app.views.gap.page_content_builder import page_content_of
 from tissueid.app.views.gap.result_page import ResultPage
-from tissueid.app.views.gap.story import story_of
-from tissueid.cli.gap_diagnosis import in_words
+from tissueid.cli.gap_diagnosis import summary_lines
 from tissueid.gap.diagnosis import Diagnosis, diagnose
-from tissueid.gap.named import believing, twin_of
-from tissueid.gap.statement import LIKELY, headline_of, judged_alone, listed, members_of
-from tissueid.gap.workers import Alone
+from tissueid.gap.statement import LIKELY, headline_of, judged_alone, members_of, ordered_candidates
+from tissueid.gap.twin_export import twin_of, with_prior_twin
+from tissueid.gap.workers import SerialExecutor
 from tissueid.reports.gap import gap_html
 from tissueid.reports.gap_panels import gap_panels
 from tissueid.twin.effect import STAGE_NAMES
@@ -27,15 +28,15 @@ SAMPLES, SEED = 3000, 3
 
 @cache
 def diagnosis() -> Diagnosis:
-    return diagnose(observed(EFFECT, SEED, SAMPLES), Alone(), candidates=[EFFECT, RIVAL])
+    return diagnose(observed(EFFECT, SEED, SAMPLES), SerialExecutor(), candidates=[EFFECT, RIVAL])
 
 
 @cache
 def with_twin() -> Diagnosis:
     best = diagnosis().best
     assert best is not None
-    tests = believing(observed(EFFECT, SEED, SAMPLES), twin_of(best, "accepted"))
-    return diagnose(tests, Alone(), known=[EFFECT], candidates=[RIVAL])
+    tests = with_prior_twin(observed(EFFECT, SEED, SAMPLES), twin_of(best, "accepted"))
+    return diagnose(tests, SerialExecutor(), known=[EFFECT], candidates=[RIVAL])
 
 
 def synthetic(case: str) -> Diagnosis:
@@ -48,7 +49,7 @@ def synthetic(case: str) -> Diagnosis:
         return replace(found, ranking=ranking)
     if case == "pair":
         odds = {PARTNER: ((PARTNER, 0.95), (RIVAL, 0.04))}
-        return replace(found, combination=(EFFECT, PARTNER), beside=odds)
+        return replace(found, combination=(EFFECT, PARTNER), conditional_odds=odds)
     if case == "no gap":
         return replace(found, verdict="no_gap", combination=())
     if case == "unexplained":
@@ -65,7 +66,7 @@ CASES = ("sure", "doubtful", "pair", "no gap", "unexplained", "nowhere", "twin")
 @pytest.mark.parametrize("case", CASES)
 def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     found = synthetic(case)
-    story = story_of(found, recorded(EFFECT, SEED, SAMPLES))
+    story = page_content_of(found, recorded(EFFECT, SEED, SAMPLES))
     page = ResultPage()
     qtbot.addWidget(page)
     page.show_story(story)
@@ -78,10 +79,13 @@ def test_page_chain_tabs_report_and_shell_agree(qtbot, case):
     assert f'class="verdict {level}"' in html
     alternative = next(panel for panel in gap_panels(found) if panel.key == "chain").alt
     assert alternative.endswith(f"at fault: {', '.join(STAGE_NAMES[stage] for stage in found.at_fault) or 'none'}.")
-    shell = in_words(found)
+    shell = summary_lines(found)
     assert shell[0] == f"{headline}."
-    assert any(line.startswith("It lies in the stage") for line in shell) == bool(found.at_fault)
-    assert page.which.table.rowCount() == len(listed(found)) == len(story.ranking)
+    stages = " and ".join(STAGE_NAMES[stage] for stage in found.at_fault)
+    assert [line for line in shell if line.startswith("Stage at fault")] == (
+        [f"Stage at fault: {stages}."] if stages else []
+    )
+    assert page.which.table.rowCount() == len(ordered_candidates(found)) == len(story.ranking)
     if found.verdict != "no_gap":
         return
     assert level == "good"
@@ -114,7 +118,7 @@ def test_rivals_close_to_the_named_effect_stand_in_the_headline_and_lower_the_le
 
 def test_every_member_of_a_combination_is_listed_first_with_its_odds():
     found = synthetic("pair")
-    rows = listed(found)
+    rows = ordered_candidates(found)
     assert [item.effect for item in rows[:2]] == [EFFECT, PARTNER]
     assert rows[1].probability == 0.95
     assert rows[1].stage == "drive"
@@ -129,8 +133,8 @@ def test_odds_of_the_leading_member_of_a_combination_are_said_to_be_those_of_a_s
     leading, partner = headline.split("; ")
     assert " % as a single cause)" in leading
     assert partner.endswith("(95 %)")
-    odds = [item.odds for item in story_of(found, recorded(EFFECT, SEED, SAMPLES)).ranking[:2]]
-    assert odds[0].endswith(" % alone")
+    odds = [item.odds for item in page_content_of(found, recorded(EFFECT, SEED, SAMPLES)).ranking[:2]]
+    assert says(odds[0], "gap.probability_alone")
     assert odds[1] == "95 %"
     assert "single cause" not in headline_of(synthetic("sure"))[0]
 
@@ -139,4 +143,4 @@ def test_where_nothing_is_named_the_list_is_ordered_by_what_is_closed():
     found = synthetic("unexplained")
     first, second = found.ranking[0], found.ranking[1]
     ranking = (replace(first, closed=0.1), replace(second, closed=0.4), replace(first, effect=PARTNER, closed=np.nan))
-    assert [item.closed for item in listed(replace(found, ranking=ranking))[:2]] == [0.4, 0.1]
+    assert [item.closed for item in ordered_candidates(replace(found, ranking=ranking))[:2]] == [0.4, 0.1]

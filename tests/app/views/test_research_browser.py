@@ -10,7 +10,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit, QPushButton, QSpinBox
 
 from tissueid.app.theme import LIGHT
-from tissueid.app.views.researcher.errand import Errand
+from tissueid.app.views.researcher.background_work import BackgroundWork
 from tissueid.app.views.researcher.session_model import QUALITY
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -41,7 +41,7 @@ def test_search_and_filters_narrow_the_list_down(qtbot, opened):
     assert listed(view) == []
     qtbot.mouseClick(bar.clear, Qt.MouseButton.LeftButton)
     assert len(listed(view)) == 4
-    assert [bar.subject.itemText(place) for place in range(4)] == ["All subjects", "P-1", "P-2", "P-3"]
+    assert [bar.subject.itemText(place) for place in range(4)] == ["Subject", "P-1", "P-2", "P-3"]
     bar.site.setFocus()
     qtbot.keyClick(bar.site, Qt.Key.Key_Down)
     assert bar.site.currentText() == "left forearm"
@@ -90,7 +90,7 @@ def test_a_new_session_is_heard_of_and_a_vanished_one_goes(qtbot, opened, tmp_pa
     assert listed(view) == []
     assert window.said == []
     path = save(tmp_path / "new.h5")
-    view.heard_of(path)
+    view.on_session_saved(path)
     qtbot.waitUntil(lambda: listed(view) == ["new.h5"] and not window.jobs, timeout=WAIT_MS)
     path.unlink()
     save(tmp_path / "newer.h5")
@@ -121,11 +121,12 @@ class Held:
     """Reading of outlines that waits before its second file until it is let go."""
 
     def __init__(self, monkeypatch):
-        from tissueid.app.views.researcher import index
 
-        self.read, self.count = index.read_outline, 0
+        from tissueid.app.views.researcher import session_search
+
+        self.read, self.count = session_search.read_outline, 0
         self.reached, self.go = threading.Event(), threading.Event()
-        monkeypatch.setattr(index, "read_outline", self)
+        monkeypatch.setattr(session_search, "read_outline", self)
 
     def __call__(self, path):
         self.count += 1
@@ -186,10 +187,10 @@ def test_rubbish_settings_are_passed_over(opened, tmp_path):
 
 def test_nothing_works_beside_a_running_test(opened):
     _, view = opened()
-    view.settle(busy=True, testing=True)
+    view.update_enabled(busy=True, testing=True)
     for part in (view.browser.tree, view.browser.folders, view.export, view.signals.save, view.signals.low):
         assert not part.isEnabled()
-    view.settle(busy=False, testing=False)
+    view.update_enabled(busy=False, testing=False)
     assert view.browser.tree.isEnabled()
 
 
@@ -244,9 +245,9 @@ def test_columns_without_room_are_folded_so_that_the_list_needs_no_sideways_scro
 
 def test_cancel_of_a_search_stays_within_the_strip_whatever_it_is_called(opened):
     _window, view = opened()
-    view.strip.watch(Errand("looking for sessions in a folder of a very long name " * 3))
+    view.strip.watch(BackgroundWork("looking for sessions in a folder of a very long name " * 3))
     stop = view.strip.stop
     assert stop.geometry().right() <= view.strip.width()
     assert view.strip.mapTo(view.tabs, stop.geometry().topRight()).x() <= view.tabs.width()
     assert stop.width() >= stop.sizeHint().width()
-    view.strip.rest()
+    view.strip.clear()

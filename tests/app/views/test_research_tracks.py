@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tissueid.app.theme import LIGHT
-from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.plot_stack import PlotStack
-from tissueid.app.views.researcher.reading import Channel, Loaded
-from tissueid.app.views.researcher.track import Track
+from tissueid.app.views.researcher.recorded_signal import RecordedSignal
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
 
 RATE = 2000.0
 
@@ -24,7 +24,7 @@ def values():
 
 @pytest.mark.parametrize(("first", "last"), [(0, 20_000), (3, 90), (255, 257), (256, 512), (100, 19_999), (650, 1600)])
 def test_a_stretch_is_what_its_samples_are(values, first, last):
-    found = Track(values, RATE).stretch(first / RATE, last / RATE)
+    found = RecordedSignal(values, RATE).stretch(first / RATE, last / RATE)
     known = values[first:last][np.isfinite(values[first:last])]
     assert found.samples == known.size
     assert found.lost == last - first - known.size
@@ -33,7 +33,7 @@ def test_a_stretch_is_what_its_samples_are(values, first, last):
 
 
 def test_nothing_is_known_of_an_empty_stretch():
-    track = Track(np.full(600, np.inf), RATE)
+    track = RecordedSignal(np.full(600, np.inf), RATE)
     assert np.isnan(track.stretch(0.1, 0.2).mean)
     assert track.stretch(0.2, 0.1).samples == 0
     assert track.spectrum(0.0, 0.3)[0].size == 0
@@ -42,7 +42,7 @@ def test_nothing_is_known_of_an_empty_stretch():
 @pytest.mark.parametrize("samples", [1400, 60_000, 900_001])
 def test_an_outline_reaches_from_the_least_to_the_greatest(samples):
     values = np.random.default_rng(3).normal(size=samples)
-    times, drawn = Track(values, RATE).outline(0.0, samples / RATE, 500)
+    times, drawn = RecordedSignal(values, RATE).outline(0.0, samples / RATE, 500)
     assert times.size == drawn.size <= 1400
     assert (drawn.min(), drawn.max()) == (values.min(), values.max())
 
@@ -50,7 +50,7 @@ def test_an_outline_reaches_from_the_least_to_the_greatest(samples):
 @pytest.mark.parametrize("samples", [4000, 400_000])
 def test_white_noise_has_a_flat_spectrum_whose_integral_is_its_variance(samples):
     values = np.random.default_rng(5).normal(0.0, 2.0, samples)
-    frequency, density = Track(values, RATE).spectrum(0.0, samples / RATE)
+    frequency, density = RecordedSignal(values, RATE).spectrum(0.0, samples / RATE)
     assert density.mean() * RATE / 2 == pytest.approx(4.0, rel=0.1)
     assert frequency[-1] == RATE / 2
 
@@ -58,12 +58,12 @@ def test_white_noise_has_a_flat_spectrum_whose_integral_is_its_variance(samples)
 def test_twenty_thousand_points_on_three_plots_are_drawn_thirty_times_a_second(qtbot):
     rng = np.random.default_rng(6)
     channels = [Channel("voltage", "V"), Channel("force", "N"), Channel("position", "m")]
-    tracks = {channel: Track(rng.normal(size=20_000), RATE) for channel in channels}
+    tracks = {channel: RecordedSignal(rng.normal(size=20_000), RATE) for channel in channels}
     stack = PlotStack()
     qtbot.addWidget(stack)
-    stack.paint_with(LIGHT)
+    stack.apply_theme(LIGHT)
     stack.resize(900, 560)
-    stack.show_tests([Loaded(Chosen(Path("x"), 1, "", "", "x"), 0.5, tracks)], channels)
+    stack.show_tests([LoadedTest(SelectedTest(Path("x"), 1, "", "", "x"), 0.5, tracks)], channels)
     stack.show()
     taken = []
     for step in range(12):

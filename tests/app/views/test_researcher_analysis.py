@@ -8,6 +8,7 @@ from itertools import pairwise
 import pytest
 from app.benches import WAIT_MS
 from app.views.research_panels import answer, choose, press, run, wait
+from coded import coded
 from PySide6.QtCore import QByteArray, QCoreApplication, QPoint, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtSvg import QSvgRenderer
@@ -19,7 +20,7 @@ from PySide6.QtWidgets import (
     QTableView,
 )
 
-from tissueid.app.views.researcher.state import STATE, recall
+from tissueid.app.views.researcher.panel_state import STATE, restore_state
 from tissueid.errors import UnusableInputError
 from tissueid.identification import engine_names, get_engine
 
@@ -90,10 +91,12 @@ def test_what_cannot_be_is_said_in_words_and_not_run(qtbot, panel, strip, two):
     line.setFocus()
     qtbot.keyClicks(line, "12, moon")
     qtbot.keyClick(line, Qt.Key.Key_Return)
-    assert "give numbers with commas" in panel.form.problem.text()
+    with pytest.raises(UnusableInputError, check=coded("form.numbers", label="Given breakpoints (mm)")):
+        panel.form.options()
+    assert panel.form.problem.isVisible()
     panel.show_tests(two)
     press(qtbot, panel.run)
-    assert not panel.desk.jobs
+    assert not panel.context.jobs
     assert strip.said[-1][1]
     line.clear()
     qtbot.keyClicks(line, "12, 13.5")
@@ -132,7 +135,7 @@ def test_a_history_from_elsewhere_is_not_trusted(qtbot, open_panel, history, two
     hostile["task"]["tests"][0]["label"] = "<b>" + "x" * 290
     hostile["task"]["engines"] = ["moon"]
     lines = [b"\xff\xfe rubbish", b'{"time": 5}', b"[" * 100_000, json.dumps(hostile).encode(), good.strip()]
-    big = dict(hostile, headline="x" * 5000)
+    big = dict(hostile, headline="x" * 5001)
     history.path.write_bytes(b"\n".join([*lines, json.dumps(big).encode(), good[:40]]))
     panel = open_panel()
     assert panel.past.table.rowCount() == 2
@@ -175,9 +178,9 @@ def test_the_state_of_last_time_is_taken_up_or_passed_over(open_panel):
     assert later.form.signals == ("current", "position")
     assert later.form.together.isChecked()
     assert later.pictures.choice.currentIndex() == 2
-    good = panel.desk.settings.value(STATE)
+    good = panel.context.settings.value(STATE)
     for rubbish in (None, "", "[1]", '{"engine": "moon"}', "x" * 200_000, '{"options": {"lms": 7}, "tab": "no"}', good):
-        recall(rubbish, later.form, later.verdicts, later.pictures.choice, later.tabs)
+        restore_state(rubbish, later.form, later.verdicts, later.pictures.choice, later.tabs)
         assert later.form.name in engine_names()
     assert later.form.options()["degree"] == 4
 

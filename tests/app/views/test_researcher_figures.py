@@ -9,8 +9,8 @@ from app.views.research_panels import answer, press, run, wait
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QMessageBox
 
-from tissueid.app.views.researcher.looks import KERNELS, OUTPUT, PICTURES
-from tissueid.app.views.researcher.saving import FIGURES, free_name, write_figure
+from tissueid.app.views.researcher.plot_panels import KERNELS, OUTPUT, PICTURES
+from tissueid.app.views.researcher.saved_files import FIGURES, free_name, write_figure
 from tissueid.errors import UnusableInputError
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -123,5 +123,5 @@ def test_saving_does_not_hand_the_focus_to_the_button_that_clears(qtbot, panel, 
     run(qtbot, panel, two[:1], "lms")
     panel.save_figure.setFocus()
     assert panel.save_figure.hasFocus()
-    panel.settle(busy=True, testing=False)
+    panel.update_enabled(busy=True, testing=False)
     assert panel.results.hasFocus()

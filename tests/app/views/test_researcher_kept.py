@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 from app.views.research_panels import chosen_of, press, run, wait
+from coded import codes
 from PySide6.QtCore import Qt
 
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.kept_results import read_results, write_results
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.results_store import read_results, write_results
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.identification import FitReport
+from tissueid.identification.base import PREDICTS_NOTHING
 from tissueid.records import Estimate
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -60,7 +62,7 @@ def test_curves_are_fitted_again_when_they_are_asked_for(qtbot, open_panel, two)
     before = panel.results.outcomes
     later = restart(qtbot, open_panel, panel)
     assert later.refit.isVisible()
-    assert "Refit" in later.results.outcomes[0].drawn.missing["impulse"]
+    assert "Refit" in later.results.outcomes[0].plots.missing["impulse"]
     press(qtbot, later.refit)
     wait(qtbot, later)
     assert not later.refit.isVisible()
@@ -68,7 +70,7 @@ def test_curves_are_fitted_again_when_they_are_asked_for(qtbot, open_panel, two)
     assert [outcome.key for outcome in after] == [outcome.key for outcome in before]
     for new, old in zip(after, before, strict=True):
         assert new.report.parameters == old.report.parameters
-        assert (new.drawn.lines["impulse"].y == old.drawn.lines["impulse"].y).all()
+        assert (new.plots.lines["impulse"].y == old.plots.lines["impulse"].y).all()
     assert len(later.past.table.findItems("LMS", Qt.MatchFlag.MatchExactly)) == 1
 
 
@@ -114,8 +116,8 @@ def test_a_panel_that_never_looked_keeps_the_file(qtbot, open_panel, two):
 
 def outcome_of(number, **changes):
     report = FitReport("lms", {"memory": 0.1}, 100, 4, math.nan, None, parameters={"mass_kg": Estimate(math.inf, None)})
-    tests = (Chosen(Path(f"/nowhere/{number}.h5"), number, "calf", "P-1", "label", 1.7e9),)
-    return dataclasses.replace(Outcome("lms", {"memory": 0.1}, tests, ("force", "position"), report), **changes)
+    tests = (SelectedTest(Path(f"/nowhere/{number}.h5"), number, "calf", "P-1", "label", 1.7e9),)
+    return dataclasses.replace(EngineOutcome("lms", {"memory": 0.1}, tests, ("force", "position"), report), **changes)
 
 
 def test_only_the_owner_reads_it_and_what_is_no_number_stays_none(tmp_path):
@@ -128,6 +130,19 @@ def test_only_the_owner_reads_it_and_what_is_no_number_stays_none(tmp_path):
     assert math.isnan(outcome.report.parameters["mass_kg"].value)
     assert outcome.tests == outcome_of(1).tests
     assert read_results(tmp_path / "none.jsonl").outcomes == ()
+
+
+def test_messages_keep_their_codes_and_files_of_before_are_read(tmp_path):
+    path = tmp_path / "results.jsonl"
+    report = dataclasses.replace(outcome_of(1).report, warnings=(PREDICTS_NOTHING, "plain"))
+    write_results(path, [outcome_of(1, report=report, refused=PREDICTS_NOTHING)])
+    (outcome,) = read_results(path).outcomes
+    assert codes((*outcome.report.warnings, outcome.refused)) == [PREDICTS_NOTHING.code, "", PREDICTS_NOTHING.code]
+    line = json.loads(path.read_text())
+    del line["messages"], line["report"]["messages"]
+    path.write_text(json.dumps(line) + "\n")
+    (outcome,) = read_results(path).outcomes
+    assert outcome.report.warnings == (PREDICTS_NOTHING, "plain")
 
 
 def test_what_is_read_is_not_trusted(qtbot, tmp_path, open_panel, history):

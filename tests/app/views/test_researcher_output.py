@@ -9,14 +9,14 @@ from app.views.research_panels import run
 from PySide6.QtWidgets import QComboBox
 
 from tissueid.analysis import analyse
-from tissueid.app.views.researcher.chosen import Chosen, time_of
-from tissueid.app.views.researcher.curves import drawn
-from tissueid.app.views.researcher.figures_table import FiguresTable
-from tissueid.app.views.researcher.labels import labels_apart, short_label
-from tissueid.app.views.researcher.outcome import Outcome, keys_of
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
+from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
 from tissueid.app.views.researcher.pictures import OUTPUT, in_the_middle
-from tissueid.app.views.researcher.reading import Channel, Loaded
-from tissueid.app.views.researcher.track import Track
+from tissueid.app.views.researcher.plot_data_builder import plot_data_of
+from tissueid.app.views.researcher.recorded_signal import RecordedSignal
+from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
+from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.identification.validation import vaf_percent
 from tissueid.sessions import read_session
 
@@ -24,13 +24,13 @@ pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignor
 
 
 def one(path="a.h5", number=1, subject="P-1", site="calf", when=1.7e9):
-    return Chosen(Path("/x") / path, number, site, subject, "label", when)
+    return SelectedTest(Path("/x") / path, number, site, subject, "label", when)
 
 
 @pytest.mark.parametrize(("engine", "scheduled"), [("lms", False), ("wiener", False), ("depth", True), ("als", True)])
 def test_output_and_residual_are_those_behind_the_score_on_held_out_data(saved, engine, scheduled):
     analysis = analyse(read_session(saved), engine)
-    lines, _ = drawn(analysis)
+    lines, _ = plot_data_of(analysis)
     measured, output, residual = lines.measured["output"], lines.lines["output"], lines.lines["residual"]
     held_out = analysis.held_out_record[analysis.held_out]
     np.testing.assert_allclose(measured.y, 1e3 * held_out.output)
@@ -52,7 +52,7 @@ def test_fits_of_one_test_lie_over_one_measurement_with_their_scores(qtbot, pane
     pictures = panel.pictures
     pictures.choice.setCurrentText(OUTPUT)
     under = pictures._measured
-    assert under.yData.size == panel.results.outcomes[0].drawn.measured["output"].y.size
+    assert under.yData.size == panel.results.outcomes[0].plots.measured["output"].y.size
     common, labels = pictures.keys
     assert "P-001" in common
     assert [label.split(":")[0] for label in labels] == ["LMS", "Depth"]
@@ -83,6 +83,7 @@ def test_a_closer_look_is_taken_back(qtbot, panel, two):
     pictures = panel.pictures
     pictures.choice.setCurrentText(OUTPUT)
     box = pictures._cards["output"].plot.getViewBox()
+    box.updateAutoRange()  # else done when it is next drawn
     whole = box.viewRange()[0]
     box.setXRange(whole[0], whole[0] + 0.05, padding=0.0)
     assert pictures._cards["residual"].plot.getViewBox().viewRange()[0][1] < whole[1]
@@ -99,7 +100,7 @@ def test_an_old_range_does_not_stay_where_one_point_is_left(qtbot, panel, two):
     run(qtbot, panel, two[:1])
     box = pictures._cards["stiffness"].plot.getViewBox()
     box.updateAutoRange()
-    (stiffness,) = panel.results.outcomes[0].drawn.lines["stiffness"].y
+    (stiffness,) = panel.results.outcomes[0].plots.lines["stiffness"].y
     low, high = box.viewRange()[1]
     assert low < stiffness < high
     assert box.state["autoRange"][1]
@@ -118,32 +119,32 @@ def test_a_long_name_of_a_kernel_does_not_widen_the_page(panel):
 
 def test_a_label_has_what_differs_and_the_rest_is_said_once():
     tests = [one(), one("b.h5", when=1.7e9 + 60)]
-    common, labels = labels_apart([[test] for test in tests])
+    common, labels = distinguishing_labels([[test] for test in tests])
     assert common == "P-1, calf, #1"
     assert [label[-5:] for label in labels] == [short_label(test)[14:19] for test in tests]
-    common, labels = labels_apart([[one(subject="P-1")], [one("b.h5", subject="P-2")]])
+    common, labels = distinguishing_labels([[one(subject="P-1")], [one("b.h5", subject="P-2")]])
     assert labels == ["P-1", "P-2"]
     assert "calf" in common
 
 
 def test_where_nothing_else_differs_file_and_folder_do():
-    assert labels_apart([[one("a.h5")], [one("b.h5")]])[1] == ["a", "b"]
+    assert distinguishing_labels([[one("a.h5")], [one("b.h5")]])[1] == ["a", "b"]
     twin = dataclasses.replace(one(), path=Path("/y/a.h5"))
-    assert labels_apart([[one()], [twin]])[1] == ["a, /x", "a, /y"]
+    assert distinguishing_labels([[one()], [twin]])[1] == ["a, /x", "a, /y"]
 
 
 def test_one_test_has_its_whole_name_and_a_nameless_one_that_of_its_file():
-    (label,) = labels_apart([[one(number=3)]])[1]
+    (label,) = distinguishing_labels([[one(number=3)]])[1]
     assert label.startswith("P-1, calf, 20")
     assert label.endswith("#3")
-    assert labels_apart([])[1] == []
+    assert distinguishing_labels([])[1] == []
     assert short_label(one(when=None)) == "label"
     assert short_label(one(when=1e300)) == "label"
 
 
 def test_results_of_one_test_are_told_apart_by_engine_and_of_one_engine_by_test():
     def outcome(engine, test):
-        return Outcome(engine, {}, (test,), ("force", "position"))
+        return EngineOutcome(engine, {}, (test,), ("force", "position"))
 
     assert keys_of([outcome("lms", one()), outcome("wiener", one())])[1] == ["LMS", "Wiener"]
     common, labels = keys_of([outcome("lms", one()), outcome("lms", one("b.h5", site="thigh"))])
@@ -159,19 +160,19 @@ def test_long_names_are_cut_in_their_middle():
 
 
 def test_dates_of_files_are_read_or_passed_over():
-    assert time_of("2026-01-01T00:00:00Z") == time_of("2026-01-01T00:00:00") == 1767225600.0
-    assert time_of("yesterday") is None
+    assert timestamp_of("2026-01-01T00:00:00Z") == timestamp_of("2026-01-01T00:00:00") == 1767225600.0
+    assert timestamp_of("yesterday") is None
 
 
 def test_the_table_of_signals_gives_names_the_room_that_figures_leave(qtbot):
-    table = FiguresTable()
+    table = StatisticsTable()
     qtbot.addWidget(table)
     table.resize(700, 200)
     table.show()
     channel = Channel("position", "m")
-    track = Track(np.sin(np.arange(4000.0)), 2000.0)
+    track = RecordedSignal(np.sin(np.arange(4000.0)), 2000.0)
     tests = [one(f"{'long' * 10}{place}.h5", when=None) for place in range(2)]
-    table.show_stretch([Loaded(test, 0.0, {channel: track}) for test in tests], [channel], 0.0, 1.0)
+    table.show_stretch([LoadedTest(test, 0.0, {channel: track}) for test in tests], [channel], 0.0, 1.0)
     assert [table.item(row, 0).text()[-1] for row in range(2)] == ["0", "1"]
     assert table.columnWidth(0) > 250
     assert not table.horizontalScrollBar().isVisible()

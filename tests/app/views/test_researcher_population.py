@@ -10,8 +10,7 @@ from app.views.research_panels import run
 from PySide6.QtCore import QPointF
 
 from tissueid.app.theme import DARK, LIGHT
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.population import (
     DATE,
     DISTRIBUTION,
@@ -22,6 +21,7 @@ from tissueid.app.views.researcher.population import (
     population,
 )
 from tissueid.app.views.researcher.population_view import PopulationView
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.identification import FitReport
 from tissueid.records import Estimate
 
@@ -34,8 +34,8 @@ DAY = 86400.0
 def fit(mass_kg, subject="P-1", site="calf", when=NOON, number=1, file="a.h5", engine="lms", vaf=90.0, **more):
     parameters = {"mass_kg": Estimate(mass_kg, 0.001), **{name: Estimate(value, None) for name, value in more.items()}}
     report = FitReport(engine, {}, 100, 4, 95.0, vaf, parameters=parameters)
-    return Outcome(
-        engine, {}, (Chosen(Path("/x") / file, number, site, subject, "x", when),), ("force", "position"), report
+    return EngineOutcome(
+        engine, {}, (SelectedTest(Path("/x") / file, number, site, subject, "x", when),), ("force", "position"), report
     )
 
 
@@ -73,7 +73,7 @@ def test_means_and_spreads_are_those_of_the_groups_in_grams():
 
 
 def test_what_is_not_drawn_is_counted_by_its_reason():
-    refused = Outcome("lms", {}, fit(1.0).tests, ("force", "position"), refused="no")
+    refused = EngineOutcome("lms", {}, fit(1.0).tests, ("force", "position"), refused="no")
     fits = [fit(0.08), fit(0.08, vaf=-5.0), refused, fit(0.08, when=None)]
     assert len(population(fits, "mass_kg", SITE).outcomes) == 2
     assert population(fits, "mass_kg", DATE).left_out == {
@@ -122,7 +122,7 @@ def test_groups_that_are_too_many_share_the_last_colour():
 def view(qtbot):
     view = PopulationView()
     qtbot.addWidget(view)
-    view.paint_with(LIGHT)
+    view.apply_theme(LIGHT)
     view.resize(600, 500)
     view.show_outcomes(year())
     view.show()
@@ -142,19 +142,39 @@ def scene_of(view, x, y):
     return box.mapViewToScene(QPointF(x, y))
 
 
+def test_a_histogram_counts_tests_and_one_engine_with_its_options_can_be_chosen(view):
+    tests = [fit(0.08 + 0.001 * k, file=f"{k}.h5") for k in range(4)]
+    refits = [dataclasses.replace(one, options={"memory_s": 0.06}) for one in tests[:2]]
+    other = [dataclasses.replace(one, engine="wiener") for one in tests[:3]]
+    view.show_outcomes([*tests, *refits, *other])
+    choose(view, DISTRIBUTION, "engine")
+    assert (len(view.shown.outcomes), view.shown.tests) == (9, 4)
+    assert view.shown.counted == "Number of fits"  # LMS with two sets of options
+    chosen = [view.engine.itemData(place) for place in range(view.engine.count())]
+    assert chosen == ["", "LMS, default options", "LMS, Memory: 0.06 s", "Wiener, default options"]
+    for variant, count in zip(chosen[1:], (4, 2, 3), strict=True):
+        view.engine.setCurrentIndex(view.engine.findData(variant))
+        view._choose()
+        assert (len(view.shown.outcomes), view.shown.tests) == (count, count)
+        assert view.shown.counted == "Number of tests"
+        assert view.count.text() == f"{count} of {count} fits drawn of {count} tests; {variant}"
+
+
 def test_every_view_of_three_hundred_fits_says_how_many_are_drawn(view):
     view.show_outcomes([*year(299), fit(0.08, vaf=-1.0)])
     for across in (DISTRIBUTION, SUBJECT, SITE, DATE, REPEAT, "stiffness_n_per_m"):
         for by in ("", "engine", SUBJECT, SITE):
             choose(view, across, by)
-            assert view.count.text().startswith("299 of 300 fits drawn; 1 predict nothing")
+            assert view.count.text().startswith(
+                "299 of 300 fits drawn of 299 tests; 1 predict nothing; LMS, default options"
+            )
             drawn = sum(points.data.size for points in view._points)
             assert drawn == (0 if across == DISTRIBUTION else 299)
     choose(view, DISTRIBUTION, SITE)
     assert sum(int(steps.yData.sum()) for steps in view._steps) == 299
     assert "calf" in view.key.text()
     assert "n = 100" in view.key.text()
-    view.paint_with(DARK)
+    view.apply_theme(DARK)
 
 
 def test_a_point_names_its_test_and_a_double_click_asks_for_it(qtbot, view):

@@ -16,9 +16,9 @@ from tissueid.app.help_panel import FOLDER
 from tissueid.app.log_panel import MOST_LINES
 from tissueid.app.panels import HELP_KEY
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
-from tissueid.instrument import Found
+from tissueid.instrument import FoundInstrument
 from tissueid.sessions import read_session, write_session
-from tissueid.sessions.accepted import AcceptedResult, AcceptedTest, AcceptedValue, write_result
+from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue, write_result
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -89,7 +89,7 @@ def test_finding_asks_every_port_and_says_how_each_stands(qtbot, open_start):
     def finder(*, probe, opener=None):
         if probe:
             opener("/dev/ttyACM7").close()
-        dead = Found("/dev/ttyS0", "n/a", False, "no answer; check the cable")
+        dead = FoundInstrument("/dev/ttyS0", "n/a", False, "no answer; check the cable")
         return [*found(probe=probe), *([dead] if probe else [])]
 
     window = open_start(finder=finder)
@@ -166,7 +166,7 @@ def test_a_session_that_is_recorded_meanwhile_is_listed(qtbot, open_start, tmp_p
     window = open_start()
     page = window.pages.start
     shutil.copy(saved, tmp_path / "new.h5")
-    window.pages.heard_of(tmp_path / "new.h5")
+    window.pages.on_session_saved(tmp_path / "new.h5")
     qtbot.waitUntil(lambda: page.recent.rowCount() == 1, timeout=WAIT_MS)
 
 
@@ -191,7 +191,7 @@ def test_reading_is_cancelled_and_what_is_asked_for_meanwhile_comes_next(qtbot, 
     assert page.stop_reading.isHidden()
     reached.clear()
     go_on.clear()
-    window.pages.heard_of(tmp_path / "other.h5")
+    window.pages.on_session_saved(tmp_path / "other.h5")
     qtbot.waitUntil(reached.is_set, timeout=WAIT_MS)
     press(qtbot, page.cards["researcher"])
     assert window.ui.page == "start"
@@ -217,9 +217,9 @@ def test_closing_while_the_folder_is_read(qtbot, open_window, monkeypatch):
 
 def test_nothing_works_beside_a_running_test(open_start):
     page = open_start().pages.start
-    page.settle(busy=True, testing=True)
+    page.update_enabled(busy=True, testing=True)
     assert not page.isEnabled()
-    page.settle(busy=True, testing=False)
+    page.update_enabled(busy=True, testing=False)
     assert page.isEnabled()
     assert not any(part.isEnabled() for part in (page.recent, page.seek, page.recover, *page.cards.values()))
 
@@ -292,7 +292,7 @@ def test_the_log_has_every_notice_and_failure_with_its_time(qtbot, window, tmp_p
     def fails():
         raise OSError(28, "No space left on device")
 
-    window.jobs.do(fails, window.say_failed, window.say_failed)
+    window.jobs.do(fails, window.context.say_failed, window.context.say_failed)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     qtbot.keyClick(window, Qt.Key.Key_F9)
     assert log.isVisible()
@@ -321,7 +321,7 @@ def test_the_details_of_a_defect_are_folded_away(qtbot, window, tmp_path, monkey
     log = window.panels.log
     qtbot.keyClick(window, Qt.Key.Key_F9)
     assert log.fold.isHidden()
-    window.meet_defect(ValueError("a figure of nothing"))
+    window.on_defect(ValueError("a figure of nothing"))
     assert log.details.isHidden()
     press(qtbot, log.fold)
     assert log.details.isVisible()

@@ -7,6 +7,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, press
 from app.views.technician_pages import CALIBRATIONS, HEALTH, PLACES, choose, column, rest, select, static, sweep
+from golden.golden_page import check_golden_page, lines_of_widget
 from PySide6.QtCore import QPoint, Qt
 from support import connect
 
@@ -197,10 +198,10 @@ def test_each_calibration_says_whether_it_is_in_force_or_why_not(qtbot, page, ca
     assert force[1] == "No: a newer one is"
     assert "it is of OTHER, not of TWIN-3" in force[2]
     assert "the spring slipped" in force[3]
-    assert "not text" in force[4]
+    assert "not a text file" in force[4]
     select(view.calibrations.list, 4)
     assert view.calibrations.detail.currentWidget() is view.calibrations.hint
-    assert "not text" in view.calibrations.hint.text()
+    assert "not a text file" in view.calibrations.hint.text()
 
 
 def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page, calibrations):
@@ -215,7 +216,7 @@ def test_two_sweeps_are_laid_over_each_other_and_their_drift_is_said(qtbot, page
     assert "select another" in panel.words.text()
     control = Qt.KeyboardModifier.ControlModifier
     qtbot.mouseClick(table.viewport(), Qt.MouseButton.LeftButton, control, QPoint(where[1]))
-    assert panel.words.text() == "Force constant 1.2 % lower than on 2026-01-01, within the uncertainty of ±1.4 %."
+    assert panel.words.text() == "Force constant: 1.2 % lower than on 2026-01-01, within the uncertainty of ±1.4 %."
     force = panel.cards[0]
     assert force._lines[1].getData()[0] == pytest.approx([1e3 * place for place in PLACES])
     assert force._lines[0].getData()[1] == pytest.approx([2.964] * len(PLACES))
@@ -268,3 +269,17 @@ def test_a_folder_that_is_not_there_is_said(qtbot, page, tmp_path):
     assert "nowhere" in view.window_.ui.notice.text.text()
     assert view.calibrations.model.rowCount() == 0
     assert "nominal figures" in view.calibrations.about.text()
+
+
+def test_the_page_instrument_reads_as_its_golden_page(qtbot, page, calibrations):
+    """Renew the page by ``python tests/golden/renew.py``."""
+    write_calibration(calibrations / "static.toml", static())
+    write_calibration(calibrations / "sweep.toml", sweep())
+    view = page()
+    press(qtbot, view.health.ask)
+    rest(qtbot, view)
+    lines = list(lines_of_widget(view))
+    for tab in range(1, view.tabs.count()):
+        choose(qtbot, view, tab)
+        lines += lines_of_widget(view.tabs.currentWidget())
+    check_golden_page("window-instrument", lines)

@@ -221,7 +221,7 @@ def test_the_tab_key_goes_through_each_tab_and_nothing_begins_beside_a_test(qtbo
                 break
             visited.append(widget)
         assert visited == [getattr(part, name) for name in names]
-    view.settle(busy=True, testing=True)
+    view.update_enabled(busy=True, testing=True)
     buttons = [view.health.ask, view.calibrations.calibrate, view.calibrations.again, view.faults.again]
     buttons += [view.audit.again, view.audit.verify, view.audit.export]
     assert not any(button.isEnabled() for button in buttons)

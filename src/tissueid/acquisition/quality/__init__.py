@@ -1,4 +1,4 @@
-"""The quality gate: whether a finished test can be believed, in words that somebody at the bedside can act on."""
+"""The quality gate: checks of a finished test, with findings and advice for the operator."""
 
 from tissueid.acquisition.quality.gate import QualityGate, judge, judge_session
 from tissueid.sessions.quality import HEADLINES, Quality, QualityFinding, Severity, Verdict, quality_of

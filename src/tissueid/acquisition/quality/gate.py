@@ -1,4 +1,4 @@
-"""The quality gate: all checks on one finished test, or on those of a session one after another."""
+"""The quality gate: run all checks on a finished test or on the tests of a session."""
 
 from __future__ import annotations
 
@@ -8,53 +8,56 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissueid.acquisition.quality import apparatus, contact, noise, repeats
-from tissueid.acquisition.quality.evidence import Evidence
+from tissueid.acquisition.quality import contact_checks, instrument_checks, noise_checks, repeat_checks
+from tissueid.acquisition.quality.prepared_test import PreparedTest
 from tissueid.device import DeviceDescription
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality, QualityFinding, worst_first
 
 log = logging.getLogger(__name__)
 
-Check = Callable[[Evidence], Iterable[QualityFinding]]
+Check = Callable[[PreparedTest], Iterable[QualityFinding]]
 
 CHECKS: tuple[Check, ...] = (
-    apparatus.ended,
-    apparatus.stuck,
-    apparatus.driven,
-    contact.lifted,
-    contact.moved,
-    contact.shaken,
-    apparatus.saturated,
-    apparatus.at_the_end,
-    apparatus.lost,
-    noise.noisy,
-    noise.incoherent,
-    noise.mains,
-    contact.unsettled,
-    apparatus.outside,
-    apparatus.warm,
-    apparatus.calibrated,
+    instrument_checks.ended,
+    instrument_checks.stuck,
+    instrument_checks.driven,
+    contact_checks.lifted,
+    contact_checks.moved,
+    contact_checks.shaken,
+    instrument_checks.saturated,
+    instrument_checks.at_the_end,
+    instrument_checks.lost,
+    noise_checks.noisy,
+    noise_checks.incoherent,
+    noise_checks.mains,
+    contact_checks.unsettled,
+    instrument_checks.outside,
+    instrument_checks.warm,
+    instrument_checks.calibrated,
 )
-"""In the order in which findings of the same severity are told: what spoils most comes first."""
+"""The checks, most important first: findings of the same severity keep this order."""
 
 
 COMPARED_SIGNALS = ("command", "force", "position")
+"""Signals of earlier tests that are kept for comparison."""
 MOST_SAMPLES = 500_000
-"""In all the tests that a gate remembers: 12 MB."""
+"""Most samples of earlier tests that a gate keeps: 12 MB."""
 
 
 def judge(test: Test, device: DeviceDescription, earlier: Sequence[Test] = ()) -> Quality:
-    """Judge a finished test by its signals, by the calibration in force, and against earlier ones of the same site.
+    """Judge a finished test by its signals, its calibration and the earlier tests at the same site.
 
-    A signal that the test lacks is not judged. Earlier tests may be any: those that cannot be compared are left out.
+    Checks of missing signals are skipped. ``earlier`` may hold any tests; those that cannot be compared are ignored.
     """
-    evidence = Evidence(test, device)
-    found: list[QualityFinding] = [finding for check in CHECKS for finding in check(evidence)]
-    others = repeats.comparable(test, earlier)
+    prepared = PreparedTest(test, device)
+    found: list[QualityFinding] = [finding for check in CHECKS for finding in check(prepared)]
+    others = repeat_checks.comparable(test, earlier)
     surfaces = np.array([other.surface_position_m for other in others])
-    found += contact.surface_changed(evidence, surfaces[np.isfinite(surfaces)])
-    found += repeats.compared(evidence, others)
+    found += contact_checks.surface_changed(prepared, surfaces[np.isfinite(surfaces)])
+    found += repeat_checks.compared(prepared, others)
     return worst_first(found)
 
 
@@ -63,16 +66,16 @@ NOT_JUDGED = Quality(
         QualityFinding(
             "not_judged",
             "look",
-            "The quality gate failed on this test: it was not judged.",
-            "Look at its signals before you use it.",
+            Message("quality.not_judged", "The quality gate failed on this test: it was not judged."),
+            marked("Check its signals before you use it."),
         ),
     )
 )
-"""A defect of the gate, or a file whose figures make no sense, never costs a test that was recorded."""
+"""Quality of a test on which a check failed. An error of the gate never loses a recorded test."""
 
 
 class QualityGate:
-    """Judges the tests of one sitting as they end. Of those before it keeps what later ones are compared with."""
+    """Judge the tests of one sitting as they end, each against those before it."""
 
     def __init__(self, device: DeviceDescription) -> None:
         self._device = device
@@ -91,13 +94,13 @@ class QualityGate:
 
 
 def judge_session(session: Session) -> Iterator[tuple[Test, Quality]]:
-    """Judge the tests of a session anew, each against those before it."""
+    """Judge the tests of a session again, each against those before it."""
     for place, test in enumerate(session.tests):
         yield test, _judged(test, session.instrument, session.tests[:place]) or NOT_JUDGED
 
 
 def _judged(test: Test, device: DeviceDescription, earlier: Sequence[Test]) -> Quality | None:
-    """Judge a test, whatever it holds; None where the gate could not."""
+    """Judge a test; return None if a check failed."""
     try:
         return judge(test, device, earlier)
     except Exception:

@@ -1,1 +1,1 @@
-"""The pages of the window beside the guided test, a folder each; ``view`` says what each must be able to do."""
+"""The pages of the window, a folder each; ``view`` defines their interface."""

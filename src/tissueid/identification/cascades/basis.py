@@ -1,8 +1,8 @@
 """Linear blocks of a cascade as sums of a few smooth functions of the lag.
 
 A force without power above 200 Hz says nothing of single lags at 2 kHz; a cascade with hundreds of free lags in each
-linear block could not be told from another. Here an impulse response is a cubic spline of the lag: its knots stand
-as close as the input's band allows where the response begins, and further apart where it dies out.
+linear blocks could not be distinguished. Here an impulse response is a cubic spline of the lag: its knots stand
+as close as the input's band allows where the response begins, and less close where it decays.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from scipy import fft, interpolate, signal
 from tissueid.identification.base import Array
 
 _POWER = 0.999
-"""Share of the input's power that lies below what is called its edge."""
+"""Share of the input's power below its band edge."""
 
 _DENSE = 0.1
 """Share of the memory over which the knots keep their closest spacing."""
 
 _GROWTH = 8.0
-"""By how much the spacing has grown, in units of the closest, one memory further on."""
+"""Spacing of the knots at the end of the memory, relative to the closest spacing."""
 
 
 def band_edge(x: Array, sample_rate_hz: float) -> float:
-    """Frequency, Hz, below which 99.9 % of the power of x (n,) lies; x holds no NaN, and what was missing is 0."""
+    """Return the frequency, Hz, below which 99.9 % of the power of x (n,) lies; missing samples of x are 0."""
     power = np.abs(fft.rfft((x - x.mean()) * signal.windows.hann(x.size))) ** 2  # the ends hold every frequency
     running = np.cumsum(power)
     bin_of_edge = int(np.searchsorted(running, _POWER * running[-1]))
@@ -32,7 +32,7 @@ def band_edge(x: Array, sample_rate_hz: float) -> float:
 
 
 def lag_basis(lags: int, spacing: float) -> Array:
-    """Cubic B-splines over the lags, shape (lags, q), q <= lags; ``spacing`` of the first knots is in samples.
+    """Return cubic B-splines over the lags, shape (lags, q), q <= lags; ``spacing`` of the first knots is in samples.
 
     With as many functions as lags there is no smoothness left to ask for, and the lags themselves are returned.
     """
@@ -66,7 +66,7 @@ class LagBank:
         return int(self.basis.shape[1])
 
     def rows(self, driven: Array) -> Array:
-        """Each function convolved with a signal (n,), shape (q, n)."""
+        """Return each function convolved with a signal (n,), shape (q, n)."""
         spectrum = fft.rfft(driven, self._length)
         return np.asarray(fft.irfft(self._spectra * spectrum, self._length)[:, : self._n], dtype=np.float64)
 
@@ -76,5 +76,5 @@ class LagBank:
         return np.asarray(fft.irfft(fft.rfft(signals, self._length) * kernel, self._length)[..., : self._n])
 
     def nearest(self, kernel: Array) -> Array:
-        """Weights (q,) of the kernel (lags,) that comes closest in the sense of least squares."""
+        """Return the weights (q,) of the kernel (lags,) that comes closest in the sense of least squares."""
         return np.asarray(np.linalg.lstsq(self.basis, kernel, rcond=None)[0], dtype=np.float64)

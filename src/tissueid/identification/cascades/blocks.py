@@ -1,4 +1,4 @@
-"""Cascades of linear and static blocks: what they are, what they do, and their slopes by every parameter.
+"""Cascades of linear and static blocks: structure, simulation and derivatives by every parameter.
 
 N stands for a static nonlinearity and L for linear dynamics, in the order of the signal: Hammerstein is NL, Wiener is
 LN. Every curve is taken less its value at rest, so a system at rest passes zero from block to block and one constant,
@@ -24,7 +24,7 @@ from tissueid.records import Record
 Structure = Literal["linear", "wiener", "hammerstein", "lnl", "nln"]
 
 STRUCTURES: tuple[Structure, ...] = ("linear", "wiener", "hammerstein", "lnl", "nln")
-"""From the simplest on; of two that explain a record alike the first is meant."""
+"""Structures from the simplest; of two that explain a record equally well, the first is preferred."""
 
 INSIDE: dict[Structure, frozenset[Structure]] = {
     "linear": frozenset(),
@@ -33,10 +33,10 @@ INSIDE: dict[Structure, frozenset[Structure]] = {
     "lnl": frozenset({"linear", "wiener", "hammerstein"}),
     "nln": frozenset({"linear", "wiener", "hammerstein"}),
 }
-"""The structures that each one holds as special cases."""
+"""Special cases of each structure."""
 
 _KNOTS_PER_PERIOD = 2.25
-"""Knots to a period of the highest frequency that the input holds; two would only just do."""
+"""Knots per period of the highest frequency of the input; two are the minimum."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Blocks:
         return np.concatenate(parts)
 
     def with_vector(self, vector: Array) -> Blocks:
-        """The same structure with other parameters, shape (p,) as :attr:`vector`."""
+        """Return the same structure with other parameters, shape (p,) as :attr:`vector`."""
         place = 1
         inner, outer, second = self.inner, self.outer, self.second
         if inner is not None:
@@ -125,18 +125,18 @@ class CascadeData:
         return np.asarray(self.output[self.rows])
 
     def without(self, held_out: Mask) -> CascadeData:
-        """The same data with the samples of a mask (n,) left out of the fit."""
+        """Return the same data with the samples of a mask (n,) left out of the fit."""
         return replace(self, rows=self.rows[~held_out[self.rows]])
 
     def thinned(self, rows: int) -> CascadeData:
-        """The same data with no more than so many rows or the next whole share of them, evenly taken."""
+        """Return the data with about ``most`` evenly spaced rows."""
         return replace(self, rows=self.rows[:: max(1, self.rows.size // rows)])
 
 
 def prepare_cascade(
     record: Record, fit_part: slice | None, lags: int, whole: int, n_parameters: Callable[[int], int]
 ) -> tuple[Prepared, float]:
-    """Look a record over for cascades whose blocks remember so many ``lags`` each, and choose their spacing.
+    """Prepare a record for cascades whose blocks have ``lags`` lags each, and choose the spacing of their basis.
 
     Args:
         record: the data.
@@ -159,13 +159,13 @@ def prepare_cascade(
 
 
 def input_levels(prepared: Prepared) -> int:
-    """How many different values the input of the fitted part takes: an inner curve needs as many as coefficients."""
+    """Return the number of different input values in the fitted part: the most coefficients of an inner curve."""
     x = prepared.record.input[prepared.part]
     return int(np.unique(x[np.isfinite(x)]).size)
 
 
 def cascade_data(prepared: Prepared, lags: int, spacing: float) -> CascadeData:
-    """Lay a prepared record out for the fit of cascades whose linear blocks remember so many ``lags`` each.
+    """Return the data for the fit of cascades whose linear blocks have ``lags`` lags each.
 
     ``spacing`` is that of the first knots of their basis, in samples.
     """
@@ -207,7 +207,7 @@ def run(blocks: Blocks, data: CascadeData) -> Signals:
 
 
 def slopes(blocks: Blocks, data: CascadeData, signals: Signals) -> Array:
-    """Derivatives of the output by :attr:`Blocks.vector`, shape (p, rows)."""
+    """Return the derivatives of the output by :attr:`Blocks.vector`, shape (p, rows)."""
     bank, rows = data.bank, data.rows
     everywhere = blocks.second is not None  # what a second block remembers counts too
     here: slice | NDArray[np.intp] = slice(None) if everywhere else rows

@@ -1,4 +1,4 @@
-"""Static nonlinearities of a cascade's blocks: those of the Wiener engine, and a spline that may turn back."""
+"""Static nonlinearities of cascades: those of the Wiener engine, and a spline that need not be monotone."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class FreeSpline(Spline):
     """A spline that may turn back: nothing holds its coefficients."""
 
     def refit(self, z: Array, y: Array) -> FreeSpline:
-        """Fit a spline of as many pieces anew."""
+        """Refit a spline with the same number of pieces."""
         return fit_free_spline(z, y, self.coefficients.size - 3)
 
 
 def fit_free_spline(z: Array, y: Array, pieces: int) -> FreeSpline:
-    """Fit a cubic spline of so many pieces, with knots at quantiles of z (n,), to y (n,)."""
+    """Fit a cubic spline of ``pieces`` pieces, with knots at quantiles of z (n,), to y (n,)."""
     low, high = float(z.min()), float(z.max())
     inner = np.quantile(z, np.linspace(0.0, 1.0, pieces + 1)[1:-1])
     knots = np.concatenate([[low] * 4, inner, [high] * 4])
@@ -42,7 +42,7 @@ def fit_free_spline(z: Array, y: Array, pieces: int) -> FreeSpline:
 
 
 def fit_curve(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity:
-    """Fit a curve to z (n,) and y (n,); a ``spline`` need not keep its direction.
+    """Fit a static curve y = g(z) to z (n,) and y (n,); a ``spline`` need not be monotone.
 
     Args:
         form: which family.
@@ -73,17 +73,17 @@ def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
 
 
 def at_zero(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
-    """The same curve lifted so that it is zero at one place."""
+    """Return the same curve lifted so that it is zero at one place."""
     return lifted(curve, -float(curve(np.array([place]))[0]))
 
 
 def lifted(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
-    """The same curve with a constant added."""
+    """Return the same curve with a constant added."""
     return curve.with_coefficients(curve.coefficients + by * _constant(curve))
 
 
 def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
-    """The same curve multiplied by a factor; the bend of an exponential stays."""
+    """Return the same curve multiplied by a factor; the bend of an exponential stays."""
     factors = np.full(curve.coefficients.size, factor)
     if isinstance(curve, Exponential):
         factors[2] = 1.0
@@ -91,7 +91,7 @@ def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
 
 
 def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
-    """The curve of an argument so many times as large: its value at factor * z is the given one's at z."""
+    """Return the curve of the scaled argument: its value at factor * z is that of the given curve at z."""
     low, high = sorted((factor * curve.low, factor * curve.high))
     mirrored = factor < 0.0
     if isinstance(curve, Exponential):

@@ -1,4 +1,4 @@
-"""Every block structure fitted to one record, the simpler ones lending starts to those that hold them."""
+"""Fits of all block structures to one record; simpler structures give starting points of richer ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissueid.identification.cascades.basis import LagBank, lag_basis
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, Structure, run
 from tissueid.identification.cascades.curves import fit_curve
 from tissueid.identification.cascades.refinement import Fitted, refine, squared_error, with_outer
-from tissueid.identification.cascades.starts import (
+from tissueid.identification.cascades.starting_points import (
     RankOne,
     canonical,
     first_blocks,
@@ -25,7 +25,7 @@ from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity
 from tissueid.identification.validation import aicc
 
 _FIRST_DEGREE = 3
-"""Degree of the curves that starts are compared with."""
+"""Degree of the curves by which starting points are compared."""
 
 _GLANCE, _GLANCE_ROWS = 6, 20
 """Steps that every start is given before the best are followed, and rows a parameter that these steps look at."""
@@ -38,13 +38,13 @@ _STEPS, _SETTLED = 25, 1e-4
 
 
 def fit_linear(data: CascadeData) -> Fitted:
-    """The best linear approximation, by least squares."""
+    """Return the best linear approximation, by least squares."""
     blocks = _with_mean(Blocks(None, linear_weights(data), None, None, 0.0), data)
     return Fitted(blocks, squared_error(blocks, data))
 
 
 def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) -> list[Fitted]:
-    """Hammerstein systems after each pass of alternating least squares, the first from Bai's start.
+    """Return the Hammerstein systems after each pass of alternating least squares, the first from Bai's start.
 
     The passes are those of a polynomial; another form is fitted to the curve of each.
     """
@@ -58,13 +58,13 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
 
 
 def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> Fitted:
-    """NL: the best pass of alternating least squares, refined."""
+    """Fit an NL cascade: the best pass of alternating least squares, refined."""
     passes = hammerstein_passes(data, form, degree, 4)
     return refine(min(passes, key=lambda done: done.rss).blocks, data)
 
 
 def fit_wiener(data: CascadeData, form: Form, degree: int) -> Fitted:
-    """LN: from the best linear approximation and from the second-order kernel, refined."""
+    """Fit an LN cascade, starting from the best linear approximation and from the second-order kernel."""
     starts = [linear_weights(data), *quadratic_weights(data, 2)]
     return _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
 
@@ -117,7 +117,7 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
 
 
 def polished(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
-    """The blocks refined to the end, with the data in whose basis they are written.
+    """Return the blocks refined to the end, with the data in whose basis they are written.
 
     How an LNL system's dynamics divide between its blocks shows in little but the bend of the curve, and free lags
     follow the noise there. Its blocks are therefore also written with fewer functions of the lag, and the number with
@@ -153,7 +153,7 @@ def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
 
 
 def _with_mean(blocks: Blocks, data: CascadeData) -> Blocks:
-    """The blocks with the offset that leaves no mean error."""
+    """Return the blocks with the offset that leaves no mean error."""
     error = data.measured - run(blocks, data).output[data.rows]
     return replace(blocks, offset=blocks.offset + float(error.mean()))
 

@@ -9,40 +9,47 @@ import numpy as np
 
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.cascades.blocks import Blocks
-from tissueid.identification.cascades.normal import Normalised, Uncertainty
+from tissueid.identification.cascades.normalisation import Normalised, Uncertainty
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
+from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 _FLAT = 0.05
-"""Share of its steepest slope under which a curve is called flat at rest."""
+"""Share of the steepest slope below which a curve is flat at rest."""
 
 _PLACES = 101
 
 
-def fit_small_movements(told: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
+def fit_small_movements(normal: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
     """Second-order system of a cascade made linear at rest, about which its own residuals (n,) are the noise."""
-    x = np.where(np.isfinite(record.input), record.input - told.input_mean, 0.0)
-    small = told.offset + convolve_at_rest(told.small_signal_kernel(), x)
+    x = np.where(np.isfinite(record.input), record.input - normal.input_mean, 0.0)
+    small = normal.offset + convolve_at_rest(normal.small_signal_kernel(), x)
     return fit_second_order(replace(record, output=small + residuals), used, hold)
 
 
+FLAT = Message(
+    "hammerstein.flat", "the curve is flat at the mean input: mass, damping and stiffness have no meaning there"
+)
+"""Warning where the slope of a static curve vanishes at the mean input."""
+
+
 def parameters_at_rest(
-    told: Normalised, normalise: Callable[[Blocks], Normalised], known: Uncertainty, small: SecondOrderFit
+    normal: Normalised, normalise: Callable[[Blocks], Normalised], known: Uncertainty, small: SecondOrderFit
 ) -> tuple[dict[str, Estimate], list[str]]:
-    """Named estimates at the mean input, and a warning where a curve is flat there and they mean nothing.
+    """Return named estimates at the mean input, and a warning where a curve is flat there.
 
     The ratios of mass and damping to stiffness are those of the second-order system; the stiffness carries the
     uncertainty of the curves' slopes too, which that system takes as known.
     """
     parameters = small.parameters
-    if told.inner is None and told.outer is None:
+    if normal.inner is None and normal.outer is None:
         return parameters, []
-    if _flat(told.inner, told.input_mean) or _flat(told.outer, 0.0):
+    if _flat(normal.inner, normal.input_mean) or _flat(normal.outer, 0.0):
         plain = {name: Estimate(estimate.value) for name, estimate in parameters.items()}
-        return plain, ["a curve is flat at the mean input: mass, damping and stiffness have no meaning there"]
+        return plain, [FLAT]
 
     def log_gain(some: Blocks) -> Array:
         return np.log(np.abs([np.sum(normalise(some).small_signal_kernel())]))
@@ -60,7 +67,7 @@ def parameters_at_rest(
 
 
 def _flat(curve: StaticNonlinearity | None, rest: float) -> bool:
-    """True when a curve has next to no slope at rest beside its steepest."""
+    """Return whether the slope of a curve at rest is negligible against its steepest slope."""
     if curve is None:
         return False
     slopes = np.abs(curve.slope(np.append(np.linspace(curve.low, curve.high, _PLACES), rest)))

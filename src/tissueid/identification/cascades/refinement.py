@@ -13,10 +13,10 @@ from tissueid.identification.static_nonlinearity import StaticNonlinearity
 _ROUNDS = 3
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-10, 1e5
 _UNFELT = 1e-12
-"""Share of the strongest effect below which a parameter is taken to have none."""
+"""Share of the strongest effect below which a parameter is treated as without effect."""
 
 _LEFT, _HOLLOW = 0.02, 0.7
-"""A curve is laid anew when z leaves its range by the first share of it, or fills less than the second."""
+"""Shares of a curve's range: it is refitted when z leaves the range by the first, or fills less than the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def _fits_range(blocks: Blocks, data: CascadeData) -> bool:
 
 
 def _laid_anew(fitted: Fitted, data: CascadeData) -> Fitted:
-    """The same system with its outer curve over the range that its argument has now, as near as the form allows."""
+    """Return the system with its outer curve refitted over the present range of its argument."""
     outer = fitted.blocks.outer
     if outer is None or _fits_range(fitted.blocks, data):
         return fitted
@@ -109,6 +109,6 @@ def _laid_anew(fitted: Fitted, data: CascadeData) -> Fitted:
 
 
 def with_outer(blocks: Blocks, outer: StaticNonlinearity) -> Blocks:
-    """Blocks with another outer curve; where nothing follows it, its value at rest becomes the offset."""
+    """Return the blocks with another outer curve; where nothing follows it, its value at rest becomes the offset."""
     offset = blocks.offset if blocks.second is not None else float(outer(np.zeros(1))[0])
     return replace(blocks, outer=outer, offset=offset)

@@ -5,8 +5,8 @@ exponential growth of Chen 2010, C.1.4, and every degree more a bend. Positive b
 lower degrees stays what it was when a degree is added. The force is the integral of the tangent stiffness, so it
 rises throughout; the stiffness of Eq. 3.33 is its secant from the surface.
 
-Beyond the visited positions the linear term goes on for half their range and the others stay as at the end: a
-polynomial would run away there, and an exponential that was seen to grow would stop for no reason.
+Beyond the visited positions the linear term continues for half their range and the others keep their end values: a
+polynomial would diverge there, and a constant would end the growth of an exponential without reason.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from tissueid.identification.dpn.kernel import DAMPING, DIRECTION, FORCE, INERTI
 from tissueid.identification.dpn.simulation import Curves
 
 MARGIN = 0.5
-"""How far beyond the visited range, in parts of it, the curves are tabulated and the linear term goes on."""
+"""Margin of the tables beyond the visited range, as a share of it."""
 
 _ROWS = 2049
 _LARGEST = 40.0
-"""Bound on the logarithm of a ratio within one curve; beyond it nothing measured lies."""
+"""Bound on the logarithm of a ratio within one curve, far beyond measured values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class LogCurves:
         return np.repeat(np.array([MASS, DAMPING, FORCE, DIRECTION, INERTIA], dtype=np.int64), sizes)
 
     def with_theta(self, theta: Array) -> LogCurves:
-        """The same curves with other coefficients (p,)."""
+        """Return the same curves with other coefficients (p,)."""
         at = self.places
         return replace(
             self,
@@ -84,7 +84,7 @@ class LogCurves:
         )
 
     def with_degrees(self, **degrees: int) -> LogCurves:
-        """The same curves with series of other degrees: new coefficients are zero, those beyond are dropped."""
+        """Return the same curves with series of other degrees: new coefficients are zero, those beyond are dropped."""
         changed = {}
         for name, degree in degrees.items():
             series = np.zeros(degree + 1)
@@ -100,7 +100,10 @@ class LogCurves:
         return np.asarray(np.linspace(self.low - reach, self.high + reach, _ROWS), dtype=np.float64)
 
     def basis(self, position: Array, terms: int) -> Array:
-        """The Legendre terms at positions (k,), continued as the module says, shape (k, terms)."""
+        """Return the Legendre terms at positions (k,), shape (k, terms).
+
+        Beyond the visited positions the linear term continues for half their range; the others keep their end values.
+        """
         x = 2.0 * (position - self.low) / (self.high - self.low) - 1.0
         inside = np.clip(x, -1.0, 1.0)
         values = legendre.legvander(inside, max(terms - 1, 1))[:, :terms]
@@ -109,19 +112,19 @@ class LogCurves:
         return np.asarray(values, dtype=np.float64)
 
     def masses(self, position: Array) -> Array:
-        """M at positions (k,), kg."""
+        """Return the m at positions (k,), kg."""
         return self._positive(self.mass, position)
 
     def dampings(self, position: Array) -> Array:
-        """B at positions (k,), N s/m; the geometric mean of both directions where they differ."""
+        """Return the b at positions (k,), N s/m; the geometric mean of both directions where they differ."""
         return self._positive(self.damping, position)
 
     def stiffnesses(self, position: Array) -> Array:
-        """Tangent stiffness dF/dy at positions (k,), N/m."""
+        """Return the tangent stiffness dF/dy at positions (k,), N/m."""
         return self._positive(self.stiffness, position)
 
     def forces(self, position: Array) -> Array:
-        """F at positions (k,), N."""
+        """Return the f at positions (k,), N."""
         return np.asarray(np.interp(position, self.grid, self.tables.force), dtype=np.float64)
 
     def _positive(self, series: Array, position: Array) -> Array:
@@ -147,7 +150,7 @@ class LogCurves:
         )
 
     def slopes(self) -> Array:
-        """Derivative of each coefficient's curve by it, on the grid, shape (rows, p)."""
+        """Return the derivative of each coefficient's curve by it, on the grid, shape (rows, p)."""
         grid = self.grid
         terms = max(self.mass.size, self.damping.size, self.stiffness.size, self.direction.size)
         basis = self.basis(grid, terms)
@@ -170,7 +173,7 @@ class LogCurves:
         return np.asarray(np.column_stack(each) * 2.0 / (self.high - self.low), dtype=np.float64)
 
     def force_slopes(self, position: Array) -> Array:
-        """Derivatives of F at positions (k,) by the coefficients, shape (k, p)."""
+        """Return the derivatives of F at positions (k,) by the coefficients, shape (k, p)."""
         slopes = np.zeros((position.size, self.theta.size))
         table = self.slopes()
         for place in np.flatnonzero(self.owner == FORCE):

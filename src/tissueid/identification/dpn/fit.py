@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.simulation import MOST_STEPS, NO_OWNERS, NO_SLOPES, integrate, intersample
+from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.second_order import Hold
-from tissueid.identification.validation import finite_runs
 from tissueid.records import Record
 
 _ITERATIONS = 30
 SETTLED = 1e-7
-"""Relative gain of a step below which a fit is over."""
+"""Relative gain of a step below which a fit has converged."""
 
 PRIOR = 3.0
 """Standard deviation to which a coefficient of a logarithm is held when the record says nothing about it.
@@ -32,7 +32,7 @@ running off in a record that does not.
 """
 
 _SHORTEST = 16
-"""Samples below which an uninterrupted stretch is not worth its two unknown starting values."""
+"""Shortest uninterrupted stretch that is fitted, samples: each has two unknown starting values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class Fitting:
         return Evaluation(float(error @ error), error, np.concatenate(projected), np.vstack(sensitivities), changes)
 
     def speeds(self, fitted: Fitted) -> Array:
-        """Speed of the fitted motion at every fitted sample, m/s, shape (m,)."""
+        """Return the speed of the fitted motion at every fitted sample, m/s, shape (m,)."""
         tables = fitted.curves.tables
         table, bounds = tables.table(), tables.bounds()
         pushes = self._push(tables.steps(self.rate))
@@ -140,7 +140,7 @@ class Fitted:
 
 
 def _start(local: NDArray[np.intp], output: Array, rate: float) -> Array:
-    """Position and speed at the first sample of a run, from a parabola through its first outputs."""
+    """Return the position and speed at the first sample of a run, from a parabola through its first outputs."""
     t = (local[:_SHORTEST]) / rate
     reach = float(t[-1]) or 1.0
     coefficients = np.linalg.lstsq(np.vander(t / reach, 3, increasing=True), output[:_SHORTEST], rcond=None)[0]
@@ -148,7 +148,7 @@ def _start(local: NDArray[np.intp], output: Array, rate: float) -> Array:
 
 
 def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
-    """Weight of the squared departure of each coefficient from its centre, shape (p,)."""
+    """Return the weight of the squared departure of each coefficient from its centre, shape (p,)."""
     weights = np.full(curves.theta.size, rss / max(1, samples) / PRIOR**2)
     weights[curves.places["level"]] = 0.0
     return weights
@@ -157,7 +157,7 @@ def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
 def minimise(
     fitting: Fitting, curves: LogCurves, starts: list[Array], centre: Array, settled: float = SETTLED
 ) -> Fitted | None:
-    """The curves of the same degrees with the least squared simulation error, from these; None when these diverge.
+    """Return the curves of the same degrees with least squared simulation error; None where the start diverges.
 
     Every coefficient is held weakly to ``centre`` (p,), see :data:`PRIOR`. The search is over when a step gains less
     than the share ``settled`` of the squared error.

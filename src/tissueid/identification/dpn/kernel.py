@@ -1,4 +1,4 @@
-"""The compiled part of the dynamic-parameter nonlinearity: one free run, with its sensitivities.
+"""Compiled free run of the dynamic-parameter nonlinearity, with its sensitivities.
 
 M(y) y'' + k M'(y) y'^2 + B(y) y' + F(y) = u (Chen 2010, Eq. 3.33 with F = K(y) y and k = 0), classical Runge-Kutta of
 order four with a fixed number of steps to a sample. The sensitivities are those of the Runge-Kutta steps themselves and
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Owners = NDArray[np.int64]
 
 MASS, DAMPING, FORCE, DIRECTION, INERTIA = range(5)
-"""What a parameter belongs to; the first four are also the columns of the table of curves."""
+"""Owner of a parameter; the first four are also the columns of the table of curves."""
 
 _KINDS = 5
 

@@ -1,4 +1,4 @@
-"""The numbers and the words of a fitted dynamic-parameter nonlinearity."""
+"""Parameters, findings and warnings of a fitted dynamic-parameter nonlinearity."""
 
 from __future__ import annotations
 
@@ -6,31 +6,33 @@ import math
 
 import numpy as np
 
+from tissueid.formatting import display_unit, number
 from tissueid.identification.base import Array
-from tissueid.identification.dpn.bands import KnownCurves
+from tissueid.identification.dpn.confidence_bands import KnownCurves
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 from tissueid.records import Estimate
-from tissueid.wording import number, people_unit
 
 _DOUBT = 3.0
-"""Standard deviations by which a change with depth must stand out to be told as one."""
+"""Threshold of a change with depth, in standard deviations."""
 
 _KNOWN = 0.5
-"""Relative standard deviation from which a parameter is called undetermined."""
+"""Relative standard deviation above which a parameter is undetermined."""
 
 _SETTLING = 16.0
-"""Time constants after which a start is forgotten: to one part in ten million."""
+"""Time constants after which initial conditions have decayed to 1e-7."""
 
 _EXPLAINED = 0.05
-"""Share of the squared error that a term which was switched off must explain to be told of."""
+"""Share of the squared error that a switched-off term must explain to be reported."""
 
 _ALIKE = 0.2
-"""How far apart, in parts of their mean, the changes of the three logarithms may be to count as one."""
+"""Largest difference between the changes of the three logarithms that count as one, as a share of their mean."""
 
 UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
 
 def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) -> dict[str, Estimate]:
-    """Named estimates at the median position.
+    """Return the named estimates at the median position.
 
     Mass, damping and stiffness there, their growth with depth (1/m), natural frequency and damping ratio; with a known
     surface the stiffness of Eq. 3.33 too. For signals other than N and m a gain instead of the three.
@@ -68,7 +70,7 @@ def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) 
 
 
 def settling_samples(known: KnownCurves, sample_rate_hz: float) -> int:
-    """Samples after which a start is forgotten, from the mean rate of decay over the visited positions."""
+    """Return the samples after which a start is forgotten, from the mean rate of decay over the visited positions."""
     mass = known.curves.masses(known.position)
     decay = known.curves.dampings(known.position) / (2.0 * mass)
     squared = known.curves.stiffnesses(known.position) / mass - decay**2
@@ -77,7 +79,7 @@ def settling_samples(known: KnownCurves, sample_rate_hz: float) -> int:
 
 
 def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[str]:
-    """What the curves show, in words.
+    """Return how mass, damping and stiffness change with depth, and which optional terms would reduce the error.
 
     Args:
         known: the curves.
@@ -86,65 +88,135 @@ def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[
     low, high = known.central()
     middle = float(np.median(known.position))
     ends = np.array([low, high])
-    said = []
+    found: list[str] = []
     changes, covariance = known.changes(low, high)
-    told = np.abs(changes) > _DOUBT * np.sqrt(np.diag(covariance))  # nothing, where the covariance is unknown
-    for name, change, stands_out in zip(UNITS, changes, told, strict=True):
-        first, last = getattr(known, name)(ends).value
-        unit, scale = people_unit(UNITS[name])
-        where = f"between {1e3 * low:.2f} and {1e3 * high:.2f} mm"
-        growth = known.growth(name, middle)
-        if stands_out:
-            way = "grows" if change > 0.0 else "falls"
-            said.append(f"{name} {way} from {number(first * scale, 3)} to {number(last * scale, 3)} {unit} {where}")
-        elif growth.std is not None and abs(growth.value) > _DOUBT * growth.std:
-            way = "grows" if growth.value > 0.0 else "falls"
-            said.append(
-                f"{name} {way} by {number(abs(growth.value) / 10.0, 2)} % a millimetre at {1e3 * middle:.2f} mm; that "
-                f"it differs from end to end, {where}, is not certain"
+    significant = np.abs(changes) > _DOUBT * np.sqrt(np.diag(covariance))  # False where the covariance is unknown
+    for name, change, stands_out in zip(UNITS, changes, significant, strict=True):
+        found.append(_change(known, name, change if stands_out else 0.0, ends, middle))
+    if significant.all() and _common(changes, covariance):
+        found.append(
+            Message(
+                "dpn.common_factor",
+                "mass, damping and stiffness change by one common factor: a Wiener system would show the same",
             )
-        else:
-            shown = number(math.sqrt(first * last) * scale, 3)
-            said.append(f"{name} shows no change with depth that is certain: {shown} {unit}")
-    if told.all() and _common(changes, covariance):
-        said.append("mass, damping and stiffness grow by one common factor: a Wiener system would say the same")
+        )
     if known.curves.direction.size:
         here = np.array([middle])
         factor = float(known.damping(here, 1).value[0] / known.damping(here, -1).value[0])
-        said.append(f"damping on the way in is {factor:.2f} times that on the way out")
-    if known.curves.inertia.size:
-        said.append(
-            f"{known.curves.inertia[0]:.2f} of M'(y) y'^2 resists: Eq. 3.33 has none, a Wiener system all of it"
+        found.append(
+            Message(
+                "dpn.direction", "damping in inward motion is {factor:.2f} times that in outward motion", factor=factor
+            )
         )
-    words = {
-        "direction": "a damping that differs between the way in and the way out (direction)",
-        "inertia": "a squared speed where the mass changes (inertia)",
-    }
+    if known.curves.inertia.size:
+        found.append(
+            Message(
+                "dpn.inertia",
+                "a share of {share:.2f} of M'(y) y'^2 acts as a force: none in Eq. 3.33, all of it in a Wiener system",
+                share=float(known.curves.inertia[0]),
+            )
+        )
     for name, (statistic, explained) in gains.items():
         if statistic > _DOUBT**2 and explained > _EXPLAINED:
-            said.append(f"{words[name]} would take {100.0 * explained:.0f} % off the squared error")
-    return said
+            found.append(
+                Message(
+                    "dpn.term_would_help",
+                    "{term} would reduce the squared error by {percent:.0f} %",
+                    term=_TERMS[name],
+                    percent=100.0 * explained,
+                )
+            )
+    return found
+
+
+_NAMES = {"mass": marked("mass"), "damping": marked("damping"), "stiffness": marked("stiffness")}
+_TERMS = {
+    "direction": marked("a damping that depends on the direction (direction)"),
+    "inertia": marked("a squared speed where the mass changes (inertia)"),
+}
+
+
+def _change(known: KnownCurves, name: str, change: float, ends: Array, middle: float) -> Message:
+    """Return how one parameter changes between two depths (2,), m; ``change`` is 0 where it is not significant."""
+    first, last = getattr(known, name)(ends).value
+    unit, scale = display_unit(UNITS[name])
+    values = {
+        "name": _NAMES[name],
+        "start": number(first * scale, 3),
+        "end": number(last * scale, 3),
+        "unit": unit,
+        "low": 1e3 * float(ends[0]),
+        "high": 1e3 * float(ends[1]),
+    }
+    if change > 0.0:
+        return Message(
+            "depth.rises", "{name} rises from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm", **values
+        )
+    if change < 0.0:
+        return Message(
+            "depth.falls", "{name} falls from {start} to {end} {unit} from {low:.2f} to {high:.2f} mm", **values
+        )
+    growth = known.growth(name, middle)
+    if growth.std is not None and abs(growth.value) > _DOUBT * growth.std:
+        values = {
+            "name": _NAMES[name],
+            "percent": number(abs(growth.value) / 10.0, 2),
+            "place": 1e3 * middle,
+            "low": 1e3 * float(ends[0]),
+            "high": 1e3 * float(ends[1]),
+        }
+        if growth.value > 0.0:
+            return Message(
+                "depth.rises_locally",
+                "{name} rises by {percent} % per millimetre at {place:.2f} mm; its change from {low:.2f} to "
+                "{high:.2f} mm "
+                "is not significant",
+                **values,
+            )
+        return Message(
+            "depth.falls_locally",
+            "{name} falls by {percent} % per millimetre at {place:.2f} mm; its change from {low:.2f} to {high:.2f} mm "
+            "is not significant",
+            **values,
+        )
+    return Message(
+        "dpn.constant",
+        "{name} shows no significant change with depth: {value} {unit}",
+        name=_NAMES[name],
+        value=number(math.sqrt(first * last) * scale, 3),
+        unit=unit,
+    )
 
 
 def doubts(known: KnownCurves) -> list[str]:
-    """What to know before trusting the curves."""
+    """Return warnings on the curves."""
     if not np.all(np.isfinite(known.covariance)):
-        return ["the fit did not settle: mass, damping and stiffness have no uncertainty"]
+        return [
+            Message("dpn.not_converged", "the fit did not converge: mass, damping and stiffness have no uncertainty")
+        ]
     middle = float(np.median(known.position))
     here = np.array([middle])
     bands = {"mass": known.mass(here), "damping": known.damping(here), "stiffness": known.stiffness(here)}
-    unknown = [name for name, band in bands.items() if band.std[0] > _KNOWN * band.value[0]]
-    return [f"this record does not determine the {' and '.join(unknown)}"] if unknown else []
+    unknown = tuple(_NAMES[name] for name, band in bands.items() if band.std[0] > _KNOWN * band.value[0])
+    if not unknown:
+        return []
+    return [
+        Message(
+            "dpn.undetermined",
+            "this record does not determine the {names}",
+            names=Listing(unknown, marked(" and ")),
+        )
+    ]
 
 
 def estimate(value: float, std: float) -> Estimate:
-    """A value with its standard deviation, None where that is not finite."""
+    """Return a value with its standard deviation, None where that is not finite."""
     return Estimate(value, std if math.isfinite(std) else None)
 
 
 def _common(changes: Array, covariance: Array) -> bool:
-    """True when log M, log B and log K change with depth by as much, within their uncertainty and nearly so in size."""
+    """Return whether log M, log B and log K change equally with depth, within their uncertainty and in size."""
     contrast = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0]])
-    apart = contrast @ changes
-    statistic = float(apart @ np.linalg.solve(contrast @ covariance @ contrast.T, apart))
+    difference = contrast @ changes
+    statistic = float(difference @ np.linalg.solve(contrast @ covariance @ contrast.T, difference))
     return statistic < _DOUBT**2 and float(np.ptp(changes)) < _ALIKE * abs(float(np.mean(changes)))

@@ -1,4 +1,4 @@
-"""How many bends each curve is given: as many as the record can be seen to ask for, and some to spare.
+"""Selection of the degree of each curve: as high as the record supports, plus a spare degree.
 
 At a fit, the slopes of the simulated output by coefficients that are not there yet tell what each would gain. A gain
 counts when the sum of slope and error stands out of its own long-run deviation, which a coloured residual widens
@@ -14,31 +14,31 @@ from collections.abc import Collection
 import numpy as np
 
 from tissueid.identification.base import Array
-from tissueid.identification.dependence import dependence_samples, long_run_covariance
-from tissueid.identification.dpn.bands import coefficient_covariance
+from tissueid.identification.dpn.confidence_bands import coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import SETTLED, Fitted, Fitting, minimise
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 
 SERIES = ("mass", "damping", "stiffness", "direction", "inertia")
 
 _FEWEST = {"mass": 1, "damping": 1, "stiffness": 1, "direction": 0, "inertia": 0}
-"""Coefficients that a series cannot do without."""
+"""Minimum number of coefficients of each series."""
 
 _ON_THE_WAY = 1e-4
-"""Relative gain of a step below which a fit that is only a step to the next is over."""
+"""Relative gain of a step below which an intermediate fit ends."""
 
 _AHEAD = 2
-"""Degrees that are looked ahead: the second bend can be there without the first."""
+"""Number of degrees tested at once: a second degree can be present without the first."""
 
 _PRICES = (10.0, 13.0)
-"""Score statistics above which one coefficient, and two together, are taken in: by chance one time in 600."""
+"""Score statistics above which one coefficient, and two together, are added: 1 in 600 by chance."""
 
 _SHARES = (-0.5, 1.5)
 """What a share of M'(y) y'^2 can be: none, a half, or all of it, and as much again for its uncertainty."""
 
 
 def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
-    """What each series would gain by so many degrees more, for 1 .. its ``steps``.
+    """Return the gain of each series from 1 to ``steps`` additional degrees.
 
     Returns for each series and number of degrees the score statistic, which is chi-squared with that many degrees of
     freedom where they are not needed, and the share of the squared error that they would take away.
@@ -113,7 +113,7 @@ def grow(
 
 
 def _pruned(fitting: Fitting, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
-    """The fit without the bends that were needed on the way and, by Wald's statistic, no longer are."""
+    """Return the fit without the bends that were needed on the way and, by Wald's statistic, no longer are."""
     while True:
         covariance = coefficient_covariance(fitting, fitted)
         weakest: tuple[float, dict[str, int]] | None = None
@@ -135,14 +135,14 @@ def _degree(fitted: Fitted, name: str) -> int:
 
 
 def _room(fitted: Fitted, name: str, most: int) -> int:
-    """How many degrees more of a series may be looked at."""
+    """Return how many degrees more of a series may be looked at."""
     if name == "inertia":  # means nothing for a constant mass
         return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
     return max(0, min(_AHEAD, most - _degree(fitted, name)))
 
 
 def _plausible(fitted: Fitted) -> bool:
-    """False for a share of M'(y) y'^2 that no mass has: something else is behind it, and must not pass for that."""
+    """Return False for a share of M'(y) y'^2 that no mass can have: another effect causes it."""
     low, high = _SHARES
     return all(low < share < high for share in fitted.curves.inertia)
 
@@ -150,7 +150,7 @@ def _plausible(fitted: Fitted) -> bool:
 def _raised(
     fitting: Fitting, fitted: Fitted, degrees: dict[str, int], start: LogCurves, settled: float = _ON_THE_WAY
 ) -> Fitted | None:
-    """The fit with series of other degrees, None when it cannot be simulated."""
+    """Return the fit with series of other degrees, None when it cannot be simulated."""
     curves = fitted.curves.with_degrees(**degrees)
     every = {name: int(getattr(curves, name).size) - 1 for name in SERIES}
     centre: Array = start.with_degrees(**every).theta

@@ -1,8 +1,8 @@
 """Free run of M(y) y'' + B(y) y' + F(y) = u through tabulated curves (Chen 2010, Eq. 3.33, F = K(y) y).
 
-The steps are those of classical Runge-Kutta, so many to a sample that the fastest local dynamics turn by a quarter
+The integration is classical Runge-Kutta, with enough steps per sample that the fastest local dynamics turn by a quarter
 of a radian at most in each; the force between samples is that of its band-limited course, or held. Any input is
-integrated: a motion that leaves the neighbourhood of the tables is stopped and told, so nothing here runs away.
+integrated: a motion that leaves the neighbourhood of the tables is stopped and reported.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from scipy import fft, interpolate
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.dpn import kernel
+from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.second_order import Hold
-from tissueid.identification.validation import finite_runs
+from tissueid.messages import Message
 
 STEP_RADIANS = 0.25
 """How far the fastest local dynamics may turn in one step.
@@ -30,14 +31,14 @@ STABLE_RADIANS = 2.0
 """The same where the curves are only continued, beyond what was visited: there it is enough that a step is stable."""
 
 MOST_STEPS = 32
-"""Steps to a sample that are still taken; stiffer curves than these are not integrated."""
+"""Largest number of steps per sample; stiffer curves are not integrated."""
 
 _BRIDGE = 64
-"""Samples over which a run is continued past either end, so that its Fourier series closes smoothly."""
+"""Samples by which a run is extended at both ends, so that its Fourier series is smooth."""
 
 _ROWS = 2049
 _REACH = 20.0
-"""Widths of the table that a motion may stray before it counts as diverged."""
+"""Distance from the table, in its widths, beyond which a motion has diverged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +74,12 @@ class Curves:
         return np.gradient(self.force, self.spacing)
 
     def table(self) -> Array:
-        """The columns that the compiled loop reads, shape (rows, 4)."""
+        """Return the columns that the compiled loop reads, shape (rows, 4)."""
         direction = np.zeros_like(self.mass) if self.direction is None else self.direction
         return np.ascontiguousarray(np.column_stack([self.mass, self.damping, self.force, direction]))
 
     def rest(self, force: float) -> float:
-        """Position, m, at which the tissue bears a steady force, N."""
+        """Return the position, m, at which the tissue bears a steady force, N."""
         place = self.position
         last = place.size - 1
         if force < self.force[0]:
@@ -89,7 +90,7 @@ class Curves:
         return float(np.interp(force, self.force, place))
 
     def steps(self, sample_rate_hz: float) -> int:
-        """Runge-Kutta steps that a sample needs; more than :data:`MOST_STEPS` for curves too stiff to integrate."""
+        """Return the Runge-Kutta steps per sample; above :data:`MOST_STEPS` for curves too stiff to integrate."""
         damping = self.damping if self.direction is None else self.damping * np.exp(np.abs(self.direction))
         with np.errstate(over="ignore", invalid="ignore"):
             local = np.maximum(damping / self.mass, np.sqrt(np.maximum(0.0, self.stiffness / self.mass)))  # rad/s
@@ -99,7 +100,7 @@ class Curves:
         return max(1, math.ceil(needed)) if needed <= MOST_STEPS else MOST_STEPS + 1
 
     def bounds(self) -> Array:
-        """Lowest and highest position (m) and largest speed (m/s) that count as a motion, shape (3,)."""
+        """Return the lowest and highest position (m) and largest speed (m/s) that count as a motion, shape (3,)."""
         width = self.spacing * (self.mass.size - 1)
         fastest = math.sqrt(float(np.max(self.stiffness / self.mass)))
         return np.array(
@@ -131,11 +132,19 @@ def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Cur
             positive, or a negative damping.
     """
     if position.size < 2 or not np.all(np.diff(position) > 0.0):
-        raise UnusableInputError("curves against depth need two points or more, at rising positions")
+        raise UnusableInputError(
+            Message("dpn.bad_positions", "curves against depth need at least two points, at increasing positions")
+        )
     if not np.all(np.diff(force) > 0.0):
-        raise UnusableInputError("the force must rise with the position: take the points that it does not rise to out")
+        raise UnusableInputError(
+            Message(
+                "dpn.falling_force", "the force must increase with the position: remove the points where it does not"
+            )
+        )
     if not (np.all(mass > 0.0) and np.all(damping >= 0.0)):
-        raise UnusableInputError("mass must be positive and damping not negative at every point of a curve")
+        raise UnusableInputError(
+            Message("dpn.bad_mass", "mass must be positive and damping not negative at every point of a curve")
+        )
     grid = np.linspace(position[0], position[-1], _ROWS)
     m, b, f = (
         np.asarray(interpolate.PchipInterpolator(position, values)(grid), dtype=np.float64)
@@ -147,7 +156,7 @@ def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Cur
 def simulate_dpn(
     curves: Curves, u: Array, sample_rate_hz: float, *, rest_input: float | None = None, hold: Hold = "band-limited"
 ) -> FreeRun:
-    """Free run of tabulated curves: nothing but the input u (n,), N, is seen.
+    """Return the free run of tabulated curves: nothing but the input u (n,), N, is seen.
 
     Every uninterrupted run of input starts at rest where the tissue bears ``rest_input``.
 
@@ -164,11 +173,15 @@ def simulate_dpn(
     u = np.asarray(u, dtype=np.float64)
     received = np.isfinite(u)
     if not received.any():
-        raise UnusableInputError("the input holds no received sample to simulate from")
+        raise UnusableInputError(Message("dpn.no_input", "the input has no received sample to simulate from"))
     steps = curves.steps(sample_rate_hz)
     if steps > MOST_STEPS:
         raise UnusableInputError(
-            f"curves with a damping this large for the mass need {steps} steps a sample: they cannot be simulated"
+            Message(
+                "dpn.too_stiff",
+                "curves with so much damping for their mass need {steps} steps per sample and cannot be simulated",
+                steps=steps,
+            )
         )
     start = np.array([curves.rest(float(u[received].mean()) if rest_input is None else rest_input), 0.0])
     position, speed = np.full(u.size, np.nan), np.full(u.size, np.nan)
@@ -198,7 +211,7 @@ def integrate(
     start: Array,
     bounds: Array,
 ) -> tuple[Array, Array, Array, int]:
-    """One run of input through the compiled loop; arguments and answer as :func:`kernel.free_run`."""
+    """Return one run of input through the compiled loop; arguments and answer as :func:`kernel.free_run`."""
     steps = (push.shape[1] - 1) // 2
     position, speed, sensitivity, done = kernel.free_run(
         push,
@@ -217,7 +230,7 @@ def integrate(
 
 
 def intersample(u: Array, steps: int, hold: Hold) -> Array:
-    """Input u (n,) at every half step between each two samples, shape (n - 1, 2 steps + 1).
+    """Return the input u (n,) at every half step between each two samples, shape (n - 1, 2 steps + 1).
 
     A band-limited input is interpolated by its Fourier series. Before its first and after its last sample it is
     continued by its own image turned about that sample, which keeps its slope, fading into a constant.

@@ -1,4 +1,4 @@
-"""Adaptive least squares: a response that follows the latest errors, its average, and how it goes with depth."""
+"""Adaptive least squares: a time-varying response, its average, and its change with depth."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, FitReport
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.online import adaptive_least_squares as adaptation
 from tissueid.identification.online.identifier import (
     Identifier,
@@ -21,12 +21,14 @@ from tissueid.identification.online.identifier import (
     fed,
     first_sample,
     lags_of,
-    looked_over,
+    prepared_recent,
 )
 from tissueid.identification.preparation import Prepared, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 _FLOOR = 0.01
@@ -116,20 +118,23 @@ class AlsIdentifier(Identifier):
 
     @property
     def warning(self) -> str | None:
-        """One line once the response ran away: it then stays where it last did well, and learns no more."""
+        """Warning after the response diverged; it is then reset and adaptation stops. None before."""
         update = int(self._scalars[adaptation.DIVERGED])
         if update == 0:
             return None
-        taken = f"step of {self.options.step:g}"
-        if self.options.change_factor is not None:
-            taken = f"change factor of {self.options.change_factor:g}"
-        return (
-            f"unstable ALS step: with a {taken} the response ran away after {update / self.sample_rate_hz:.3g} s and "
-            "was put back; take a tenth of it"
+        factor = self.options.change_factor
+        return Message(
+            "als.diverged",
+            "unstable ALS step: with {which} = {step:g} the response diverged after {seconds:.3g} s and was reset; "
+            "use a "
+            "tenth of that",
+            which="step" if factor is None else "change_factor",
+            step=self.options.step if factor is None else factor,
+            seconds=update / self.sample_rate_hz,
         )
 
     def by_depth(self) -> tuple[Array, Array, Array]:
-        """Responses (levels, lags), in the unit of the impulse response, mean outputs (levels,), samples (levels,)."""
+        """Return responses (levels, lags), mean outputs (levels,) and numbers of samples (levels,)."""
         counts = self._counts_at[:, 0]
         there = np.maximum(counts, 1.0)
         responses = self._sums_at / there[:, None] * self.sample_rate_hz
@@ -142,12 +147,12 @@ class AlsIdentifier(Identifier):
         Raises:
             UnusableInputError: too little was received yet to be scored.
         """
-        return self.options.described(self, looked_over(self))
+        return self.options.described(self, prepared_recent(self))
 
 
 @engine
 class Als(OnlineEngine):
-    """Adaptive least-squares finite impulse response (Chen 2010, Eqs. 6.6-6.8).
+    """ALS engine.
 
     At each sample the response is moved along the regressor by a share of the error. ``step`` is that share, free of
     units: 1 undoes the whole error, 2 runs away. ``change_factor`` is the thesis' own number instead, over the unit of
@@ -156,15 +161,31 @@ class Als(OnlineEngine):
     """
 
     name: ClassVar[str] = "als"
+    label: ClassVar[str] = "ALS"
+    title: ClassVar[str] = marked("Adaptive least-squares finite impulse response (Chen 2010, Eqs. 6.6-6.8).")
     family: ClassVar[Family] = Family.LINEAR
 
     step: float = Field(
-        0.2, gt=0.0, lt=2.0, description="Share of the error that one sample corrects; beyond 2 it runs away"
+        0.2,
+        gt=0.0,
+        lt=2.0,
+        title=marked("Step"),
+        description=marked("Share of the error that one sample corrects; unstable above 2"),
     )
     change_factor: float | None = Field(
-        None, gt=0.0, le=1e12, description="Eq. 6.8 as it stands, one over the input's unit squared; replaces the step"
+        None,
+        gt=0.0,
+        le=1e12,
+        title=marked("Change factor"),
+        description=marked("Change factor of Eq. 6.8, in one over the input's unit squared; replaces the step"),
     )
-    levels: int = Field(8, ge=1, le=50, description="Depths of equal count that the responses are sorted into")
+    levels: int = Field(
+        8,
+        ge=1,
+        le=50,
+        title=marked("Levels"),
+        description=marked("Number of depth ranges, with equal counts of samples, for which responses are averaged"),
+    )
 
     def start(
         self,
@@ -231,7 +252,7 @@ class Als(OnlineEngine):
                 aic=aic(residuals, lags + 1),
                 aicc=aicc(residuals, lags + 1),
                 parameters=second_order.parameters,
-                warnings=(*prepared.warnings, *unstable, *doubt_memory(kernel), *second_order.warnings),
+                warnings=(*prepared.warnings, *unstable, *memory_warnings(kernel), *second_order.warnings),
                 details={
                     "vaf_tracking_percent": identifier.tracking_vaf_percent,
                     "n_parameters_tracking": float(lags * identifier.updates),
@@ -267,6 +288,11 @@ class Als(OnlineEngine):
         bound = 2.0 / (prepared.memory_samples * power)
         if self.change_factor is not None and self.change_factor >= bound:
             raise UnusableInputError(
-                f"unstable ALS step: a change factor of {self.change_factor:g} is beyond 2 / (lags x input power) = "
-                f"{bound:.3g}: take a tenth of that, or the normalised step"
+                Message(
+                    "als.unstable_factor",
+                    "unstable ALS step: the change factor {factor:g} is above 2 / (lags x input power) = "
+                    "{bound:.3g}; use a tenth of that, or the normalised step",
+                    factor=self.change_factor,
+                    bound=bound,
+                )
             )

@@ -1,4 +1,4 @@
-"""Cascades of linear and static blocks: the structure that a record speaks for, or a given one."""
+"""Cascades of linear and static blocks: a given structure, or the one that the record supports."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from tissueid.identification.cascades.blocks import (
     input_levels,
     prepare_cascade,
 )
-from tissueid.identification.cascades.choice import Choice, choose, doubts_of, findings_of
 from tissueid.identification.cascades.fit import fit_structures, polished
-from tissueid.identification.cascades.normal import Normalised, Uncertainty, normalised, steady, uncertainty
+from tissueid.identification.cascades.normalisation import Normalised, Uncertainty, normalised, steady, uncertainty
 from tissueid.identification.cascades.parameters import fit_small_movements, parameters_at_rest
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.cascades.structure_selection import StructureChoice, choose, doubts_of, findings_of
+from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 
@@ -55,7 +57,7 @@ class CascadeModel(Model):
     lag_s: Array
     input_mean: float
     offset: float
-    choice: Choice | None
+    choice: StructureChoice | None
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
@@ -66,7 +68,7 @@ class CascadeModel(Model):
 
 @engine
 class Cascade(Engine):
-    """Block structures: linear, Wiener (LN), Hammerstein (NL), LNL and NLN (Chen 2010, 3.2 and 4.2).
+    """Cascade engine.
 
     All are fitted by the error of the free run over all blocks together, from several starts. ``auto`` keeps the
     simplest structure that is as good as the best on samples it was not fitted to, and says what the record does not
@@ -74,19 +76,36 @@ class Cascade(Engine):
     """
 
     name: ClassVar[str] = "cascade"
+    label: ClassVar[str] = marked("Cascade")
+    title: ClassVar[str] = marked(
+        "Block structures: linear, Wiener (LN), Hammerstein (NL), LNL and NLN (Chen 2010, 3.2 and 4.2)."
+    )
     family: ClassVar[Family] = Family.STATIC
 
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long each linear block's response lasts, s")
+    memory: float = Field(
+        0.125,
+        gt=0.0,
+        le=10.0,
+        title=marked("Memory"),
+        description=marked("Length of the impulse response of each linear block, s"),
+    )
     structure: Literal["auto", "linear", "wiener", "hammerstein", "lnl", "nln"] = Field(
-        "auto", description="Which blocks, or auto for those that the record speaks for"
+        "auto",
+        title=marked("Structure"),
+        description=marked("Structure of the blocks; auto compares all and takes the one that the record supports"),
     )
     nonlinearity: Form = Field(
-        "polynomial", description="A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"
+        "polynomial",
+        title=marked("Nonlinearity"),
+        description=marked("A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"),
     )
-    degree: int = Field(5, ge=1, le=20, description="Degree of the polynomial, or pieces of the spline")
+    degree: int = Field(
+        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
+    )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> CascadeModel:
@@ -106,11 +125,27 @@ class Cascade(Engine):
         warnings = list(prepared.warnings)
         levels = input_levels(prepared)
         if levels < curve + 2:
-            few = f"an input of {levels} different values does not determine a curve of {curve + 2} coefficients"
             wanted = tuple(structure for structure in wanted if structure not in ("hammerstein", "nln"))
             if not wanted:
-                raise UnusableInputError(f"{few}: lower the degree, or take another structure")
-            warnings += [f"{few}: hammerstein and nln were not tried"] if self.structure == "auto" else []
+                raise UnusableInputError(
+                    Message(
+                        "hammerstein.few_levels",
+                        "an input of {levels} different values does not determine a curve of {coefficients} "
+                        "coefficients: lower the degree, or use lms",
+                        levels=levels,
+                        coefficients=curve + 2,
+                    )
+                )
+            if self.structure == "auto":
+                warnings.append(
+                    Message(
+                        "cascade.not_tried",
+                        "an input of {levels} different values does not determine a curve of {coefficients} "
+                        "coefficients: hammerstein and nln were not tried",
+                        levels=levels,
+                        coefficients=curve + 2,
+                    )
+                )
         data = cascade_data(prepared, lags, spacing)
         found = fit_structures(data, self.nonlinearity, self.degree, wanted)
         choice = choose(found, data) if self.structure == "auto" else None
@@ -118,16 +153,16 @@ class Cascade(Engine):
         blocks, data = polished(found[structure], data)
         known = uncertainty(blocks, data)
         gains = steady(blocks, data, known)
-        told = normalised(blocks, data, gains)
+        normal = normalised(blocks, data, gains)
         first_std, second_std = _kernel_stds(known, data, gains)
 
-        modelled = told.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
+        modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
         residuals = np.where(used, record.output - modelled, np.nan)
-        small = fit_small_movements(told, record, used, residuals, self.hold)
-        parameters, flat = parameters_at_rest(told, lambda some: normalised(some, data, gains), known, small)
+        small = fit_small_movements(normal, record, used, residuals, self.hold)
+        parameters, flat = parameters_at_rest(normal, lambda some: normalised(some, data, gains), known, small)
         warnings += flat or small.warnings
-        for kernel in (told.first, told.second):
-            warnings += [] if kernel is None else doubt_memory(kernel)
+        for kernel in (normal.first, normal.second):
+            warnings += [] if kernel is None else memory_warnings(kernel)
         details = {"kernel_functions": float(data.bank.size), "input_edge_hz": data.edge_hz}
         if choice is not None:
             warnings += doubts_of(choice)
@@ -153,22 +188,22 @@ class Cascade(Engine):
             sample_rate_hz=rate,
             memory_samples=2 * lags - 1 if structure == "lnl" else lags,
             structure=structure,
-            inner=told.inner,
-            first_kernel=told.first,
+            inner=normal.inner,
+            first_kernel=normal.first,
             first_kernel_std=first_std,
-            outer=told.outer,
-            second_kernel=told.second,
+            outer=normal.outer,
+            second_kernel=normal.second,
             second_kernel_std=second_std,
             lag_s=np.arange(lags) / rate,
             input_mean=prepared.input_mean,
-            offset=told.offset,
+            offset=normal.offset,
             choice=choice,
             second_order=small,
         )
 
 
 def _largest(wanted: tuple[Structure, ...], basis: int, curve: int) -> int:
-    """Parameters of the largest structure that is wanted, of a basis' size and a curve's free coefficients."""
+    """Return the number of parameters of the largest wanted structure, from the sizes of basis and curve."""
     counts = {
         "linear": basis + 1,
         "wiener": basis + curve + 1,
@@ -180,7 +215,7 @@ def _largest(wanted: tuple[Structure, ...], basis: int, curve: int) -> int:
 
 
 def _kernel_stds(known: Uncertainty, data: CascadeData, gains: tuple[bool, bool]) -> tuple[Array, Array | None]:
-    """Standard deviations (lags,) of the kernels as they are told."""
+    """Return the standard deviations (lags,) of the reported kernels."""
 
     def kernels(some: Blocks) -> Array:
         shape = normalised(some, data, gains)

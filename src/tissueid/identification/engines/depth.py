@@ -1,4 +1,4 @@
-"""Depth partitions: a kernel for every stretch of depth, and mass, damping and stiffness against depth."""
+"""Depth partitions: a kernel for every range of depth, and mass, damping and stiffness against depth."""
 
 from __future__ import annotations
 
@@ -7,54 +7,78 @@ from typing import ClassVar
 from pydantic import Field
 
 from tissueid.identification.base import Engine
-from tissueid.identification.family import Family
+from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.cells import Breakpoints
 from tissueid.identification.partitions.fit import Offset, PartitionChoice, fit_partitions
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.language import marked
 from tissueid.records import Record
 
 
 @engine
 class Depth(Engine):
-    """Kernels that depend on depth (Chen 2010, 5.1-5.3).
+    """Depth engine.
 
     Assumes that the dynamics depend on where the probe is, not on how it came there, that the output rises or falls
     with the input throughout, and a response that is over within ``memory``.
     """
 
     name: ClassVar[str] = "depth"
+    label: ClassVar[str] = marked("Depth")
+    title: ClassVar[str] = marked("Kernels that depend on depth (Chen 2010, 5.1-5.3).")
     family: ClassVar[Family] = Family.DEPTH
 
-    memory: float = Field(0.06, gt=0.0, le=10.0, description="How long the kernels last, s")
-    partitions: int = Field(7, ge=1, le=100, description="Stretches of depth")
+    memory: float = Field(0.06, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the kernels, s"))
+    partitions: int = Field(
+        7, ge=1, le=100, title=marked("Partitions"), description=marked("Number of depth partitions")
+    )
     breakpoints: Breakpoints = Field(
-        "count", description="Cut depth so that every partition has as many samples, or is as wide"
+        "count",
+        title=marked("Breakpoints"),
+        description=marked("Partitions with equal counts of samples, or of equal width"),
     )
     breakpoints_m: tuple[float, ...] | None = Field(
-        None, description="Positions to cut at, rising, m; in place of the number of partitions"
+        None,
+        title=marked("Given breakpoints"),
+        description=marked("Increasing positions of the cuts, m; replace the number of partitions"),
     )
     filter_hz: float | None = Field(
         None,
         gt=0.0,
         le=1e6,
-        description="Cutoff of the low-pass that the output passes before it chooses a partition; none when not given",
+        title=marked("Low-pass"),
+        description=marked(
+            "Cutoff of the low-pass for the output that selects the partition; no low-pass if not given"
+        ),
     )
     downsample: int | None = Field(
-        None, ge=1, le=1000, description="Samples between the lags of the kernels; chosen by the input when not given"
+        None,
+        ge=1,
+        le=1000,
+        title=marked("Downsampling"),
+        description=marked("Samples between the lags of the kernels; from the input if not given"),
     )
     offset: Offset = Field(
         "auto",
-        description="One offset and the force as measured (common, Eq. 5.1), one offset and the force about its mean, "
-        "or a linear model with an offset of its own for each partition; auto takes that for stepped records",
+        title=marked("Offset"),
+        description=marked(
+            "One offset and the force as measured (common, Eq. 5.1), one offset and the force about its mean (mean), "
+            "or a linear model with an offset for each partition (partition); auto uses partition for stepped records"
+        ),
     )
     correct: bool = Field(
-        True, description="Take off the bias that the estimator shows on a tissue simulated with what it found"
+        True,
+        title=marked("Bias correction"),
+        description=marked(
+            "Subtract the bias of the estimator, found on a simulated tissue with the estimated parameters"
+        ),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> PartitionedModel:

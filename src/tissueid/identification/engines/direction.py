@@ -1,4 +1,4 @@
-"""Direction partitions: a kernel for every stretch of depth and either direction."""
+"""Direction partitions: a kernel for every range of depth and either direction."""
 
 from __future__ import annotations
 
@@ -7,49 +7,80 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from tissueid.identification.base import Engine
-from tissueid.identification.family import Family
+from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.cells import Breakpoints
 from tissueid.identification.partitions.fit import PartitionChoice, fit_partitions
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.language import marked
 from tissueid.records import Record
 
 
 @engine
 class Direction(Engine):
-    """Kernels that depend on depth and on whether the probe moves in or out (Chen 2010, 5.4, Eqs. 5.3-5.4).
+    """Direction engine.
 
-    Damping on the way in and on the way out is found beside kernels of depth alone, as those of Eq. 5.3 mix a damping
-    that depends on the direction with a stiffness that does. Mass and stiffness are taken to be the same both ways.
+    Damping of inward and outward motion is estimated together with kernels that depend on depth only, because those of
+    Eq. 5.3 cannot separate a damping from a stiffness that depends on the direction. Mass and stiffness are assumed to
+    be equal in both directions.
     """
 
     name: ClassVar[str] = "direction"
+    label: ClassVar[str] = marked("Direction")
+    title: ClassVar[str] = marked(
+        "Kernels that depend on depth and on whether the probe moves in or out (Chen 2010, 5.4, Eqs. 5.3-5.4)."
+    )
     family: ClassVar[Family] = Family.DIRECTION
 
-    memory: float = Field(0.06, gt=0.0, le=10.0, description="How long the kernels last, s")
-    partitions: int = Field(5, ge=1, le=50, description="Stretches of depth; there are twice as many kernels")
+    memory: float = Field(0.06, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the kernels, s"))
+    partitions: int = Field(
+        5,
+        ge=1,
+        le=50,
+        title=marked("Partitions"),
+        description=marked("Number of depth partitions; there are twice as many kernels"),
+    )
     breakpoints: Breakpoints = Field(
-        "count", description="Cut depth so that every partition has as many samples, or is as wide"
+        "count",
+        title=marked("Breakpoints"),
+        description=marked("Partitions with equal counts of samples, or of equal width"),
     )
     breakpoints_m: tuple[float, ...] | None = Field(
-        None, description="Positions to cut at, rising, m; in place of the number of partitions"
+        None,
+        title=marked("Given breakpoints"),
+        description=marked("Increasing positions of the cuts, m; replace the number of partitions"),
     )
     filter_hz: float | None = Field(
-        50.0, gt=0.0, le=1e6, description="Cutoff of the low-pass that the output passes before it chooses a partition"
+        50.0,
+        gt=0.0,
+        le=1e6,
+        title=marked("Low-pass"),
+        description=marked("Cutoff of the low-pass for the output that selects the partition"),
     )
     downsample: int | None = Field(
-        None, ge=1, le=1000, description="Samples between the lags of the kernels; chosen by the input when not given"
+        None,
+        ge=1,
+        le=1000,
+        title=marked("Downsampling"),
+        description=marked("Samples between the lags of the kernels; from the input if not given"),
     )
     offset: Literal["common", "mean"] = Field(
-        "common", description="The force as measured (Eq. 5.3), or about its mean; all kernels share one offset"
+        "common",
+        title=marked("Offset"),
+        description=marked("The force as measured (Eq. 5.3), or about its mean; all kernels share one offset"),
     )
     correct: bool = Field(
-        True, description="Take off the bias that the estimator shows on a tissue simulated with what it found"
+        True,
+        title=marked("Bias correction"),
+        description=marked(
+            "Subtract the bias of the estimator, found on a simulated tissue with the estimated parameters"
+        ),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> PartitionedModel:

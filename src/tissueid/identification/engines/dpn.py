@@ -11,34 +11,37 @@ from pydantic import Field
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.dpn.bands import KnownCurves, coefficient_covariance
+from tissueid.identification.dpn.confidence_bands import KnownCurves, coefficient_covariance
 from tissueid.identification.dpn.curves import LogCurves
 from tissueid.identification.dpn.fit import Fitted, Fitting
 from tissueid.identification.dpn.report import doubts, dpn_parameters, findings, settling_samples
 from tissueid.identification.dpn.selection import grow, score_gains
 from tissueid.identification.dpn.simulation import FreeRun, simulate_dpn
-from tissueid.identification.family import Family
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.sample_masks import complete_windows, scored_samples
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
-from tissueid.identification.validation import aic, aicc, complete_windows, scored_samples, vaf_percent
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message, code_of
 from tissueid.records import Record
 
 _MEMORY_S = 0.125
-"""Length below which a record is not looked at, s, when no memory is given."""
+"""Shortest record that is fitted if no memory is given, s."""
 
 _LEAST_PARAMETERS = 7
 """Level of the force, and a constant and a growth of each curve: what the spare degree leaves of the simplest fit."""
 
 _LONGEST_SHARE = 0.25
-"""A start that is felt for longer than this part of the record is told of, and scored from there on."""
+"""Share of the record after which initial conditions must have decayed; otherwise a warning is given."""
 
 _TURNING_SHARE = 0.1
-"""Part of the typical speed over which the damping goes from one direction's to the other's."""
+"""Share of the typical speed over which the damping changes between directions."""
 
 _STIFFEST = 4.0
-"""Damping over mass and sample period with which a fit begins at most; the fit itself may go beyond."""
+"""Largest initial damping, relative to mass over sample period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class DpnModel(Model):
     mechanical: bool
 
     def free_run(self, u: Array) -> FreeRun:
-        """Position and speed for an input u (n,), each run of it from rest at the mean input of the fit.
+        """Return the position and speed for an input u (n,), each run of it from rest at the mean input of the fit.
 
         Says whether and where the motion diverged. Samples in the memory of a gap are not yet masked.
         """
@@ -80,49 +83,88 @@ class DpnModel(Model):
         return position
 
     def depth_profile(self) -> DepthProfile | None:
-        """Mass, damping and tangent stiffness over the central 98 % of the visited positions; None if not N and m."""
+        """Return the profile over the central 98 % of the visited positions; None unless the units are N and m."""
         return self.known.profile() if self.mechanical else None
+
+
+_SWITCHES = (marked("auto"), marked("on"), marked("off"))
+"""Choices of the option as a form shows them, for translation."""
 
 
 @engine
 class Dpn(Engine):
-    """Mass, damping and stiffness as functions of depth (Chen 2010, Eq. 3.33), by the free run's error.
+    """DPN engine.
 
     Assumes that the state is position and speed alone: no relaxation, no creep, no memory of the way there. The
     logarithms of the curves are Legendre series in the position; where no degree is given the record decides.
     """
 
     name: ClassVar[str] = "dpn"
+    label: ClassVar[str] = "DPN"
+    title: ClassVar[str] = marked(
+        "Mass, damping and stiffness as functions of depth (Chen 2010, Eq. 3.33), by the free run's error."
+    )
     family: ClassVar[Family] = Family.PARAMETRIC
 
     memory: float | None = Field(
-        None, gt=0.0, le=10.0, description="How long a start is felt, s; from the slower time constant when not given"
+        None,
+        gt=0.0,
+        le=10.0,
+        title=marked("Memory"),
+        description=marked("Duration of initial conditions, s; from the slower time constant if not given"),
     )
     mass_degree: int | None = Field(
-        None, ge=0, le=12, description="Degree of log M(y): 0 constant, 1 exponential; found when not given"
+        None,
+        ge=0,
+        le=12,
+        title=marked("Degree of mass"),
+        description=marked("Degree of log M(y): 0 constant, 1 exponential; selected if not given"),
     )
     damping_degree: int | None = Field(
-        None, ge=0, le=12, description="Degree of log B(y): 0 constant, 1 exponential; found when not given"
+        None,
+        ge=0,
+        le=12,
+        title=marked("Degree of damping"),
+        description=marked("Degree of log B(y): 0 constant, 1 exponential; selected if not given"),
     )
     stiffness_degree: int | None = Field(
-        None, ge=0, le=12, description="Degree of log dF/dy: 0 constant, 1 exponential; found when not given"
+        None,
+        ge=0,
+        le=12,
+        title=marked("Degree of stiffness"),
+        description=marked("Degree of log dF/dy: 0 constant, 1 exponential; selected if not given"),
     )
-    max_degree: int = Field(6, ge=0, le=12, description="Largest degree that is found")
+    max_degree: int = Field(
+        6, ge=0, le=12, title=marked("Largest degree"), description=marked("Largest degree that is selected")
+    )
     spare_degree: int = Field(
-        2, ge=0, le=3, description="Degrees beyond those that are found, so that the bands hold what is not seen"
+        2,
+        ge=0,
+        le=3,
+        title=marked("Spare degree"),
+        description=marked(
+            "Degrees above the selected ones, so that the confidence bands include changes below the noise"
+        ),
     )
     direction: Literal["auto", "on", "off"] = Field(
-        "auto", description="Damping that differs between the way in and the way out"
+        "auto", title=marked("Direction"), description=marked("Different damping of inward and outward motion")
     )
     inertia: Literal["auto", "on", "off"] = Field(
-        "auto", description="Squared speed where the mass changes, of which Eq. 3.33 has none"
+        "auto",
+        title=marked("Inertia"),
+        description=marked("Term with the squared speed where the mass changes; Eq. 3.33 has none"),
     )
     surface_position_m: float | None = Field(
-        None, ge=-1.0, le=1.0, description="Where the tissue begins, m: then the stiffness of Eq. 3.33 is told too"
+        None,
+        ge=-1.0,
+        le=1.0,
+        title=marked("Surface"),
+        description=marked("Position of the tissue surface, m; if given, the stiffness of Eq. 3.33 is also reported"),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> DpnModel:
@@ -135,14 +177,18 @@ class Dpn(Engine):
         prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
         fitting = Fitting(record, prepared.part, self.hold)
         if fitting.samples.size < _LEAST_PARAMETERS:
-            raise UnusableInputError("the record has no stretch long enough to simulate: it is full of gaps")
+            raise UnusableInputError(
+                Message("dpn.no_stretch", "the record has no stretch without gaps that is long enough to simulate")
+            )
         start = _constant_curves(prepared, self.hold)
         degrees, free, off = self._wanted()
         most = min(self.max_degree, int(fitting.samples.size) // (4 * SAMPLES_PER_PARAMETER))
         grown = grow(fitting, start, degrees, free, most, self.spare_degree)
         if grown is None:
             raise UnusableInputError(
-                "not even constant mass, damping and stiffness can be simulated: use the lms engine"
+                Message(
+                    "dpn.diverged_at_once", "not even constant mass, damping and stiffness can be simulated: use lms"
+                )
             )
         fitted, found = grown
         known = KnownCurves(
@@ -157,7 +203,7 @@ class Dpn(Engine):
         return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
 
     def _wanted(self) -> tuple[dict[str, int], list[str], list[str]]:
-        """Degrees that are given, series that are free, and terms that are switched off."""
+        """Return the degrees that are given, series that are free, and terms that are switched off."""
         given = {"mass": self.mass_degree, "damping": self.damping_degree, "stiffness": self.stiffness_degree}
         switched = {"direction": self.direction, "inertia": self.inertia}
         degrees = {name: degree for name, degree in given.items() if degree is not None}
@@ -182,7 +228,12 @@ class Dpn(Engine):
         memory = prepared.memory_samples if self.memory is not None else settling_samples(known, rate)
         if memory > _LONGEST_SHARE * length:
             warnings.append(
-                f"a start is felt for {memory / rate:.2g} s of the {length / rate:.2g} s fitted: record longer"
+                Message(
+                    "dpn.short",
+                    "initial conditions last for {settling:.2g} s of the fitted {seconds:.2g} s: record longer",
+                    settling=memory / rate,
+                    seconds=length / rate,
+                )
             )
             if self.memory is None:
                 memory = max(1, int(_LONGEST_SHARE * length))
@@ -190,13 +241,24 @@ class Dpn(Engine):
         run = simulate_dpn(fitted.curves.tables, record.input, rate, rest_input=prepared.input_mean, hold=self.hold)
         if run.diverged_at is not None:
             warnings.append(
-                f"the free run diverged {run.diverged_at / rate:.3g} s into the record: do not trust the curves"
+                Message(
+                    "dpn.diverged",
+                    "the free run diverged {seconds:.3g} s after the start of the record: do not use the curves",
+                    seconds=run.diverged_at / rate,
+                )
             )
         residuals = np.where(used, record.output - run.position, np.nan)
         p = int(fitted.curves.theta.size)
-        if used.sum() < SAMPLES_PER_PARAMETER * p and not any("fewer than" in text for text in warnings):
+        if used.sum() < SAMPLES_PER_PARAMETER * p and "record.few_samples" not in map(code_of, warnings):
             warnings.append(
-                f"{int(used.sum())} usable samples for {p} parameters is fewer than {SAMPLES_PER_PARAMETER} each"
+                Message(
+                    "record.few_samples",
+                    "{count} usable samples for {parameters} parameters are fewer than {fewest} for each: record "
+                    "longer, or shorten the memory",
+                    count=int(used.sum()),
+                    parameters=p,
+                    fewest=SAMPLES_PER_PARAMETER,
+                )
             )
         return DpnModel(
             report=FitReport(
@@ -233,7 +295,7 @@ class Dpn(Engine):
 
 
 def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
-    """The linear second-order system of the record as curves that do not depend on depth.
+    """Return the linear second-order system of the record as curves that do not depend on depth.
 
     Raises:
         UnusableInputError: the output falls as the input rises.
@@ -242,7 +304,12 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
     linear = fit_second_order(record, prepared.used, hold)
     if linear.sign < 0.0:
         raise UnusableInputError(
-            f"the output ({record.output_name}) falls as the input ({record.input_name}) rises: turn one of them round"
+            Message(
+                "dpn.falling",
+                "the output ({output}) falls as the input ({input}) rises: reverse the sign of one of them",
+                output=record.output_name,
+                input=record.input_name,
+            )
         )
     output = record.output[prepared.part]
     received = output[np.isfinite(output)]

@@ -2,31 +2,110 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.base import Array, Engine, FitReport, Model
+from tissueid.identification.base import Array, Engine, FitReport, Mask, Model
 from tissueid.identification.cascades.blocks import Blocks, CascadeData, cascade_data, input_levels, prepare_cascade
 from tissueid.identification.cascades.curves import lifted
 from tissueid.identification.cascades.fit import fit_linear, hammerstein_passes
-from tissueid.identification.cascades.hammerstein_parameters import fit_driven_stage, told_of_curve
-from tissueid.identification.cascades.normal import normalised, steady, uncertainty
+from tissueid.identification.cascades.normalisation import normalised, steady, uncertainty
+from tissueid.identification.cascades.parameters import FLAT
 from tissueid.identification.cascades.refinement import Fitted, refine
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
-from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
+from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.wiener.parameters import wiener_parameters
+from tissueid.identification.wiener.parameters import derived, wiener_parameters
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 from tissueid.records import Record
+
+_CERTAIN = 2.0
+"""Threshold of a difference between slopes, or of a slope from zero, in standard deviations."""
+
+_FLAT = 0.05
+"""Share of the steepest slope below which a curve is flat."""
+
+_SAME = 1e-9
+"""Share of its steepest slope by which the slopes of a straight line differ."""
+
+_QUANTILES = (0.05, 0.5, 0.95)
+
+
+def fit_driven_stage(
+    record: Record, used: Mask, nonlinearity: StaticNonlinearity, hold: Hold, start: SecondOrderFit | None = None
+) -> SecondOrderFit:
+    """Fit a second-order system to the linear stage: from what the curve makes of the input to the measured output.
+
+    ``used`` (n,) masks the outputs to fit.
+    """
+    driven = replace(record, input=nonlinearity(record.input), input_unit=record.output_unit)
+    return fit_second_order(driven, used, hold, start=start)
+
+
+def curve_remarks(
+    nonlinearity: StaticNonlinearity, covariance: Array, x: Array, mean_input: float, unit: str
+) -> tuple[list[str], list[str]]:
+    """Return findings and warnings on a curve with covariance (p, p) of its coefficients, over inputs x (k,)."""
+    places = np.quantile(x, _QUANTILES)
+    estimates = [derived(nonlinearity, covariance, lambda f, p=p: float(f.slope(np.array([p]))[0])) for p in places]  # type: ignore[misc]
+    changes = [
+        derived(nonlinearity, covariance, lambda f, a=a, b=b: float(np.diff(f.slope(np.array([a, b])))[0]))  # type: ignore[misc]
+        for a, b in ((places[0], places[1]), (places[1], places[2]))
+    ]
+    steepest = max(abs(estimate.value) for estimate in estimates)
+    findings: list[str] = []
+    warnings: list[str] = []
+    if all(abs(change.value) <= max(_CERTAIN * (change.std or 0.0), _SAME * steepest) for change in changes):
+        findings.append(
+            Message(
+                "hammerstein.straight",
+                "the curve is straight within its uncertainty: a linear system describes it as well",
+            )
+        )
+    else:
+        shares = tuple(
+            Message(
+                "hammerstein.slope",
+                "{percent:.0f} % at {input:.3g} {unit}",
+                percent=100.0 * estimate.value / steepest,
+                input=float(place),
+                unit=unit,
+            )
+            for estimate, place in zip(estimates, places, strict=True)
+        )
+        findings.append(
+            Message(
+                "hammerstein.slopes",
+                "slope of the curve as a share of its steepest: {shares}",
+                shares=Listing(shares),
+            )
+        )
+    if not nonlinearity.invertible:
+        low, high = nonlinearity.monotone_range
+        findings.append(
+            Message(
+                "hammerstein.not_monotone",
+                "the curve is monotone only from {low:.3g} to {high:.3g} {unit}",
+                low=low,
+                high=high,
+                unit=unit,
+            )
+        )
+    here = derived(nonlinearity, covariance, lambda f: float(f.slope(np.array([mean_input]))[0]))
+    if here.std is None or abs(here.value) <= max(_CERTAIN * here.std, _FLAT * steepest):
+        warnings.append(FLAT)
+    return findings, warnings
 
 
 @dataclass(frozen=True)
@@ -71,7 +150,7 @@ class HammersteinModel(Model):
 
 @engine
 class Hammerstein(Engine):
-    """A static nonlinearity, then linear dynamics (Chen 2010, 3.2 and 4.2; Bai 1998; Narendra and Gallman 1966).
+    """Hammerstein engine.
 
     Assumes that the nonlinearity acts on the input before any dynamics, and noise on the output. It need not keep
     its direction: a square is found. The passes start from free weights for every power of the input and every lag,
@@ -79,18 +158,35 @@ class Hammerstein(Engine):
     """
 
     name: ClassVar[str] = "hammerstein"
+    label: ClassVar[str] = marked("Hammerstein")
+    title: ClassVar[str] = marked(
+        "A static nonlinearity, then linear dynamics (Chen 2010, 3.2 and 4.2; Bai 1998; Narendra and Gallman 1966)."
+    )
     family: ClassVar[Family] = Family.STATIC
 
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
-    nonlinearity: Form = Field(
-        "polynomial", description="A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"
+    memory: float = Field(
+        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
     )
-    degree: int = Field(5, ge=1, le=20, description="Degree of the polynomial, or pieces of the spline")
-    iterations: int = Field(6, ge=1, le=50, description="Passes of alternating least squares")
-    refine: bool = Field(True, description="Refine the best pass by the simulation error over both stages together")
+    nonlinearity: Form = Field(
+        "polynomial",
+        title=marked("Nonlinearity"),
+        description=marked("A polynomial, a spline, or C1 (1 - exp(-C2 x)) with an offset"),
+    )
+    degree: int = Field(
+        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
+    )
+    iterations: int = Field(
+        6, ge=1, le=50, title=marked("Iterations"), description=marked("Number of passes of alternating least squares")
+    )
+    refine: bool = Field(
+        True,
+        title=marked("Refinement"),
+        description=marked("Refine the best pass by minimising the simulation error over both stages"),
+    )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> HammersteinModel:
@@ -107,8 +203,13 @@ class Hammerstein(Engine):
         levels = input_levels(prepared)
         if levels < curve:
             raise UnusableInputError(
-                f"an input of {levels} different values does not determine a curve of {curve} coefficients: "
-                "lower the degree, or take lms"
+                Message(
+                    "hammerstein.few_levels",
+                    "an input of {levels} different values does not determine a curve of {coefficients} "
+                    "coefficients: lower the degree, or use lms",
+                    levels=levels,
+                    coefficients=curve,
+                )
             )
         data = cascade_data(prepared, lags, spacing)
         passes = hammerstein_passes(data, self.nonlinearity, self.degree, self.iterations)
@@ -118,8 +219,8 @@ class Hammerstein(Engine):
             blocks = refine(blocks, data).blocks
         known = uncertainty(blocks, data)
         gains = steady(blocks, data, known)
-        told = normalised(blocks, data, gains)
-        nonlinearity = told.inner
+        normal = normalised(blocks, data, gains)
+        nonlinearity = normal.inner
         assert nonlinearity is not None
 
         def kernel_of(some: Blocks) -> Array:
@@ -135,11 +236,11 @@ class Hammerstein(Engine):
             assert shape.inner is not None
             return lifted(shape.inner, shape.offset).coefficients
 
-        modelled = told.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
+        modelled = normal.simulate(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
         residuals = np.where(used, record.output - modelled, np.nan)
         stage = fit_driven_stage(record, used, nonlinearity, self.hold)
         parameters = wiener_parameters(
-            lifted(nonlinearity, told.offset),
+            lifted(nonlinearity, normal.offset),
             known.of(static_curve_of),
             stage,
             prepared.input_mean,
@@ -150,7 +251,7 @@ class Hammerstein(Engine):
         )
         covariance = known.of(curve_of)
         x = record.input[prepared.part]
-        findings, doubts = told_of_curve(
+        findings, doubts = curve_remarks(
             nonlinearity, covariance, x[np.isfinite(x)], prepared.input_mean, record.input_unit
         )
         driven = nonlinearity(np.where(np.isfinite(record.input), record.input, prepared.input_mean))
@@ -167,7 +268,7 @@ class Hammerstein(Engine):
                 aicc=aicc(residuals, blocks.n_parameters),
                 parameters=parameters,
                 findings=tuple(findings),
-                warnings=(*prepared.warnings, *stage.warnings, *doubts, *doubt_memory(told.first)),
+                warnings=(*prepared.warnings, *stage.warnings, *doubts, *memory_warnings(normal.first)),
                 details={
                     "vaf_linear_percent": _vaf(fit_linear(data), data),
                     "vaf_parametric_percent": vaf_percent(record.output[used], parametric[used]),
@@ -178,11 +279,11 @@ class Hammerstein(Engine):
             ),
             sample_rate_hz=rate,
             memory_samples=lags,
-            kernel=told.first,
+            kernel=normal.first,
             kernel_std=np.sqrt(np.maximum(np.diag(known.of(kernel_of)), 0.0)),
             lag_s=np.arange(lags) / rate,
             input_mean=prepared.input_mean,
-            offset=told.offset,
+            offset=normal.offset,
             nonlinearity=nonlinearity,
             nonlinearity_covariance=covariance,
             steady_gain=gains[0],
@@ -195,7 +296,7 @@ class Hammerstein(Engine):
     def _history(
         self, record: Record, data: CascadeData, passes: list[Fitted], gains: tuple[bool, bool]
     ) -> tuple[HammersteinPass, ...]:
-        """Each pass with the second-order system of its linear stage."""
+        """Return each pass with the second-order system of its linear stage."""
         history: list[HammersteinPass] = []
         stage: SecondOrderFit | None = None
         for number, done in enumerate(passes, start=1):
@@ -216,5 +317,5 @@ class Hammerstein(Engine):
 
 
 def _vaf(fitted: Fitted, data: CascadeData) -> float:
-    """VAF of fitted blocks over the rows, in percent."""
+    """Return VAF of fitted blocks over the rows, in percent."""
     return 100.0 * (1.0 - fitted.rss / data.rows.size / float(np.var(data.measured)))

@@ -1,4 +1,4 @@
-"""Least mean squares: a finite impulse response from correlations, and the second-order system behind it."""
+"""Least squares: a finite impulse response from correlations, and a second-order system."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import beyond_memory, doubt_memory, factor_input, kernel_std
+from tissueid.identification.impulse_response import beyond_memory, factor_input, kernel_std, memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
 from tissueid.records import Record
 
 
@@ -43,27 +44,45 @@ class LmsModel(Model):
 
 @engine
 class Lms(Engine):
-    """Least-squares finite impulse response (Chen 2010, 3.1.3), with mass, damping and stiffness.
+    """LMS engine.
 
     Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input.
     """
 
     name: ClassVar[str] = "lms"
+    label: ClassVar[str] = "LMS"
+    title: ClassVar[str] = marked(
+        "Least-squares finite impulse response (Chen 2010, 3.1.3), with mass, damping and stiffness."
+    )
     family: ClassVar[Family] = Family.LINEAR
+    in_report: ClassVar[bool] = True
 
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
+    memory: float = Field(
+        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
+    )
     method: Literal["toeplitz", "svd"] = Field(
-        "toeplitz", description="Levinson's recursion, or the pseudo-inverse of the whole correlation matrix"
+        "toeplitz",
+        title=marked("Method"),
+        description=marked("Levinson's recursion (toeplitz), or the pseudo-inverse of the correlation matrix (svd)"),
     )
     tolerance: float = Field(
-        1e-12, ge=0.0, lt=1.0, description="With svd: singular values below this share of the largest are dropped"
+        1e-12,
+        ge=0.0,
+        lt=1.0,
+        title=marked("Tolerance"),
+        description=marked("With svd: singular values below this share of the largest are dropped"),
     )
     taper: float = Field(
-        0.05, ge=0.0, le=1.0, description="Share of the samples over which both signals fade in and out (C.1.1)"
+        0.05,
+        ge=0.0,
+        le=1.0,
+        title=marked("Taper"),
+        description=marked("Share of the samples over which both signals fade in and out (C.1.1)"),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> LmsModel:
@@ -97,7 +116,7 @@ class Lms(Engine):
                 aic=aic(residuals, lags + 1),
                 aicc=aicc(residuals, lags + 1),
                 parameters=second_order.parameters,
-                warnings=(*prepared.warnings, *solved.warnings, *doubt_memory(kernel), *second_order.warnings),
+                warnings=(*prepared.warnings, *solved.warnings, *memory_warnings(kernel), *second_order.warnings),
                 details={
                     "condition_number": solved.condition,
                     "vaf_parametric_percent": second_order.vaf_percent,

@@ -7,47 +7,62 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from tissueid.formatting import number
 from tissueid.identification.base import Engine, FitReport
-from tissueid.identification.family import Family
-from tissueid.identification.localized.levels import find_levels
-from tissueid.identification.localized.model import (
+from tissueid.identification.depth_levels import find_levels
+from tissueid.identification.localized import (
     LevelFit,
     LocalizedModel,
     curves_through,
     fit_levels,
     level_parameters,
 )
+from tissueid.identification.model_family import Family
 from tissueid.identification.partitions.parameters import means_and_slopes
 from tissueid.identification.preparation import prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Estimate, Record
-from tissueid.wording import number
 
 _EACH = 4
-"""Parameters of a level: mass, damping, stiffness and the output about which they hold."""
+"""Number of parameters per level: mass, damping, stiffness and mean output."""
 
 
 @engine
 class Localized(Engine):
-    """Linear tests about several levels (Chen 2010, 3.4), from one stepped record or from several records joined.
+    """Localized engine.
 
     Assumes noise so small that the tissue is linear about each level, and levels held for several memories. What the
     step itself moves is left out.
     """
 
     name: ClassVar[str] = "localized"
+    label: ClassVar[str] = marked("Localized")
+    title: ClassVar[str] = marked(
+        "Linear tests about several levels (Chen 2010, 3.4), from one stepped record or from several records joined."
+    )
     family: ClassVar[Family] = Family.PARAMETRIC
 
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long a step is felt, s: left out at each level")
+    memory: float = Field(
+        0.125,
+        gt=0.0,
+        le=10.0,
+        title=marked("Memory"),
+        description=marked("Duration of the response to a step, s; excluded at the start of each level"),
+    )
     levels: tuple[float, ...] | None = Field(
-        None, description="The levels of the input, in its unit; found from its steps when not given"
+        None,
+        title=marked("Levels"),
+        description=marked("Levels of the input, in its unit; from its steps if not given"),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> LocalizedModel:
@@ -105,25 +120,52 @@ class Localized(Engine):
 
 
 def _doubts(found: tuple[LevelFit, ...], short: int) -> list[str]:
-    doubts = []
+    doubts: list[str] = []
     if short:
-        doubts.append(f"{short} levels were too short, or without noise about them, and are left out")
+        doubts.append(
+            Message(
+                "localized.left_out",
+                "{count} levels are left out: too short, or without noise about their mean",
+                count=short,
+            )
+        )
     for word in dict.fromkeys(warning for one in found for warning in one.fit.warnings):
         count = sum(word in one.fit.warnings for one in found)
-        doubts.append(f"{word} (at {count} of {len(found)} levels)")
+        doubts.append(
+            Message(
+                "localized.at_levels",
+                "{warning} (at {count} of {levels} levels)",
+                warning=word,
+                count=count,
+                levels=len(found),
+            )
+        )
     return doubts
 
 
 def _findings(ordered: list[LevelFit]) -> tuple[str, ...]:
     first, last = ordered[0], ordered[-1]
     ways = [one.level.direction for one in ordered]
-    words = [
-        f"{len(ordered)} levels from {1e3 * first.position:.2f} to {1e3 * last.position:.2f} mm: "
-        f"{ways.count(1)} come to by pushing, {ways.count(-1)} by pulling, {ways.count(0)} by neither"
+    found: list[str] = [
+        Message(
+            "localized.levels",
+            "{levels} levels from {low:.2f} to {high:.2f} mm: {pushing} reached by increasing force, {pulling} by "
+            "decreasing force, {neither} by neither",
+            levels=len(ordered),
+            low=1e3 * first.position,
+            high=1e3 * last.position,
+            pushing=ways.count(1),
+            pulling=ways.count(-1),
+            neither=ways.count(0),
+        )
     ]
     if first.fit.mechanical:
-        words.append(
-            f"stiffness goes from {number(first.fit.system.stiffness, 3)} to {number(last.fit.system.stiffness, 3)} "
-            f"N/m and damping from {number(first.fit.system.damping, 3)} to {number(last.fit.system.damping, 3)} N·s/m"
+        found.append(
+            Message(
+                "localized.stiffness",
+                "stiffness is {start} N/m at the lowest level and {end} N/m at the highest",
+                start=number(first.fit.system.stiffness, 3),
+                end=number(last.fit.system.stiffness, 3),
+            )
         )
-    return tuple(words)
+    return tuple(found)

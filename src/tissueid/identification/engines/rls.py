@@ -1,4 +1,4 @@
-"""Recursive least squares: the response that fits all samples so far, better by one update a sample."""
+"""Recursive least squares: the response is updated at each sample."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pydantic import Field
 
 from tissueid.identification.base import Array, FitReport
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory, kernel_std
+from tissueid.identification.impulse_response import kernel_std, memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.online import recursive_least_squares as recursion
 from tissueid.identification.online.identifier import (
     Identifier,
@@ -20,16 +20,18 @@ from tissueid.identification.online.identifier import (
     fed,
     first_sample,
     lags_of,
-    looked_over,
+    prepared_recent,
 )
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
 from tissueid.identification.registry import engine
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 _FORGOTTEN = 4.0
-"""Time constants of forgetting after which a residual no longer weighs."""
+"""Time constants of forgetting after which a residual has no weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +92,12 @@ class RlsIdentifier(Identifier):
         Raises:
             UnusableInputError: too little was received yet to be scored.
         """
-        return self.options.described(self, looked_over(self))
+        return self.options.described(self, prepared_recent(self))
 
 
 @engine
 class Rls(OnlineEngine):
-    """Recursive least-squares finite impulse response (Chen 2010, Eqs. 6.1-6.5) with an offset.
+    """RLS engine.
 
     Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input. With a
     forgetting factor of one the response is the regularised least-squares answer over all samples, to rounding; below
@@ -103,13 +105,25 @@ class Rls(OnlineEngine):
     """
 
     name: ClassVar[str] = "rls"
+    label: ClassVar[str] = "RLS"
+    title: ClassVar[str] = marked(
+        "Recursive least-squares finite impulse response (Chen 2010, Eqs. 6.1-6.5) with an offset."
+    )
     family: ClassVar[Family] = Family.LINEAR
 
     forgetting: float = Field(
-        1.0, ge=0.9, le=1.0, description="Weight of a sample in that of the next; 1 forgets nothing"
+        1.0,
+        ge=0.9,
+        le=1.0,
+        title=marked("Forgetting factor"),
+        description=marked("Weight of each sample relative to the next; 1 forgets nothing"),
     )
     covariance: float = Field(
-        200.0, gt=0.0, le=1e6, description="Variance of the response at the start, over that of the noise to the input"
+        200.0,
+        gt=0.0,
+        le=1e6,
+        title=marked("Initial variance"),
+        description=marked("Initial variance of the response, relative to the ratio of noise and input variance"),
     )
 
     def start(
@@ -169,7 +183,7 @@ class Rls(OnlineEngine):
                 aic=aic(residuals, lags + 1),
                 aicc=aicc(residuals, lags + 1),
                 parameters=second_order.parameters,
-                warnings=(*prepared.warnings, *warnings, *doubt_memory(kernel), *second_order.warnings),
+                warnings=(*prepared.warnings, *warnings, *memory_warnings(kernel), *second_order.warnings),
                 findings=findings,
                 details={
                     "vaf_tracking_percent": identifier.tracking_vaf_percent,
@@ -192,7 +206,7 @@ class Rls(OnlineEngine):
     def response_std(
         self, identifier: RlsIdentifier, covariance: Array, x: Array, residuals: Array, part: slice
     ) -> Array:
-        """Standard deviation of each lag (lags,) for noise of any colour, with the weights that forgetting gives."""
+        """Return the standard deviation of each lag (lags,) for coloured noise, with the weights of forgetting."""
         forgetting, n = self.forgetting, identifier.updates
         weight = weight_squares = float(n)
         begin = part.start
@@ -208,17 +222,38 @@ class Rls(OnlineEngine):
         return std * float(np.sqrt(known * weight_squares) / weight)
 
     def _doubts(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
-        """Warnings of a memory that outlasts what is remembered, and a finding on what the input leaves unexcited."""
-        lags, warnings = identifier.lags, []
+        """Return a warning where the memory exceeds the retained samples, and a finding on unexcited directions."""
+        lags = identifier.lags
+        warnings: list[str] = []
         remembered = 1.0 / (1.0 - self.forgetting) if self.forgetting < 1.0 else np.inf
         if remembered < SAMPLES_PER_PARAMETER * lags:
             warnings.append(
-                f"a forgetting factor of {self.forgetting:g} remembers {remembered:.0f} samples for {lags} lags, fewer "
-                f"than {SAMPLES_PER_PARAMETER} each: raise it, or shorten the memory"
+                Message(
+                    "rls.short_memory",
+                    "a forgetting factor of {forgetting:g} retains {samples:.0f} samples for {lags} lags, fewer than "
+                    "{fewest} for each: raise it, or shorten the memory",
+                    forgetting=self.forgetting,
+                    samples=remembered,
+                    lags=lags,
+                    fewest=SAMPLES_PER_PARAMETER,
+                )
             )
-        untold = min(lags, round(float(np.trace(covariance)) / identifier.first_variance))
-        if untold == 0:
+        unexcited = min(lags, round(float(np.trace(covariance)) / identifier.first_variance))
+        if unexcited == 0:
             return warnings, ()
-        kept = " and is not forgotten: so the covariance stays bounded" if self.forgetting < 1.0 else ""
-        finding = f"the input leaves {untold} of {lags} directions of the response to the ridge, which holds them{kept}"
+        if self.forgetting < 1.0:
+            finding = Message(
+                "rls.bounded",
+                "the input does not excite {unexcited} of {lags} directions of the response: the ridge determines "
+                "them and is not forgotten, so that the covariance stays bounded",
+                unexcited=unexcited,
+                lags=lags,
+            )
+        else:
+            finding = Message(
+                "rls.unexcited",
+                "the input does not excite {unexcited} of {lags} directions of the response: the ridge determines them",
+                unexcited=unexcited,
+                lags=lags,
+            )
         return warnings, (finding,)

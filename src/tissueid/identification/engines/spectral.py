@@ -1,4 +1,4 @@
-"""Spectra by Welch's method: power, coherence, and the transfer function of the best straight-line description."""
+"""Spectra by Welch's method: power, coherence and transfer function of the best linear approximation."""
 
 from __future__ import annotations
 
@@ -14,23 +14,28 @@ from scipy import fft, signal
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport, Model
 from tissueid.identification.correlation import convolve_at_rest
-from tissueid.identification.family import Family
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import Prepared, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Complex, Hold
+from tissueid.identification.sample_masks import finite_runs
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Complex, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import aic, aicc, finite_runs, vaf_percent
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
+
+_NO_COHERENCE = Message("spectral.no_coherence", "input and output have no significant coherence at any frequency")
 
 
 @dataclass(frozen=True)
 class Spectra:
     """Averaged spectra; every array has shape (bins,), at ``frequency_hz``.
 
-    ``input_psd`` and ``output_psd`` are one-sided densities, input and output units squared a hertz.
+    ``input_psd`` and ``output_psd`` are one-sided densities, input and output units squared per hertz.
     ``coherence`` is the mean squared coherence of Eq. 3.1, insignificant (5 %) below ``coherence_floor``.
-    ``averages`` is the number of independent segments that the overlapping ones are worth. ``magnitude_std`` and
-    ``phase_std_rad`` are the random errors of the transfer function, infinite where the coherence is nil.
+    ``averages`` is the equivalent number of independent segments. ``magnitude_std`` and ``phase_std_rad`` are standard
+    deviations of the transfer function, infinite where the coherence is zero.
     """
 
     frequency_hz: Array
@@ -44,7 +49,7 @@ class Spectra:
 
     @property
     def magnitude(self) -> Array:
-        """Output units per input unit."""
+        """Magnitude of the transfer function, output units per input unit."""
         return np.abs(self.response)
 
     @property
@@ -54,7 +59,7 @@ class Spectra:
 
     @property
     def coherence_floor(self) -> float:
-        """Coherence that unrelated signals exceed one time in twenty (Goodman 1957)."""
+        """Coherence that unrelated signals exceed with a probability of 5 % (Goodman 1957)."""
         return 1.0 - math.pow(0.05, 1.0 / max(self.averages - 1.0, 1e-9))
 
 
@@ -62,9 +67,9 @@ class Spectra:
 class SpectralModel(Model):
     """A linear system given by its transfer function H1 about an operating point.
 
-    It runs by the impulse response of H1, ``kernel`` (lags,) per sample, made from the bins whose coherence is
-    significant and where the input has power: elsewhere H1 is the ratio of two noises. ``second_order`` is the
-    parametric fit, made on the same samples in the time domain.
+    It is simulated by the impulse response of H1, ``kernel`` (lags,) per sample, from the bins with significant
+    coherence and input power: elsewhere H1 is the ratio of two noises. ``second_order`` is the parametric fit to the
+    same samples in the time domain.
     """
 
     spectra: Spectra
@@ -74,35 +79,52 @@ class SpectralModel(Model):
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Return the free-run output (n,) for an input (n,), at rest at the mean input before the first sample."""
         return self.output_mean + convolve_at_rest(self.kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 @engine
 class Spectral(Engine):
-    """Welch spectra, coherence and Bode diagram (Chen 2010, 3.1.2), with mass, damping and stiffness.
+    """Spectral engine.
 
-    Assumes a linear system and a window several times longer than its memory. What the coherence lacks of one is
-    noise on the output, nonlinearity, or leakage of a window too short.
+    It assumes a linear system and a window several times longer than its memory. A coherence below one is caused by
+    noise on the output, by nonlinearity, or by leakage of too short a window.
     """
 
     name: ClassVar[str] = "spectral"
+    label: ClassVar[str] = marked("Spectral")
+    title: ClassVar[str] = marked(
+        "Welch spectra, coherence and Bode diagram (Chen 2010, 3.1.2), with mass, damping and stiffness."
+    )
     family: ClassVar[Family] = Family.LINEAR
+    in_report: ClassVar[bool] = True
 
-    window: float = Field(0.5, gt=0.0, le=60.0, description="Length of a segment, s")
-    overlap: float = Field(0.5, ge=0.0, le=0.9, description="Share of a segment that the next one covers again")
-    taper: Literal["hann", "hamming", "blackman", "boxcar"] = Field("hann", description="Window function")
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the simulated impulse response lasts, s")
+    window: float = Field(0.5, gt=0.0, le=60.0, title=marked("Window"), description=marked("Length of a segment, s"))
+    overlap: float = Field(
+        0.5,
+        ge=0.0,
+        le=0.9,
+        title=marked("Overlap"),
+        description=marked("Share of a segment that overlaps the next"),
+    )
+    taper: Literal["hann", "hamming", "blackman", "boxcar"] = Field(
+        "hann", title=marked("Taper"), description=marked("Window function")
+    )
+    memory: float = Field(
+        0.125,
+        gt=0.0,
+        le=10.0,
+        title=marked("Memory"),
+        description=marked("Length of the simulated impulse response, s"),
+    )
     range_db: float = Field(
         30.0,
         gt=0.0,
         le=300.0,
-        description="Simulation uses frequencies whose input power is within this of its peak, dB",
+        title=marked("Range"),
+        description=marked("Simulation uses frequencies whose input power is within this range below its peak, dB"),
     )
-    hold: Hold = Field(
-        "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
-    )
+    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
     def fit(self, record: Record, fit_part: slice | None = None) -> SpectralModel:
         """Estimate the spectra of a record, or of a contiguous part of it.
@@ -115,7 +137,14 @@ class Spectral(Engine):
         lags = prepared.memory_samples
         length = round(self.window * record.sample_rate_hz)
         if length < lags:
-            raise UnusableInputError(f"the window, {self.window:g} s, is shorter than the memory, {self.memory:g} s")
+            raise UnusableInputError(
+                Message(
+                    "spectral.window_shorter_than_memory",
+                    "the window, {window:g} s, is shorter than the memory, {memory:g} s",
+                    window=self.window,
+                    memory=self.memory,
+                )
+            )
         spectra = self.spectra(prepared)
         trusted = (spectra.coherence > spectra.coherence_floor) & (
             spectra.input_psd > np.max(spectra.input_psd) * 10.0 ** (-self.range_db / 10.0)
@@ -124,7 +153,7 @@ class Spectral(Engine):
         modelled = prepared.output_mean + convolve_at_rest(kernel, record.input - prepared.input_mean)
         residuals = np.where(prepared.used, record.output - modelled, np.nan)
         second_order = fit_second_order(record, prepared.used, self.hold)
-        doubts = () if trusted.any() else ("input and output share no significant coherence at any frequency",)
+        doubts = () if trusted.any() else (_NO_COHERENCE,)
         return SpectralModel(
             report=FitReport(
                 engine=self.name,
@@ -152,7 +181,7 @@ class Spectral(Engine):
         )
 
     def spectra(self, prepared: Prepared) -> Spectra:
-        """Average the periodograms of the segments (segments, length) that lie in the part and hold no gap.
+        """Average the periodograms of the segments (segments, length) of the part that have no gap.
 
         Raises:
             UnusableInputError: fewer than two segments without a gap.
@@ -163,8 +192,13 @@ class Spectral(Engine):
         starts = prepared.part.start + segment_starts(record.valid[prepared.part], length, stride)
         if starts.size < 2:
             raise UnusableInputError(
-                f"{starts.size} segment{'' if starts.size == 1 else 's'} of {self.window:g} s without a gap: coherence "
-                "takes two, shorten the window"
+                Message(
+                    "spectral.too_few_segments",
+                    "{count} segments of {window:g} s without a gap are too few: coherence needs at least two. Shorten "
+                    "the window",
+                    count=starts.size,
+                    window=self.window,
+                )
             )
         taper = signal.get_window(self.taper, length)
         index = starts[:, None] + np.arange(length)
@@ -198,19 +232,19 @@ class Spectral(Engine):
 
 
 def segment_starts(clean: NDArray[np.bool_], length: int, stride: int) -> NDArray[np.intp]:
-    """First samples of the segments that hold no gap; after a gap the grid starts afresh."""
+    """Return the first samples of the segments without a gap; the grid restarts after each gap."""
     starts = [np.arange(first, end - length + 1, stride) for first, end in finite_runs(clean)]
     return np.concatenate(starts).astype(np.intp)
 
 
 def independent_averages(starts: NDArray[np.intp], taper: Array) -> float:
-    """How many independent segments overlapping ones are worth, for white data (Welch 1967)."""
-    apart = np.abs(starts[:, None] - starts[None, :])  # (segments, segments)
+    """Return the equivalent number of independent segments of overlapping ones, for white data (Welch 1967)."""
+    distance = np.abs(starts[:, None] - starts[None, :])  # (segments, segments)
     correlation = signal.correlate(taper, taper)[taper.size - 1 :] / float(taper @ taper)
-    shared = np.where(apart < taper.size, correlation[np.minimum(apart, taper.size - 1)], 0.0)
+    shared = np.where(distance < taper.size, correlation[np.minimum(distance, taper.size - 1)], 0.0)
     return float(starts.size**2 / np.sum(shared**2))
 
 
 def _power_mean(values: Array, power: Array) -> float:
-    """Mean of values (bins,) weighted by the power of the input: what the coherence is where it was excited."""
+    """Return the mean of values (bins,) weighted by the input power (bins,)."""
     return float(np.sum(values * power) / np.sum(power))

@@ -1,4 +1,4 @@
-"""Volterra kernels: exactly as the thesis solves for them, regularised, or in a Laguerre basis."""
+"""Volterra kernels: least squares as in the thesis, regularised, or in a Laguerre basis."""
 
 from __future__ import annotations
 
@@ -11,63 +11,86 @@ from pydantic import Field
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, FitReport
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import doubt_memory
+from tissueid.identification.impulse_response import memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import fit_second_order
 from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
 from tissueid.identification.volterra.methods import Solved, exactly, in_laguerre_functions, with_prior
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.identification.volterra.regressors import VolterraRegressors, coefficient_count
-from tissueid.identification.volterra.smoothing import LagGrid, automatic_grid, lag_grid, smoothed, whiteness
 from tissueid.identification.volterra.stimulus import VolterraStimulus, factor_stimulus
 from tissueid.identification.volterra.structure import kernel_structure
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 _MOST_COEFFICIENTS = 6000
-"""The exact route holds a matrix of this many rows and columns, and no more."""
+"""Largest number of coefficients of the method exact, which needs a square matrix of this size."""
 
 _MOST_LAGS_DRAWN = 64
-"""Beyond so many lags the bands of a kernel's signature take longer to draw than the kernels to fit."""
+"""Number of lags above which the bands of a kernel's signature are not computed: they take longer than the fit."""
 
 _WHITE_ENOUGH = 0.1
 """Below this whiteness a raw second-order kernel's standard deviations are ten times those under a white input."""
 
 
+_CHOICES = (marked("regularised"), marked("exact"), marked("every"), marked("downsampled"))
+"""Choices of the option as a form shows them, for translation."""
+
+
 @engine
 class Volterra(Engine):
-    """Kernels of order 0 to 3 (Chen 2010, chapter 4): any nonlinearity with a fading memory, for small enough inputs.
+    """Volterra engine.
 
     Assumes a response over within ``memory`` and output noise unrelated to the input; nothing about structure.
     """
 
     name: ClassVar[str] = "volterra"
+    label: ClassVar[str] = marked("Volterra")
+    title: ClassVar[str] = marked(
+        "Kernels of order 0 to 3 (Chen 2010, chapter 4): any nonlinearity with fading memory, for small enough inputs."
+    )
     family: ClassVar[Family] = Family.KERNELS
 
-    memory: float = Field(0.06, gt=0.0, le=10.0, description="How long the kernels last, s")
-    order: int = Field(2, ge=0, le=3, description="Highest order of the kernels")
+    memory: float = Field(0.06, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the kernels, s"))
+    order: int = Field(2, ge=0, le=3, title=marked("Order"), description=marked("Highest order of the kernels"))
     method: Literal["regularised", "exact", "laguerre"] = Field(
         "regularised",
-        description="Kernels that are smooth and die away as far as the record bears it out, plain least squares, or "
-        "sums of Laguerre functions",
+        title=marked("Method"),
+        description=marked(
+            "Smooth, decaying kernels by regularisation (regularised), plain least squares (exact), or sums of "
+            "Laguerre functions (laguerre)"
+        ),
     )
     downsample: int | None = Field(
-        None, ge=1, le=1000, description="Samples between the lags of the kernels; chosen by the input when not given"
+        None,
+        ge=1,
+        le=1000,
+        title=marked("Downsampling"),
+        description=marked("Samples between the lags of the kernels; from the input if not given"),
     )
     rows: Literal["every", "downsampled"] = Field(
-        "every", description="Fit every sample, or only as many as there are lags in time, as the thesis does"
+        "every",
+        title=marked("Rows"),
+        description=marked("Fit every sample, or only one sample per lag, as in the thesis"),
     )
     smoothing: float | None = Field(
         None,
         gt=0.0,
         le=1000.0,
-        description="Width of the Gaussian low-pass on the second-order kernel in samples of its transform; thesis: 15",
+        title=marked("Smoothing"),
+        description=marked(
+            "Width of the Gaussian low-pass on the second-order kernel in samples of its transform; thesis: 15"
+        ),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(
@@ -139,13 +162,18 @@ class Volterra(Engine):
         return self._factored(record.input - prepared.input_mean, prepared, grid)
 
     def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared]:
-        """The lags, and the record looked over for as many samples as they need."""
+        """Return the lags, and the record looked over for as many samples as they need."""
         rate = record.sample_rate_hz
         first = prepare(record, fit_part, 1.0 / rate, 1)  # whether there is an input to space the lags by
         inside = record.input[first.part] - first.input_mean
         if memory_in_samples(self.memory, rate) > inside.size:
             raise UnusableInputError(
-                f"the memory of {self.memory:g} s is longer than the {inside.size / rate:g} s of record to fit"
+                Message(
+                    "record.shorter_than_memory",
+                    "the memory of {memory:g} s is longer than the {seconds:g} s of record to fit",
+                    memory=self.memory,
+                    seconds=inside.size / rate,
+                )
             )
         grid = (
             automatic_grid(self.memory, inside, rate)
@@ -157,13 +185,18 @@ class Volterra(Engine):
         rows = self._rows(prepared, grid)
         if rows < least:
             raise UnusableInputError(
-                f"{rows} downsampled rows cannot carry {least} parameters: fit every row, record longer, or shorten "
-                "the memory"
+                Message(
+                    "volterra.too_few_rows",
+                    "{rows} downsampled rows are too few for {parameters} parameters: fit every sample, record "
+                    "longer, or shorten the memory",
+                    rows=rows,
+                    parameters=least,
+                )
             )
         return grid, prepared
 
     def _step(self, grid: LagGrid) -> int:
-        """Samples from one row to the next."""
+        """Return the samples from one row to the next."""
         return 1 if self.rows == "every" else grid.spacing
 
     def _rows(self, prepared: Prepared, grid: LagGrid) -> int:
@@ -177,8 +210,12 @@ class Volterra(Engine):
         coefficients = coefficient_count(grid.lags, self.order)
         if coefficients > _MOST_COEFFICIENTS:
             raise UnusableInputError(
-                f"{coefficients} coefficients are too many for the exact route: shorten the memory, downsample, "
-                "or take regularised kernels"
+                Message(
+                    "volterra.too_many_coefficients",
+                    "{coefficients} coefficients are too many for the method exact: shorten the memory, downsample, "
+                    "or use the method regularised",
+                    coefficients=coefficients,
+                )
             )
         step = self._step(grid)
         return factor_stimulus(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order)
@@ -202,7 +239,11 @@ class Volterra(Engine):
         if stimulus is None:
             stimulus = self._factored(x, prepared, grid)
         elif not stimulus.matches(x[::step], prepared.used[::step], grid.lags, grid.spacing // step, self.order):
-            raise UnusableInputError("the factored stimulus is of another input, part or set of options")
+            raise UnusableInputError(
+                Message(
+                    "volterra.other_stimulus", "the factored stimulus belongs to another input, part or set of options"
+                )
+            )
         return exactly(stimulus, y[::step], rate / step)
 
     def _whiteness(self, x: Array, prepared: Prepared, grid: LagGrid) -> float | None:
@@ -212,7 +253,7 @@ class Volterra(Engine):
         return whiteness(products[1:, 1:] / products[0, 0])
 
     def _signature(self, solved: Solved) -> tuple[str, ...]:
-        """What the shape of the second-order kernel says of the structure; raw kernels are too rough to be asked."""
+        """Return the structure that the second-order kernel indicates; empty for raw kernels, which are too rough."""
         kernels = solved.kernels
         if self.method != "regularised" or kernels.first is None or kernels.second is None:
             return ()
@@ -222,23 +263,33 @@ class Volterra(Engine):
         return (kernel_structure(kernels.first, kernels.second, solved.kernel1_std, std).sentence,)
 
     def _doubts(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
-        """What a reader should know before trusting the answer."""
-        doubts = []
+        """Return what a reader should know before trusting the answer."""
+        doubts: list[str] = []
         rows, spent = self._rows(prepared, grid), math.ceil(solved.parameters)
-        told = (self._exact and self.rows == "every") or self.method == "laguerre"
-        if rows < SAMPLES_PER_PARAMETER * spent and not told:
+        has_warning = (self._exact and self.rows == "every") or self.method == "laguerre"
+        if rows < SAMPLES_PER_PARAMETER * spent and not has_warning:
             doubts.append(
-                f"{rows} rows for {spent} parameters is fewer than {SAMPLES_PER_PARAMETER} each: record longer, or "
-                "shorten the memory"
+                Message(
+                    "volterra.few_rows",
+                    "{rows} rows for {parameters} parameters are fewer than {fewest} for each: record longer, or "
+                    "shorten the memory",
+                    rows=rows,
+                    parameters=spent,
+                    fewest=SAMPLES_PER_PARAMETER,
+                )
             )
         if solved.kernels.first is not None:
-            doubts += doubt_memory(solved.kernels.first)
+            doubts += memory_warnings(solved.kernels.first)
         raw = self._exact and self.order >= 2 and self.smoothing is None
         if raw and white is not None and white < _WHITE_ENOUGH:
             doubts.append(
-                f"the input is far from white at these lags: the second-order kernel is about {1.0 / white:.0f} times "
-                "noisier than under a white one and cannot be read as it stands: regularise it, smooth it, or widen "
-                "the spacing of the lags"
+                Message(
+                    "volterra.coloured_input",
+                    "the input is far from white at these lags: the second-order kernel is about {times:.0f} times "
+                    "noisier than with a white input and cannot be interpreted; use the method regularised, "
+                    "smoothing, or a wider spacing of the lags",
+                    times=1.0 / white,
+                )
             )
         return doubts
 
@@ -248,7 +299,7 @@ def _scaled(values: Array | None, factor: float) -> Array | None:
 
 
 def _scored(model: VolterraModel, record: Record, prepared: Prepared, parameters: float) -> VolterraModel:
-    """The model with its scores on the fitted samples."""
+    """Return the model with its scores on the fitted samples."""
     used = prepared.used
     modelled = model.simulate(record.input)
     residuals = np.where(used, record.output - modelled, np.nan)

@@ -7,17 +7,17 @@ from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
+from scipy import fft
 
 from tissueid.identification.base import Array, Engine, FitReport, Model
-from tissueid.identification.family import Family
-from tissueid.identification.impulse_response import beyond_memory, doubt_memory, factor_input
+from tissueid.identification.impulse_response import beyond_memory, factor_input, memory_warnings
+from tissueid.identification.model_family import Family
 from tissueid.identification.preparation import memory_in_samples, prepare
 from tissueid.identification.registry import engine
-from tissueid.identification.second_order import Hold, SecondOrder
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold, SecondOrder, sampled_response
 from tissueid.identification.second_order_fit import SecondOrderFit
 from tissueid.identification.static_nonlinearity import Exponential, Form, StaticNonlinearity, coefficient_count
 from tissueid.identification.validation import aic, aicc, vaf_percent
-from tissueid.identification.wiener.history import KernelSystems
 from tissueid.identification.wiener.iteration import (
     Cascade,
     LinearStage,
@@ -28,18 +28,69 @@ from tissueid.identification.wiener.iteration import (
 )
 from tissueid.identification.wiener.parameters import fit_linear_stage, straightness, wiener_parameters
 from tissueid.identification.wiener.refinement import coefficient_covariance, refine
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
+
+_ITERATIONS = 30
+_SETTLED = 1e-6
+_IDLE = 1e-9
+"""Share of the strongest frequency's power below which a frequency is not used."""
+
+
+class KernelSystems:
+    """Second-order systems of kernels driven by one input x (n,), its mean removed and zero where it is missing."""
+
+    def __init__(self, x: Array, sample_rate_hz: float, hold: Hold) -> None:
+        self._length = fft.next_fast_len(x.size, real=True)
+        power = np.abs(fft.rfft(x, self._length)) ** 2
+        power[0] = 0.0  # an offset is free
+        self._driven = power > _IDLE * float(power.max())
+        self._weights = np.sqrt(power[self._driven])
+        self._rate = sample_rate_hz
+        self._hold: Hold = hold
+
+    def nearest(self, kernel: Array, start: SecondOrder) -> SecondOrder:
+        """The system nearest to a kernel (lags,) per sample, by Gauss-Newton on log M, log B, log K from a start."""
+        wanted = fft.rfft(kernel, self._length)[self._driven]
+        theta = np.log([start.mass, start.damping, start.stiffness])
+        error, slopes = self._evaluate(theta, wanted)
+        for _ in range(_ITERATIONS):
+            step = np.linalg.lstsq(slopes @ slopes.T, slopes @ error, rcond=1e-12)[0]
+            step /= max(1.0, float(np.max(np.abs(step))))
+            while np.max(np.abs(step)) > _SETTLED:
+                tried_error, tried_slopes = self._evaluate(theta + step, wanted)
+                if np.dot(tried_error, tried_error) < np.dot(error, error):
+                    theta, error, slopes = theta + step, tried_error, tried_slopes
+                    break
+                step *= 0.5
+            if np.max(np.abs(step)) <= _SETTLED:
+                break
+        mass, damping, stiffness = np.exp(theta)
+        return SecondOrder(float(mass), float(damping), float(stiffness))
+
+    def _evaluate(self, theta: Array, wanted: Array) -> tuple[Array, Array]:
+        """Weighted error (2 driven,) and slopes (3, 2 driven) of the modelled response, real parts then imaginary."""
+        mass, damping, stiffness = np.exp(theta)
+        system = SecondOrder(float(mass), float(damping), float(stiffness))
+        response, slopes = sampled_response(system, self._length, self._rate, self._hold)
+        error = self._weights * (wanted - response[self._driven])
+        weighted = self._weights * slopes[:, self._driven]
+        return np.concatenate([error.real, error.imag]), np.concatenate([weighted.real, weighted.imag], axis=1)
+
 
 _TAPER = 0.05
 """As the default of ``lms``: a record cut off in mid-motion must not leave its edge in the kernel."""
 
 _LOST_POINTS = 1.0
-"""Percentage points of VAF that the last iterate may lose on the best before it is called divergence."""
+"""Loss of VAF from the best to the last iterate, percentage points, above which the iteration has diverged."""
 
-_FED_BACK = "the nonlinearity has no inverse: the linear stage was found by feedback of the output error"
+_FED_BACK = Message(
+    "wiener.feedback", "the nonlinearity has no inverse: the linear stage was estimated by feedback of the output error"
+)
 
 _CLIPPED_PERCENT = 5.0
-"""Share of the output that may lie beyond the reach of g before it is told."""
+"""Share of the output, %, outside the range of g above which a warning is given."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +125,7 @@ class WienerModel(Model):
     second_order: SecondOrderFit
 
     def linear_output(self, u: Array) -> Array:
-        """z, shape (n,), in the unit of the input u (n,), at rest at the mean input before the first sample."""
+        """Return z, shape (n,), in the unit of the input u (n,), at rest at the mean input before the first sample."""
         return linear_output(self.kernel, np.asarray(u, dtype=np.float64) - self.input_mean, self.input_mean)
 
     def simulate(self, u: Array) -> Array:
@@ -84,7 +135,7 @@ class WienerModel(Model):
 
 @engine
 class Wiener(Engine):
-    """Linear dynamics, then a static nonlinearity (Chen 2010, 3.2; Hunter and Korenberg 1986).
+    """Wiener engine.
 
     Assumes that stiffness, damping and mass change with depth by one common factor, and noise on the output. A
     polynomial may turn back: then the feedback form of Korenberg and Hunter (1999) is taken. The best pass of the
@@ -93,28 +144,61 @@ class Wiener(Engine):
     """
 
     name: ClassVar[str] = "wiener"
-    family: ClassVar[Family] = Family.STATIC
-
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
-    nonlinearity: Form = Field(
-        "exponential", description="C1 (1 - exp(-C2 z)) with an offset, a polynomial, or a monotone spline"
+    label: ClassVar[str] = marked("Wiener")
+    title: ClassVar[str] = marked(
+        "Linear dynamics, then a static nonlinearity (Chen 2010, 3.2; Hunter and Korenberg 1986)."
     )
-    degree: int = Field(5, ge=1, le=20, description="Degree of the polynomial, or pieces of the spline")
-    iterations: int = Field(6, ge=1, le=50, description="Passes of linear and nonlinear estimation")
-    refine: bool = Field(True, description="Refine the best pass by the simulation error over both stages together")
+    family: ClassVar[Family] = Family.STATIC
+    in_report: ClassVar[bool] = True
+
+    memory: float = Field(
+        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
+    )
+    nonlinearity: Form = Field(
+        "exponential",
+        title=marked("Nonlinearity"),
+        description=marked("C1 (1 - exp(-C2 z)) with an offset, a polynomial, or a monotone spline"),
+    )
+    degree: int = Field(
+        5, ge=1, le=20, title=marked("Degree"), description=marked("Degree of the polynomial, or pieces of the spline")
+    )
+    iterations: int = Field(
+        6,
+        ge=1,
+        le=50,
+        title=marked("Iterations"),
+        description=marked("Number of passes of linear and nonlinear estimation"),
+    )
+    refine: bool = Field(
+        True,
+        title=marked("Refinement"),
+        description=marked("Refine the best pass by minimising the simulation error over both stages"),
+    )
     scaling: float = Field(
         1.0,
         gt=0.0,
         le=1e9,
-        description="Stiffness ascribed to the linear stage; 1000 gives the thesis' figures",
+        title=marked("Linear stiffness"),
+        description=marked("Stiffness of the linear stage, by definition; 1000 N/m as in the thesis"),
     )
-    c3_n: float = Field(0.0, ge=-100.0, le=100.0, description="Load beyond the measured one, such as gravity, N")
+    c3_n: float = Field(
+        0.0,
+        ge=-100.0,
+        le=100.0,
+        title=marked("Load C3"),
+        description=marked("Load in addition to the measured one, such as gravity, N"),
+    )
     surface_position_m: float | None = Field(
-        None, ge=-1.0, le=1.0, description="Where the tissue begins, m; when given, it is held and C3 is estimated"
+        None,
+        ge=-1.0,
+        le=1.0,
+        title=marked("Surface"),
+        description=marked("Position of the tissue surface, m; if given, it is fixed and C3 is estimated"),
     )
     hold: Hold = Field(
         "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+        title=HOLD_TITLE,
+        description=HOLD_DESCRIPTION,
     )
 
     def fit(self, record: Record, fit_part: slice | None = None) -> WienerModel:
@@ -167,7 +251,7 @@ class Wiener(Engine):
                 aic=aic(residuals, n_parameters),
                 aicc=aicc(residuals, n_parameters),
                 parameters=parameters,
-                warnings=(*warnings, *doubt_memory(cascade.kernel)),
+                warnings=(*warnings, *memory_warnings(cascade.kernel)),
                 findings=(_FED_BACK,) if passes[chosen].feedback else (),
                 details={
                     "condition_number": solved.condition,
@@ -188,31 +272,60 @@ class Wiener(Engine):
         )
 
     def _doubts(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
-        """What a reader should know before trusting the answer."""
-        doubts = []
+        """Return warnings on the iteration and the nonlinearity."""
+        doubts: list[str] = []
         turned = any(one.feedback for one in passes)
         if len(passes) < self.iterations and not turned:
             doubts.append(
-                f"the iteration stopped after {len(passes)} of {self.iterations} passes: the inverted output "
-                "no longer answers the input"
+                Message(
+                    "wiener.stopped",
+                    "the iteration stopped after {done} of {passes} passes: the inverted output no longer depends on "
+                    "the input",
+                    done=len(passes),
+                    passes=self.iterations,
+                )
             )
         lost = passes[chosen].nonlinear_vaf_percent - passes[-1].nonlinear_vaf_percent
         if lost > _LOST_POINTS:
             doubts.append(
-                f"the iteration diverged, losing {lost:.1f} points of VAF after pass {chosen + 1}, which was kept"
+                Message(
+                    "wiener.diverged",
+                    "the iteration diverged and lost {points:.1f} points of VAF after pass {number}, which is used",
+                    points=lost,
+                    number=chosen + 1,
+                )
             )
         clipped = passes[chosen].clipped_percent
         if turned:
-            doubts.append("the nonlinearity turns back: an output answers to several loads, and stiffness changes sign")
+            doubts.append(
+                Message(
+                    "wiener.not_monotone",
+                    "the nonlinearity is not monotone: one output belongs to several loads, and the stiffness "
+                    "changes sign",
+                )
+            )
         elif not cascade.nonlinearity.invertible:
             low, high = cascade.nonlinearity.monotone_range
-            doubts.append(f"the nonlinearity turns back: it was inverted only from {low:.3g} to {high:.3g}")
+            doubts.append(
+                Message(
+                    "wiener.partly_monotone",
+                    "the nonlinearity is monotone only from {low:.3g} to {high:.3g}, and was inverted there",
+                    low=low,
+                    high=high,
+                )
+            )
         elif clipped > _CLIPPED_PERCENT:
-            doubts.append(f"{clipped:.0f} % of the output lies beyond what the nonlinearity can reach")
+            doubts.append(
+                Message(
+                    "wiener.out_of_range",
+                    "{percent:.0f} % of the output is outside the range of the nonlinearity",
+                    percent=clipped,
+                )
+            )
         return doubts
 
     def _history(self, stage: LinearStage, passes: list[Pass], final: SecondOrder) -> tuple[WienerIteration, ...]:
-        """Each pass with the parameters of g and of the second-order system of its linear stage."""
+        """Return each pass with the parameters of g and of the second-order system of its linear stage."""
         systems = KernelSystems(stage.x, stage.solved.prepared.record.sample_rate_hz, self.hold)
         history: list[WienerIteration] = []
         for number, done in enumerate(passes, start=1):

@@ -1,1 +1,1 @@
-"""Identification while a test runs."""
+"""Recursive identifiers: samples in, the model so far out."""

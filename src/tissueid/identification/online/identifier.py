@@ -17,8 +17,10 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
-from tissueid.identification.second_order import Hold
+from tissueid.identification.second_order import HOLD_DESCRIPTION, HOLD_TITLE, Hold
 from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 RECENT_S = 10.0
@@ -88,7 +90,7 @@ class Identifier(ABC):
 
     @abstractmethod
     def _response(self) -> Array:
-        """The present response per sample, shape (lags,); a view."""
+        """Return the present response per sample, shape (lags,); a view."""
 
     @abstractmethod
     def model(self) -> Model:
@@ -117,7 +119,14 @@ class Identifier(ABC):
         """
         u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
         if u.ndim != 1 or u.shape != y.shape:
-            raise UnusableInputError(f"inputs and outputs must be of one length, not {u.shape} and {y.shape}")
+            raise UnusableInputError(
+                Message(
+                    "online.lengths",
+                    "inputs and outputs must have the same length, got {inputs} and {outputs}",
+                    inputs=int(u.size),
+                    outputs=int(y.size),
+                )
+            )
         self._settle(u, y)
         errors = np.empty(u.size)
         done = 0
@@ -172,7 +181,7 @@ class Identifier(ABC):
         return self._trajectory[:t] * self.sample_rate_hz, self._times[0, :t].copy(), self._times[1, :t].copy()
 
     def recent(self) -> Record:
-        """The latest samples, as many as are kept, as a record.
+        """Return the latest samples, as many as are kept, as a record.
 
         Raises:
             UnusableInputError: there are none.
@@ -195,7 +204,7 @@ class Identifier(ABC):
         self._means = (known[0], known[1])
 
     def _room(self, n: int) -> int:
-        """Where the next n samples go; the latest are moved to the front when the end is reached."""
+        """Return where the next n samples go; the latest are moved to the front when the end is reached."""
         if self._held + n > self._recent.shape[1]:
             self._recent[:, : self._keep] = self._recent[:, self._held - self._keep : self._held].copy()
             self._held = self._keep
@@ -242,11 +251,10 @@ class Identifier(ABC):
 class OnlineEngine(Engine):
     """An engine that can also learn sample by sample: ``start`` gives the identifier, ``fit`` runs it over a record."""
 
-    memory: float = Field(0.125, gt=0.0, le=10.0, description="How long the impulse response lasts, s")
-    hold: Hold = Field(
-        "band-limited",
-        description="What the input does between samples: a measured force is band-limited, a command is held",
+    memory: float = Field(
+        0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
     )
+    hold: Hold = Field("band-limited", title=HOLD_TITLE, description=HOLD_DESCRIPTION)
 
     @abstractmethod
     def start(
@@ -288,7 +296,7 @@ def first_sample(prepared: Prepared) -> int:
     return max(0, int(prepared.part.start) - prepared.memory_samples + 1)
 
 
-def looked_over(identifier: Identifier) -> Prepared:
+def prepared_recent(identifier: Identifier) -> Prepared:
     """Return the latest samples of an identifier, looked over as a fit would.
 
     Raises:
@@ -304,5 +312,7 @@ def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:
         UnusableInputError: the sample rate is not positive.
     """
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
-        raise UnusableInputError(f"the sample rate must be positive, not {sample_rate_hz}")
+        raise UnusableInputError(
+            Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
+        )
     return memory_in_samples(engine.memory, sample_rate_hz)

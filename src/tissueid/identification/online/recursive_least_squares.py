@@ -32,7 +32,7 @@ SCALARS = 7
 
 
 def start(taps: int, variance: float, constant: float, forgetting: float) -> tuple[Array, Array, Array]:
-    """Triangle, work array and scalars of a fresh identifier.
+    """Return the triangle, work array and scalars of a fresh identifier.
 
     Args:
         taps: lags of the response.
@@ -51,7 +51,7 @@ def start(taps: int, variance: float, constant: float, forgetting: float) -> tup
 
 
 def covariance(triangle: Array, work: Array, scalars: Array) -> Array:
-    """V (taps + 1, taps + 1) as it stands, with the change that is still kept aside; nothing is touched."""
+    """Return the v (taps + 1, taps + 1) as it stands, with the change that is still kept aside; nothing is touched."""
     count = work.shape[1]
     full = np.zeros((count, count))
     full[np.triu_indices(count)] = scalars[SCALE] * triangle

@@ -17,10 +17,14 @@ from scipy import signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
-from tissueid.identification.validation import finite_runs
+from tissueid.identification.sample_masks import finite_runs
+from tissueid.language import marked
+from tissueid.messages import Message
 
 Cells = NDArray[np.int64]
 Breakpoints = Literal["count", "width"]
+_BREAKPOINTS = (marked("count"), marked("width"))
+"""Choices of the option as a form shows them, for translation."""
 
 UNKNOWN = -1
 """Cell of a sample whose output was not received."""
@@ -57,7 +61,7 @@ class Partitions:
         return np.repeat(np.array([1, -1], dtype=np.int_), self.depths)
 
     def filtered(self, output: Array) -> Array:
-        """What the output (n,) is to the choice of a cell, shape (n,); begun anew after every gap."""
+        """Return the low-passed output (n,) that selects the cell; the filter restarts after every gap."""
         if self.pole == 0.0:
             return output
         passed = np.full(output.size, np.nan)
@@ -67,7 +71,7 @@ class Partitions:
         return passed
 
     def cells(self, output: Array) -> Cells:
-        """Cell of each sample of an output (n,), shape (n,); :data:`UNKNOWN` where it was not received.
+        """Return the cell of each sample of an output (n,), shape (n,); :data:`UNKNOWN` where it was not received.
 
         An output that stands still keeps its direction; the first sample after a gap counts as rising.
         """
@@ -82,7 +86,7 @@ class Partitions:
 
 
 def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Sequence[float] | None = None) -> Array:
-    """Breakpoints (K + 1,) for an output (n,), NaN left out (Chen 2010, 5.1).
+    """Return the K + 1 breakpoints of the partitions of an output (n,); NaN is ignored (Chen 2010, 5.1).
 
     Args:
         output: what chooses the cells, on the samples to fit.
@@ -103,19 +107,24 @@ def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Seq
         points = np.quantile(seen, np.linspace(0.0, 1.0, count + 1))
     if not np.all(np.diff(points) > 0.0):
         raise UnusableInputError(
-            f"the breakpoints must rise and lie within the motion, from {low:.6g} to {high:.6g}: "
-            + ("give others" if given is not None else "take fewer partitions")
+            Message(
+                "partitions.bad_breakpoints",
+                "the breakpoints must rise and lie within the motion, from {low:.6g} to {high:.6g}: {advice}",
+                low=low,
+                high=high,
+                advice=marked("give others") if given is not None else marked("take fewer partitions"),
+            )
         )
     return np.asarray(points, dtype=np.float64)
 
 
 def low_pass_pole(cutoff_hz: float | None, sample_rate_hz: float) -> float:
-    """Pole of the first-order low-pass with that cutoff; 0, which passes everything, for None."""
+    """Return the pole of the first-order low-pass with that cutoff; 0, which passes everything, for None."""
     return 0.0 if cutoff_hz is None else math.exp(-2.0 * math.pi * cutoff_hz / sample_rate_hz)
 
 
 def _falling(seen: Array) -> NDArray[np.bool_]:
-    """Where an uninterrupted signal (n,) falls, shape (n,)."""
+    """Return where an uninterrupted signal (n,) falls, shape (n,)."""
     steps = np.sign(np.diff(seen, prepend=seen[0]))
     steps[0] = 1.0
     latest = np.maximum.accumulate(np.where(steps != 0.0, np.arange(seen.size), 0))

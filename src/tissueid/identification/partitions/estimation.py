@@ -8,20 +8,90 @@ record (indirect inference: Gourieroux, Monfort and Renault 1993).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.identification.partitions.cells import Partitions
-from tissueid.identification.partitions.contrast import fit_contrast
 from tissueid.identification.partitions.parameters import LocalParameters, local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags
-from tissueid.identification.partitions.tissue import Contrast, SimulatedTissue
+from tissueid.identification.partitions.simulated_tissue import Contrast, SimulatedTissue
 from tissueid.identification.preparation import Prepared
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.volterra.smoothing import LagGrid
+from tissueid.identification.volterra.lag_grid import LagGrid
+from tissueid.messages import Message
+
+_ITERATIONS = 15
+_SETTLED = 1e-3
+_PROBE = 1e-3
+_LONGEST_STEP = 0.3
+
+
+def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> Contrast | None:
+    """Return the contrast of the damping, on a line of depth, by the simulation error at the samples of a mask (n,).
+
+    The curves of mass, damping and stiffness are fitted with it, from ``log_parameters`` (K, 3) on, and are then
+    forgotten; a level of the output is free. Its covariance is the sandwich of a misspecified fit with dependent
+    residuals (White 1982; Newey and West 1987). None when the tissue cannot be simulated or the search does not settle.
+    """
+    lines, record = tissue.lines, tissue.prepared.record
+    start = lines.coefficients(log_parameters)  # (degree + 1, 3)
+    logs, turns = start.size, lines.basis.shape[1]
+
+    def simulated(theta: Array) -> Array | None:
+        share = np.clip(lines.basis @ theta[logs:], -1.0, 1.0)
+        run = tissue.output(theta[:logs].reshape(start.shape), Contrast(share, np.zeros((share.size, 0))))
+        return None if run is None else run[used]
+
+    measured = record.output[used]
+    theta = np.concatenate([start.ravel(), np.zeros(turns)])
+    run = simulated(theta)
+    for _ in range(_ITERATIONS):
+        if run is None:
+            return None
+        error = measured - run
+        slopes = _slopes(simulated, theta, run)
+        if slopes is None:
+            return None
+        step = np.linalg.lstsq(slopes, error - error.mean(), rcond=1e-8)[0]
+        step /= max(1.0, float(np.max(np.abs(step))) / _LONGEST_STEP)
+        bound = float(np.var(error)) * (1.0 + 1e-9)
+        while np.max(np.abs(step)) > 0.1 * _SETTLED:
+            tried = simulated(theta + step)
+            if tried is not None and float(np.var(measured - tried)) <= bound:
+                theta, run = theta + step, tried
+                break
+            step = 0.5 * step
+        if np.max(np.abs(step)) < _SETTLED:
+            return _contrast(tissue, theta, logs, slopes, measured - run)
+    return None
+
+
+def _slopes(simulated: Callable[[Array], Array | None], theta: Array, run: Array) -> Array | None:
+    """Return the derivatives (rows, p) of a simulation (rows,), their means removed; None where one cannot be had."""
+    columns = []
+    for unit in np.eye(theta.size):
+        moved = simulated(theta + _PROBE * unit)
+        if moved is None:
+            return None
+        columns.append((moved - run) / _PROBE)
+    slopes = np.array(columns).T
+    return np.asarray(slopes - slopes.mean(axis=0), dtype=np.float64)
+
+
+def _contrast(tissue: SimulatedTissue, theta: Array, logs: int, slopes: Array, error: Array) -> Contrast:
+    lines = tissue.lines
+    error = error - error.mean()
+    influence = np.linalg.pinv(slopes)[logs:].T * error[:, None]  # (rows, lines)
+    block = dependence_samples(error, tissue.prepared.record.sample_rate_hz)
+    covariance = long_run_covariance(influence, block) * error.size / (error.size - theta.size)
+    values, vectors = np.linalg.eigh(covariance)
+    return Contrast(lines.basis @ theta[logs:], lines.basis @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
 
 _ROUNDS = 2
 _PROBE = 0.05
@@ -33,9 +103,10 @@ _LEAST_GAIN = 0.15
 _FARTHEST = np.log(2.0)
 """A correction beyond this factor is not one: the tissue simulated is not like the record."""
 
-_UNCORRECTED = (
-    "mass, damping and stiffness are as the kernels show them, uncorrected: a tissue with these parameters could not "
-    "be simulated under this record's input"
+_UNCORRECTED = Message(
+    "partitions.uncorrected",
+    "mass, damping and stiffness are those of the kernels, without bias correction: a tissue with these parameters "
+    "could not be simulated with this record's input",
 )
 
 
@@ -43,7 +114,7 @@ _UNCORRECTED = (
 class LocalEstimates:
     """Parameters of K stretches of depth about the operating point.
 
-    ``contrast`` is that of the damping by direction; None where no direction is told apart. ``solved`` holds the
+    ``contrast`` is the contrast of the damping between directions; None without directions. ``solved`` holds the
     kernels about the mean input.
     """
 
@@ -69,7 +140,7 @@ class DepthEstimator:
     linear: SecondOrderFit
 
     def estimate(self, output: Array) -> LocalEstimates:
-        """Parameters from an output (n,) as they come."""
+        """Return the parameters from an output (n,) as they come."""
         record, prepared = self.prepared.record, self.prepared
         cells = self.partitions.cells(output)
         solved = solve_along_lags(
@@ -121,7 +192,7 @@ class _Search:
 
     @classmethod
     def begun(cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: SimulatedTissue) -> _Search | None:
-        """The search, with the estimator's answers to changes known; None where the tissue cannot be simulated."""
+        """Return a search with the estimator's sensitivities; None where the tissue cannot be simulated."""
         lines = tissue.lines
         search = cls(estimator, seen, tissue, np.eye(3 * lines.basis.shape[1]))
         sought, still = seen.local.log_parameters, Contrast.none(lines.position.size)
@@ -138,7 +209,7 @@ class _Search:
         return replace(search, inverse=(right.T / np.maximum(gains, _LEAST_GAIN)) @ left.T)
 
     def matched(self, contrast: Contrast) -> LocalParameters | None:
-        """Parameters of the tissue, whose damping depends on the direction like this; None when that fails."""
+        """Return the parameters of a tissue with this contrast of damping between directions; None on failure."""
         lines, wanted = self.tissue.lines, self.seen.local.log_parameters
         sought = wanted
         back = self._returned(sought, contrast)
@@ -162,7 +233,7 @@ class _Search:
         )
 
     def _returned(self, values: Array, contrast: Contrast) -> Array | None:
-        """What the estimator makes of a tissue with these logarithms (K, 3); None where it cannot be had."""
+        """Return what the estimator makes of a tissue with these logarithms (K, 3); None where it cannot be had."""
         simulated = self.tissue.output(self.tissue.lines.coefficients(values), contrast)
         if simulated is None:
             return None

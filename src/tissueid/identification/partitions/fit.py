@@ -10,8 +10,8 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, FitReport, Mask
+from tissueid.identification.depth_levels import is_stepped
 from tissueid.identification.depth_profile import DepthProfile
-from tissueid.identification.localized.levels import is_stepped
 from tissueid.identification.partitions.cells import (
     UNKNOWN,
     Breakpoints,
@@ -24,29 +24,35 @@ from tissueid.identification.partitions.estimation import DepthEstimator, LocalE
 from tissueid.identification.partitions.model import PartitionedModel, resting
 from tissueid.identification.partitions.parameters import local_parameters
 from tissueid.identification.partitions.regression import PartitionedKernels, solve_along_lags, solve_at_output
+from tissueid.identification.partitions.report import details_of, doubts, findings, named_parameters, profile_of
 from tissueid.identification.partitions.simulation import free_run
-from tissueid.identification.partitions.words import details_of, doubts, found_words, named_parameters, profile_of
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER, Prepared, prepare
+from tissueid.identification.sample_masks import complete_windows
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
-from tissueid.identification.validation import aic, aicc, complete_windows, vaf_percent
-from tissueid.identification.volterra.smoothing import LagGrid, automatic_grid, lag_grid
+from tissueid.identification.validation import aic, aicc, vaf_percent
+from tissueid.identification.volterra.lag_grid import LagGrid, automatic_grid, lag_grid
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Record
 
 Offset = Literal["auto", "common", "mean", "partition"]
+_OFFSETS = (marked("auto"), marked("common"), marked("mean"), marked("partition"))
+"""Choices of the option as a form shows them, for translation."""
 
 _ROUNDS = 3
-"""Times that the fitted samples are placed anew by the model's own output, where that is done."""
+"""Number of times that the fitted samples are assigned to partitions by the model's own output."""
 
 
 _FORGOTTEN = 3
 """Memories of the kernels after which a free run has forgotten where it began."""
 
-_STEPPED = (
-    "the input is stepped: mass, damping and stiffness come out nearer with an offset for each partition, or with the "
-    "engine localized"
+_STEPPED = Message(
+    "partitions.stepped",
+    "the input is stepped: an offset for each partition, or the engine localized, gives more accurate mass, damping "
+    "and stiffness",
 )
-_STEPPED_APART = "the input is stepped: every partition has an offset of its own"
+_STEPPED_APART = Message("partitions.own_offsets", "the input is stepped: every partition has its own offset")
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class PartitionChoice:
     directional: bool
 
     def cut(self, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
-        """The cells, from the output (n,) at the rows of a mask (n,)."""
+        """Return the cells, from the output (n,) at the rows of a mask (n,)."""
         pole = low_pass_pole(self.filter_hz, sample_rate_hz)
         whole = Partitions(np.array([-np.inf, np.inf]), self.directional, pole)
         seen = np.where(rows, whole.filtered(output), np.nan)
@@ -92,7 +98,9 @@ def fit_partitions(
     grid = _grid(choice, first)
     rows = prepare(record, fit_part, grid.memory_samples / rate, 1).used
     if not rows.any():
-        raise UnusableInputError("0 usable samples: the record is full of gaps, or shorten the memory")
+        raise UnusableInputError(
+            Message("partitions.no_sample", "no usable sample: the record is full of gaps, or the memory is too long")
+        )
     partitions = choice.cut(record.output, rows, rate)
     stepped = is_stepped(record.input, rows, grid.memory_samples)
     if choice.offset == "auto":
@@ -136,13 +144,18 @@ def _part_mask(prepared: Prepared) -> Mask:
 
 
 def _usable(prepared: Prepared, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
-    """The rows (n,): what the preparation allows, with the cell known too throughout the memory."""
+    """Return the rows (n,): what the preparation allows, with the cell known too throughout the memory."""
     known = cells != UNKNOWN
     used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
     if int(used.sum()) < n_parameters:
         raise UnusableInputError(
-            f"{int(used.sum())} usable samples cannot carry {n_parameters} parameters: record longer, take fewer "
-            "partitions, or shorten the memory"
+            Message(
+                "partitions.too_few_samples",
+                "{count} usable samples are too few for {parameters} parameters: record longer, take fewer "
+                "partitions, or shorten the memory",
+                count=int(used.sum()),
+                parameters=n_parameters,
+            )
         )
     return used
 
@@ -152,18 +165,25 @@ def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGr
     least = int(np.argmin(support))
     if support[least] <= grid.lags:
         raise UnusableInputError(
-            f"partition {least + 1} of {partitions.count} holds {support[least]} samples, too few for its "
-            f"{grid.lags} lags: take fewer partitions, or cut by equal count"
+            Message(
+                "partitions.too_few_in_one",
+                "partition {number} of {partitions} has {count} samples, too few for its {parameters} parameters: "
+                "take fewer partitions, cut them by equal count, or record longer",
+                number=least + 1,
+                partitions=partitions.count,
+                count=int(support[least]),
+                parameters=grid.lags,
+            )
         )
 
 
 def _self_placed(
     record: Record, prepared: Prepared, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
 ) -> tuple[PartitionedKernels, Cells]:
-    """Linear models of each cell, with the samples placed by a model's own output: first by that of Eq. 5.1.
+    """Return the linear models of each cell, with the samples placed by a model's own output: first by that of Eq. 5.1.
 
-    Placed by the measured output they would be sorted by the very noise, and by what the model lacks, that is to be
-    told from the response, and every kernel would come out too small. The round with the least error is kept.
+    Placed by the measured output, they would be sorted by the noise and the model error that the fit has to separate
+    from the response, and every kernel would come out too small. The round with the least error is kept.
     """
     rate, mean = record.sample_rate_hz, prepared.input_mean
     complete = used & complete_windows(cells != UNKNOWN, grid.memory_samples)
@@ -194,7 +214,7 @@ def _self_placed(
 def _own_run(
     record: Record, prepared: Prepared, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
 ) -> tuple[Array, Cells]:
-    """Free run of kernels over the record's input, outputs and cells (n,) each; a missing input counts as its mean."""
+    """Return free-run outputs and cells, (n,) each, over the record's input; a missing input is its mean."""
     mean = prepared.input_mean
     steady = mean - solved.reference
     rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
@@ -225,7 +245,7 @@ def _local(
     grid: LagGrid,
     linear: SecondOrderFit,
 ) -> LocalEstimates:
-    """Parameters against depth by the construction that the offset asks for."""
+    """Return the parameters against depth by the construction that the offset asks for."""
     record = prepared.record
     if solved.at_output:
         x = np.where(_part_mask(prepared), record.input - prepared.input_mean, np.nan)
@@ -288,7 +308,7 @@ def _reported(
     local: LocalEstimates,
     linear: SecondOrderFit,
 ) -> PartitionedModel:
-    """The model with its report: scores of the free run on the fitted samples, parameters and words."""
+    """Return the model with its report: scores of the free run on the fitted samples, parameters and words."""
     simulated = model.simulate(record.input)
     scored = used & np.isfinite(simulated)
     if int(scored.sum()) < 2:
@@ -311,6 +331,6 @@ def _reported(
             *solved.warnings,
             *doubts(vaf, details, local, few and not prepared.warnings),
         ),
-        findings=found_words(local, model.partitions, linear),
+        findings=findings(local, model.partitions, linear),
         details=details,
     )

@@ -11,7 +11,7 @@ from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.partitions.cells import UNKNOWN, Partitions
 from tissueid.identification.partitions.simulation import free_run, scheduled_run
-from tissueid.identification.validation import complete_windows
+from tissueid.identification.sample_masks import complete_windows
 from tissueid.records import Record
 
 
@@ -28,7 +28,7 @@ class PartitionedModel(Model):
     ``rest_position``.
 
     ``memory_samples`` is three times the kernels' memory where the model's own past chooses its kernels: so long
-    after a gap two runs of one model go the same way again, as far as can be told.
+    after a gap two runs of one model agree again to rounding.
     """
 
     partitions: Partitions
@@ -107,7 +107,7 @@ class PartitionedModel(Model):
         return output
 
     def depth_profile(self) -> DepthProfile | None:
-        """Mass, damping and stiffness of each cell; None when the record is not force and position."""
+        """Return the mass, damping and stiffness of each cell; None when the record is not force and position."""
         return self.local
 
     @property
@@ -119,7 +119,7 @@ class PartitionedModel(Model):
 def resting(
     kernels: Array, offsets: Array, steady: float, partitions: Partitions, position: float
 ) -> tuple[int, float]:
-    """Cell and output that a steady input, less the reference, holds: the cell whose output misses it least.
+    """Return the cell and output that a steady input, less the reference, holds: the cell whose output misses it least.
 
     Among equals the one nearest to ``position``. ``kernels`` (cells, lags) are per sample.
     """
@@ -135,6 +135,6 @@ def resting(
 
 
 def _complete_after_rest(known: Mask, length: int) -> Mask:
-    """Where a window of so many samples holds nothing unknown, (n,), what comes before the first sample being known."""
+    """Return the mask (n,) of samples whose window holds no unknown sample; samples before the first count as known."""
     padded = np.concatenate([np.ones(length - 1, dtype=np.bool_), known])
     return complete_windows(padded, length)[length - 1 :]

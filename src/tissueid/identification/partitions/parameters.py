@@ -22,7 +22,7 @@ from tissueid.identification.partitions.cells import Cells, Partitions
 from tissueid.identification.partitions.regression import PartitionedKernels
 from tissueid.identification.second_order import Complex, Hold, SecondOrder, sampled_response
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.volterra.smoothing import LagGrid, input_spectrum
+from tissueid.identification.volterra.lag_grid import LagGrid, input_spectrum
 from tissueid.records import Estimate
 
 _WEAKEST = 1e-4
@@ -74,7 +74,7 @@ class _Band:
     hold: Hold
 
     def response(self, log_parameters: Array) -> tuple[Complex, Complex]:
-        """Sampled response (bins,) and its slopes (3, bins) by log M, log B, log K."""
+        """Return the sampled response (bins,) and its slopes (3, bins) by log M, log B, log K."""
         mass, damping, stiffness = np.exp(log_parameters)
         system = SecondOrder(float(mass), float(damping), float(stiffness))
         response, slopes = sampled_response(system, self.length, self.sample_rate_hz, self.hold)
@@ -118,7 +118,7 @@ def local_parameters(
     grid: LagGrid,
     linear: SecondOrderFit,
 ) -> LocalParameters:
-    """Parameters of each cell's kernel, with the covariance of all of them.
+    """Return the parameters of each cell's kernel, with the covariance of all of them.
 
     Args:
         solved: the kernels; those along the lags about the mean input, or the steady input is poorly known.
@@ -146,7 +146,7 @@ def local_parameters(
 
 
 def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.int_]) -> DepthProfile:
-    """The parameters as a depth profile; ``support`` (cells,) is how many samples lie in each cell."""
+    """Return the parameters as a depth profile; ``support`` (cells,) is how many samples lie in each cell."""
     values = local.sign * np.exp(local.log_parameters)
     std = np.exp(local.log_parameters) * np.sqrt(np.einsum("kim,kim->ki", local.root, local.root))
     place = np.arange(partitions.count) % partitions.depths
@@ -166,7 +166,7 @@ def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.
 
 
 def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estimate]:
-    """Mass, damping and stiffness at a position (m) and their slopes by depth there.
+    """Return the mass, damping and stiffness at a position (m) and their slopes by depth there.
 
     Weighted curves through the logarithms at the cells: parabolas from five cells on, lines from three. What the cells
     scatter about them beyond their own deviations widens the deviations found.
@@ -208,7 +208,7 @@ def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
 
 
 def _centre(output: Array, at_output: bool) -> float:
-    """The position that a cell's kernel speaks for, from the outputs in it.
+    """Return the position that a cell's kernel speaks for, from the outputs in it.
 
     A line through a parabola has the parabola's slope not at the mean but further towards the longer tail.
     """
@@ -223,7 +223,7 @@ def _centre(output: Array, at_output: bool) -> float:
 def _linearised(
     direct: LocalParameters, partitions: Partitions, solved: PartitionedKernels, band: _Band
 ) -> LocalParameters:
-    """What the fitted model answers to small inputs about its rest at each depth, as a second-order system."""
+    """Return what the fitted model answers to small inputs about its rest at each depth, as a second-order system."""
     known = direct.known
     slope = _depth_slopes(direct, partitions.direction)  # (cells, cells): slope at each cell from all logarithms
     log_parameters, root = np.full_like(direct.log_parameters, np.nan), np.zeros_like(direct.root)
@@ -236,7 +236,7 @@ def _linearised(
         depth = direct.sign * (direct.position[cell] - offset)
 
         def answer(values: Array, depth: float = depth) -> Complex:
-            """Response (bins,) from log M, B, K, their slopes, and a shift of the offset."""
+            """Return the response (bins,) from log M, B, K, their slopes, and a shift of the offset."""
             response, slopes = band.response(values[:3])
             steady = (depth - values[6]) * math.exp(values[2])
             turned = np.einsum("i,ij->j", values[3:6], slopes)
@@ -276,5 +276,5 @@ def _span(partitions: Partitions) -> float:
 
 
 def _split(values: Complex) -> Array:
-    """Real part above imaginary part along the first axis."""
+    """Return the real part above imaginary part along the first axis."""
     return np.concatenate([values.real, values.imag], axis=0)

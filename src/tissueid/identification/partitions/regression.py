@@ -14,12 +14,13 @@ import numpy as np
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.dependence import dependence_samples
+from tissueid.identification.effective_samples import dependence_samples
 from tissueid.identification.lagged_gram import LaggedRegressors
 from tissueid.identification.least_squares import Factor, factor
 from tissueid.identification.partitions.cells import Cells
+from tissueid.identification.volterra.lag_grid import LagGrid
 from tissueid.identification.volterra.prior import residual_dependence
-from tissueid.identification.volterra.smoothing import LagGrid
+from tissueid.messages import Message
 
 _SHORTEST_BLOCK = 12
 _QUARTERS = 4
@@ -57,12 +58,12 @@ class PartitionedKernels:
 
 
 def channels_of(x: Array, cells: Cells, count: int) -> Array:
-    """The input of each cell and zero elsewhere, (count, n), from an input x (n,) and the cells (n,)."""
+    """Return the input of each cell and zero elsewhere, (count, n), from an input x (n,) and the cells (n,)."""
     return np.where(cells == np.arange(count)[:, None], x, 0.0)
 
 
 def lagged_regressors(x: Array, cells: Cells, count: int, used: Mask, grid: LagGrid) -> _LaggedRows:
-    """The regressors P of Eq. 5.1, or 5.3: a constant, then lag by lag the input of each cell.
+    """Return the regressors P of Eq. 5.1, or 5.3: a constant, then lag by lag the input of each cell.
 
     Args:
         x: input (n,), less what it is counted from.
@@ -84,7 +85,7 @@ def solve_along_lags(
     grid: LagGrid,
     sample_rate_hz: float,
 ) -> PartitionedKernels:
-    """Kernels of Eqs. 5.1-5.4 with the one offset that all of them share.
+    """Return the kernels of Eqs. 5.1-5.4 with the one offset that all of them share.
 
     Arguments as :func:`lagged_regressors`, with ``y`` the output (n,) and ``reference`` the input that counts as zero.
     """
@@ -112,7 +113,7 @@ def solve_along_lags(
 def solve_at_output(
     x: Array, y: Array, reference: float, cells: Cells, count: int, used: Mask, grid: LagGrid, sample_rate_hz: float
 ) -> PartitionedKernels:
-    """A linear model with an offset for each cell, on the rows whose output lies in it.
+    """Return a linear model with an offset for each cell, on the rows whose output lies in it.
 
     Arguments as :func:`solve_along_lags`; only the cell of the rows themselves need be known.
 
@@ -127,8 +128,15 @@ def solve_at_output(
         mine = used & (cells == cell)
         if int(mine.sum()) <= grid.lags:
             raise UnusableInputError(
-                f"partition {cell + 1} of {count} holds {int(mine.sum())} samples, too few for its {grid.lags + 1} "
-                "parameters: take fewer partitions, or record longer"
+                Message(
+                    "partitions.too_few_in_one",
+                    "partition {number} of {partitions} has {count} samples, too few for its {parameters} "
+                    "parameters: take fewer partitions, cut them by equal count, or record longer",
+                    number=cell + 1,
+                    partitions=count,
+                    count=int(mine.sum()),
+                    parameters=grid.lags + 1,
+                )
             )
         regressors = _Rows(lagged[mine[used]], mine)
         solved = factor(regressors.explicit.T @ regressors.explicit, regressors)
@@ -170,7 +178,7 @@ class _Rows:
         return self.explicit
 
     def block_sums(self, error: Array, block: Cells) -> Array:
-        """Sums of P e over the rows of each block, (p, blocks)."""
+        """Return the sums of P e over the rows of each block, (p, blocks)."""
         sums = np.zeros((self.explicit.shape[1], int(block[-1]) + 1))
         _add_block_sums(sums, self.explicit, error, block[self.used])
         return sums
@@ -180,7 +188,7 @@ class _LaggedRows(LaggedRegressors):
     """Lagged regressors that are too many to stand all at once."""
 
     def block_sums(self, error: Array, block: Cells) -> Array:
-        """As :meth:`_Rows.block_sums`, so many rows at a time."""
+        """As :meth:`_Rows.block_sums`, in blocks of rows."""
         sums = np.zeros((self.columns, int(block[-1]) + 1))
         rows = np.flatnonzero(self.used)
         for first in range(0, rows.size, _ROWS_AT_ONCE):
@@ -205,7 +213,7 @@ def _root(
     modelled: Array,
     sample_rate_hz: float,
 ) -> Array:
-    """Root (p, m) of the covariance of the coefficients of all parts together, one below the other.
+    """Return the root (p, m) of the covariance of the coefficients of all parts together, one below the other.
 
     The sandwich of least squares (White 1982), with sums of P e over blocks of time within which residuals depend on
     each other, shifted by quarters of a block (which is Bartlett's weighting). What a kernel leaves of tissue is

@@ -17,7 +17,7 @@ _TIE = 1e-9
 
 
 def scheduled_run(x: Array, cells: Cells, kernels: Array, offsets: Array, spacing: int, at_output: bool) -> Array:
-    """Response to an input in given cells.
+    """Return the response to an input in given cells.
 
     Args:
         x: input without NaN, its reference removed, shape (memory - 1 + n,): the first ones only fill the memory.
@@ -45,7 +45,7 @@ def free_run(
     rest_cell: int,
     rest_output: float,
 ) -> tuple[Array, Cells]:
-    """Response to an input in the cells of the response itself.
+    """Return the response to an input in the cells of the response itself.
 
     At each sample every cell is tried, and the one is taken whose output lies in it; where none or several do, the
     one whose output misses it least, and among equals the cell of the sample before or the one next to it.

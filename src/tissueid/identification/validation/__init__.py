@@ -1,14 +1,10 @@
-"""How good a model is: scores, residual tests, prediction, distortion, repeats, bootstrap."""
+"""Validation of models: scores, residual tests, prediction, distortion, repeats, bootstrap."""
 
 from tissueid.identification.validation.scores import (
     Score,
     aic,
     aicc,
-    complete_windows,
-    finite_runs,
-    part_mask,
     score,
-    scored_samples,
     vaf_percent,
     validate,
     validated,
@@ -18,11 +14,7 @@ __all__ = [
     "Score",
     "aic",
     "aicc",
-    "complete_windows",
-    "finite_runs",
-    "part_mask",
     "score",
-    "scored_samples",
     "vaf_percent",
     "validate",
     "validated",

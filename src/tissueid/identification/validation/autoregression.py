@@ -1,4 +1,4 @@
-"""Autoregressive description of a stationary signal with gaps: what colours a residual, and what its past foretells."""
+"""Autoregressive model of a stationary signal with gaps, for whitening and prediction of residuals."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from scipy import linalg
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.correlation import lagged_products
-from tissueid.identification.validation import complete_windows
+from tissueid.identification.sample_masks import complete_windows
+from tissueid.messages import Message
 
 _LARGEST_ORDER = 60
 _ROWS_PER_ORDER = 20
 """Samples that each order tried must have."""
 
 _STEADIEST = 0.999
-"""Largest modulus of a pole: least squares can leave a description that runs away."""
+"""Largest modulus of a pole: least squares can give an unstable model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,17 +42,17 @@ class Autoregression:
         return int(self.coefficients.size)
 
     def innovations(self, signal: Array) -> Array:
-        """What the past of a signal (n,) does not foretell, shape (n,); NaN within ``order`` samples of a gap."""
+        """Return the innovations (n,) of a signal (n,); NaN within ``order`` samples of a gap."""
         return self.whiten(signal - self.mean)
 
     def whiten(self, signal: Array) -> Array:
-        """Signal (n,) through the whitening filter, shape (n,); NaN where the filter holds an unknown sample."""
+        """Return signal (n,) through the whitening filter, shape (n,); NaN where the filter holds an unknown sample."""
         known = np.isfinite(signal)
         filtered = np.convolve(np.where(known, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
         return np.where(complete_windows(known, self.order + 1), filtered[: signal.size], np.nan)
 
     def response(self, length: int) -> Array:
-        """Response psi (length,) of the signal to one innovation: psi[0] = 1."""
+        """Return the response psi (length,) of the signal to one innovation: psi[0] = 1."""
         psi = np.zeros(length)
         for step in range(length):
             past = psi[max(0, step - self.order) : step][::-1]
@@ -59,14 +60,14 @@ class Autoregression:
         return psi
 
     def ahead(self, horizon: int) -> Array:
-        """Weights (order,) that foretell e[n] from e[n - horizon], e[n - horizon - 1], ..., the mean removed."""
+        """Return the weights (order,) that predict e[n] from e[n - horizon] and before, for a zero-mean e."""
         weights = self.coefficients.copy()
         for _ in range(horizon - 1):
             weights = weights[:1] * self.coefficients + np.append(weights[1:], 0.0)[: self.order]
         return weights
 
     def error_std(self, horizons: Array) -> Array:
-        """Standard deviation of the error of the best prediction so many samples ahead, same shape."""
+        """Return the standard deviation of the error of the best prediction ``horizon`` samples ahead, same shape."""
         steps = np.asarray(horizons, dtype=np.intp)
         spread = np.cumsum(self.response(int(np.max(steps))) ** 2)
         return np.asarray(self.innovation_std * np.sqrt(spread[steps - 1]), dtype=np.float64)
@@ -88,14 +89,21 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
         largest -= 1
     if not _carries(known, largest):
         raise UnusableInputError(
-            f"{count} residuals, too few of them in a row, cannot carry a noise model of order {largest}: "
-            "record longer, or ask for a lower order"
+            Message(
+                "noise_model.too_few_residuals",
+                "{count} residuals have too few without gaps for a noise model of order {order}: record longer, or "
+                "lower the order",
+                count=int(count),
+                order=largest,
+            )
         )
     rows = complete_windows(known, largest + 1)
     mean = float(np.mean(signal[known]))
     centred = np.where(known, signal - mean, 0.0)
     if float(np.max(np.abs(centred))) <= 1e-12 * max(abs(mean), 1e-300):
-        raise UnusableInputError("the residual does not vary: there is no noise to describe")
+        raise UnusableInputError(
+            Message("noise_model.constant", "the residual does not vary: there is no noise to describe")
+        )
     order = _best_order(lagged_products(centred, rows, largest + 1), int(rows.sum()))
     rows = complete_windows(known, order + 1)
     used = int(rows.sum())
@@ -113,12 +121,12 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
 
 
 def _carries(known: Mask, order: int) -> bool:
-    """True when enough known samples follow one another for a noise model of this order."""
+    """Return whether enough known samples follow one another for a noise model of this order."""
     return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
 
 
 def _best_order(products: Array, rows: int) -> int:
-    """Order with the smallest AICc, all orders on the same rows."""
+    """Return the order with the smallest AICc, all orders on the same rows."""
     factor = linalg.cholesky(_loaded(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
     explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
     left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
@@ -145,7 +153,7 @@ def _aicc(power: float, n: int, order: int) -> float:
 
 
 def _steadied(coefficients: Array) -> Array:
-    """Coefficients (order,) whose poles lie inside the unit circle."""
+    """Return the coefficients (order,) whose poles lie inside the unit circle."""
     if coefficients.size == 0:
         return coefficients
     fastest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -coefficients])))))

@@ -1,4 +1,4 @@
-"""Bootstrap bands of anything that can be read off a fitted model, for any engine.
+"""Bootstrap bands of any statistic of a fitted model.
 
 Two ways of making another record like the one at hand. ``residuals`` keeps the input and the simulated output and adds
 blocks of residuals in another order: right when what a model misses is noise, unrelated to the input. ``blocks`` draws
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.identification.base import Array, Engine, Model
-from tissueid.identification.dependence import dependence_samples
-from tissueid.identification.validation import complete_windows, part_mask, scored_samples
+from tissueid.identification.effective_samples import dependence_samples
+from tissueid.identification.sample_masks import complete_windows, part_mask, scored_samples
+from tissueid.messages import Message
 from tissueid.records import Record
 
 Method = Literal["residuals", "blocks"]
@@ -86,7 +87,9 @@ def bootstrap(
         CancelledError: ``cancelled`` said so.
     """
     if n < 2 or not 0.0 < level_percent < 100.0:
-        raise UnusableInputError("a bootstrap takes two draws or more and a level between 0 and 100 %")
+        raise UnusableInputError(
+            Message("bootstrap.arguments", "a bootstrap needs at least two draws and a level between 0 and 100 %")
+        )
     model = engine.fit(record, fit_part)
     estimate = np.atleast_1d(np.asarray(statistic(model), dtype=np.float64))
     source = _Source(model, record, fit_part, method, block)
@@ -95,14 +98,25 @@ def bootstrap(
     refused = 0
     for done in range(n):
         if cancelled is not None and cancelled():
-            raise CancelledError(f"the bootstrap was cancelled after {done} of {n} draws")
+            raise CancelledError(
+                Message(
+                    "bootstrap.cancelled",
+                    "the bootstrap was cancelled after {done} of {draws} draws",
+                    done=done,
+                    draws=n,
+                )
+            )
         other, part = source.with_residuals(rng) if method == "residuals" else source.with_blocks(rng)
         try:
             draws.append(np.atleast_1d(np.asarray(statistic(engine.fit(other, part)), dtype=np.float64)))
         except UnusableInputError as error:
             refused += 1
             if refused > max(1.0, _MOST_REFUSED * n):
-                raise UnusableInputError(f"too many drawn records cannot be fitted ({error})") from error
+                raise UnusableInputError(
+                    Message(
+                        "bootstrap.refused", "too many drawn records cannot be fitted ({reason})", reason=error.message
+                    )
+                ) from error
         if progress is not None:
             progress(done + 1, n)
     found = np.array(draws)  # (n, k)
@@ -146,13 +160,23 @@ class _Source:
                 self.block = max(self.block, min(self.memory, self.count // _USUAL_BLOCKS))
         if self.count < _FEWEST_BLOCKS * self.block:
             raise UnusableInputError(
-                f"{self.count} residuals hold fewer than {_FEWEST_BLOCKS} blocks of {self.block} samples: "
-                "record longer, or ask for shorter blocks"
+                Message(
+                    "bootstrap.few_blocks",
+                    "{count} residuals are fewer than {fewest} blocks of {samples} samples: record longer, or use "
+                    "shorter blocks",
+                    count=int(self.count),
+                    fewest=_FEWEST_BLOCKS,
+                    samples=self.block,
+                )
             )
         self.ends = np.flatnonzero(complete_windows(np.isfinite(residual), self.block))
         if self.ends.size == 0:
             raise UnusableInputError(
-                f"no {self.block} samples follow one another without a gap: ask for shorter blocks"
+                Message(
+                    "bootstrap.gaps",
+                    "there are no {samples} successive samples without a gap: use shorter blocks",
+                    samples=self.block,
+                )
             )
 
     @property
@@ -162,7 +186,7 @@ class _Source:
         return 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
 
     def with_residuals(self, rng: np.random.Generator) -> tuple[Record, slice | None]:
-        """The record with its residuals in another order, and the part to fit."""
+        """Return the record with its residuals in another order, and the part to fit."""
         n = len(self.record)
         added = self.residual[self._drawn(rng, math.ceil(n / self.block))].ravel()[:n]
         output = np.where(np.isfinite(self.record.output), self.simulated + added, np.nan)
@@ -171,7 +195,7 @@ class _Source:
         return replace(self.record, output=output), self.part
 
     def with_blocks(self, rng: np.random.Generator) -> tuple[Record, None]:
-        """Stretches of the record, each after the inputs of its memory, with a gap between each two."""
+        """Return the stretches of the record, each after the inputs of its memory, with a gap between each two."""
         drawn = self._drawn(rng, math.ceil(self.count / self.block))  # (blocks, block)
         before = drawn[:, :1] - np.arange(self.memory - 1, 0, -1)
         gap = np.full((drawn.shape[0], 1), np.nan)
@@ -180,6 +204,6 @@ class _Source:
         return replace(self.record, input=u.ravel()[1:], output=y.ravel()[1:]), None
 
     def _drawn(self, rng: np.random.Generator, blocks: int) -> NDArray[np.intp]:
-        """Indices (blocks, block) of blocks of known residuals."""
+        """Return the indices (blocks, block) of blocks of known residuals."""
         last = self.ends[rng.integers(self.ends.size, size=blocks)]
         return np.asarray(last[:, None] + np.arange(1 - self.block, 1), dtype=np.intp)

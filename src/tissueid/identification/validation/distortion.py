@@ -18,6 +18,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
 from tissueid.identification.second_order import Complex
 from tissueid.identification.validation.multisine import Lines, Periods, cut_periods, find_driven, find_period
+from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 _NEIGHBOURS = 6
@@ -68,7 +69,7 @@ class Distortion:
     findings: tuple[str, ...]
 
     def relative_db(self, level: Estimate | None) -> float | None:
-        """A sum over the band relative to the output's, in dB; None where it is nil or unknown."""
+        """Return a sum over the band relative to the output's, in dB; None where it is nil or unknown."""
         if level is None or level.value <= 0.0:
             return None
         return 20.0 * float(np.log10(level.value / self.output_rms))
@@ -93,9 +94,9 @@ def distortion(
     """
     realisations = [records] if isinstance(records, Record) else list(records)
     if not realisations:
-        raise UnusableInputError("there are no records to look at")
+        raise UnusableInputError(Message("distortion.no_record", "no record is given"))
     if any(r.sample_rate_hz != realisations[0].sample_rate_hz for r in realisations):
-        raise UnusableInputError("realisations of different sample rates do not belong together")
+        raise UnusableInputError(Message("distortion.sample_rates", "the realisations have different sample rates"))
     samples = find_period(realisations[0].input) if period is None else period
     cut = [cut_periods(record, samples, settling) for record in realisations]
     power = np.mean([np.abs(one.input.mean(axis=0)) ** 2 for one in cut], axis=0)  # (lines,)
@@ -106,9 +107,17 @@ def distortion(
 def _checked(driven: Sequence[int], power: Array) -> Lines:
     lines = np.unique(np.asarray(driven, dtype=np.int_))
     if lines.size < 2 or lines[0] < 1 or lines[-1] >= power.size or np.any(lines % 2 == 0):
-        raise UnusableInputError(f"driven lines must be two odd numbers or more, from 1 to {power.size - 1}")
+        raise UnusableInputError(
+            Message(
+                "distortion.driven_lines",
+                "driven lines must be at least two odd numbers from 1 to {largest}",
+                largest=int(power.size) - 1,
+            )
+        )
     if np.any(power[lines] <= 0.0):
-        raise UnusableInputError("a line that was said to be driven holds no input")
+        raise UnusableInputError(
+            Message("distortion.line_without_input", "a line that is declared as driven has no input power")
+        )
     return lines
 
 
@@ -139,7 +148,16 @@ class _Separation:
         output = np.mean([np.abs(one.output[:, self.band].mean(axis=0)) ** 2 for one in self.cut], axis=0)
         is_even = self.band % 2 == 0
         is_detection = ~is_even & ~self.is_driven
-        findings = [] if single is not None else ["one period shows no noise: record two or more, or a longer run-in"]
+        findings: list[str] = (
+            []
+            if single is not None
+            else [
+                Message(
+                    "distortion.one_period",
+                    "one period does not show noise: record two or more, or a longer settling time",
+                )
+            ]
+        )
 
         input_power = np.mean([np.abs(one.input[:, self.driven].mean(axis=0)) ** 2 for one in self.cut], axis=0)
         total = np.full(self.driven.size, np.nan)
@@ -158,7 +176,11 @@ class _Separation:
             odd = self._sum(spread, known[self.at_driven], np.ones(self.driven.size), of_these_phases=False)
         else:
             findings.append(
-                "odd distortion cannot be told from the linear answer: leave odd lines undriven, or record more phases"
+                Message(
+                    "distortion.no_odd_level",
+                    "odd distortion cannot be separated from the linear response: leave odd lines undriven, or "
+                    "record more phases",
+                )
             )
         return Distortion(
             period=self.cut[0].period,
@@ -188,7 +210,7 @@ class _Separation:
         return np.full(self.band.size, self.cut[0].period * float(np.mean(tail**2)) / 2.0)
 
     def _carried(self, detection: Lines) -> Array:
-        """Weights (driven, detection) that carry the power of odd distortion over to the driven lines."""
+        """Return the weights (driven, detection) that carry the power of odd distortion over to the driven lines."""
         count = min(_NEIGHBOURS, detection.size)
         nearest = np.argsort(np.abs(self.driven[:, None] - detection), axis=1)[:, :count]  # (driven, count)
         weights = np.zeros((self.driven.size, detection.size))
@@ -196,7 +218,7 @@ class _Separation:
         return weights
 
     def _sum(self, power: Array, noise: Array, weights: Array, of_these_phases: bool = True) -> Estimate:
-        """Level of a weighted sum of the power of lines (k,), noise taken off where it is known.
+        """Return the level of a weighted sum of the power of lines (k,), noise taken off where it is known.
 
         A line of weight w stands for w - 1 others, each a complex Gaussian number; the noise blurs each line itself.
         """
@@ -224,7 +246,7 @@ class _Separation:
         )
 
     def _rms(self, power: Array) -> Array:
-        """Root mean square of a sine whose transform has this squared modulus."""
+        """Return the root mean square of a sine whose transform has this squared modulus."""
         return np.asarray(np.sqrt(2.0 * power) / self.cut[0].period, dtype=np.float64)
 
     def _rms_of(self, power: float) -> float:

@@ -12,6 +12,7 @@ from tissueid.identification.preparation import prepare
 from tissueid.identification.second_order import Complex
 from tissueid.identification.validation.autoregression import fit_autoregression
 from tissueid.identification.validation.residual_scores import kernel_error
+from tissueid.messages import Message
 from tissueid.records import Record
 
 
@@ -33,7 +34,7 @@ class FrequencyBand:
 
 
 def frequency_response_band(kernel: Array, spread: Array, lag_s: Array, frequency_hz: Array) -> FrequencyBand:
-    """Frequency response of an impulse response, and how far it may be off.
+    """Return the frequency response of an impulse response, and how far it may be off.
 
     Args:
         kernel: (lags,), output per input and second.
@@ -48,7 +49,12 @@ def frequency_response_band(kernel: Array, spread: Array, lag_s: Array, frequenc
     """
     lags = kernel.size
     if lags < 2 or lag_s.shape != (lags,) or spread.shape not in ((lags,), (lags, lags)):
-        raise UnusableInputError("a frequency response takes a kernel of two lags or more, with a spread of its size")
+        raise UnusableInputError(
+            Message(
+                "frequency_band.arguments",
+                "a frequency response needs a kernel of at least two lags and standard deviations of the same size",
+            )
+        )
     step = float(lag_s[1] - lag_s[0])
     turn = np.exp(-2j * np.pi * np.outer(frequency_hz, lag_s)) * step  # (frequencies, lags)
     response = turn @ kernel
@@ -86,7 +92,7 @@ def linear_kernel_covariance(model: Model, record: Record, fit_part: slice | Non
 
 
 def _quadratic(rows: Array, spread: Array) -> Array:
-    """Variance (k,) of each row's sum (k, lags) over lags of this covariance or these deviations."""
+    """Return the variance (k,) of each row's sum (k, lags) over lags of this covariance or these deviations."""
     if spread.ndim == 1:
         return np.asarray(rows**2 @ spread**2, dtype=np.float64)
     return np.asarray(np.einsum("ij,ij->i", rows @ spread, rows), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""A periodic record cut into its periods, and which lines of its spectrum the stimulus drives."""
+"""Periods of a periodic record, and the lines of its spectrum that the stimulus drives."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy import fft
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.second_order import Complex
+from tissueid.messages import Message
 from tissueid.records import Record
 
 Lines = NDArray[np.int_]
@@ -19,7 +20,7 @@ _ALIKE = 0.9
 """Correlation of an input with itself one period later, at least."""
 
 _AS_ALIKE = 0.01
-"""By how much the first repetition may be less alike than a later one."""
+"""Largest difference in correlation between the first repetition and a later one."""
 
 _SHORTEST_OVERLAP = 0.02
 """Share of a record that must be left to compare two stretches of it."""
@@ -52,14 +53,14 @@ class Periods:
 
 
 def find_period(u: Array) -> int:
-    """Samples after which an input (n,) repeats itself.
+    """Return the period of an input (n,), in samples.
 
     Raises:
         UnusableInputError: it does not, or fewer than one period and a fiftieth were recorded.
     """
     known = np.isfinite(u)
     if not known.any() or np.ptp(u[known]) == 0.0:
-        raise UnusableInputError("the input does not vary: it has no period")
+        raise UnusableInputError(Message("multisine.constant", "the input does not vary: it has no period"))
     x = np.where(known, u - np.mean(u[known]), 0.0)
     n = x.size
     size = fft.next_fast_len(2 * n, real=True)
@@ -73,7 +74,12 @@ def find_period(u: Array) -> int:
     first = int(away[0]) if away.size else n
     best = float(np.max(alike[first:], initial=0.0))
     if best < _ALIKE:
-        raise UnusableInputError("the input does not repeat itself: this takes a periodic stimulus, twice or more")
+        raise UnusableInputError(
+            Message(
+                "multisine.no_period",
+                "the input is not periodic: at least two periods of a periodic stimulus are needed",
+            )
+        )
     rising = np.flatnonzero(alike[first:] >= best - _AS_ALIKE) + first
     run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # the first such peak alone
     return int(run[np.argmax(alike[run])])
@@ -96,7 +102,12 @@ def cut_periods(record: Record, period: int, settling: float) -> Periods:
     whole = np.array([bool(record.valid[first + k * period :][:period].all()) for k in range(count)])
     if not whole.any():
         raise UnusableInputError(
-            f"no whole period of {period} samples is left after {settling:g} s of settling: record longer"
+            Message(
+                "multisine.short",
+                "no whole period of {samples} samples remains after {settling:g} s of settling: record longer",
+                samples=period,
+                settling=settling,
+            )
         )
     u = _without_drift(record.input[first:].reshape(count, period)[whole], np.flatnonzero(whole))
     y = _without_drift(record.output[first:].reshape(count, period)[whole], np.flatnonzero(whole))
@@ -113,7 +124,7 @@ def cut_periods(record: Record, period: int, settling: float) -> Periods:
 
 
 def _without_drift(periods: Array, number: Lines) -> Array:
-    """Periods (periods, n) less the straight line through their means.
+    """Return the periods (periods, n) less the straight line through their means.
 
     A drift is no period's own: it would put power on every line, the same in each period, and pass for distortion.
     """
@@ -126,7 +137,7 @@ def _without_drift(periods: Array, number: Lines) -> Array:
 
 
 def find_driven(power: Array) -> Lines:
-    """Odd lines that a stimulus of this line power (lines,) drives.
+    """Return the odd lines that a stimulus of this line power (lines,) drives.
 
     A driven line stands out from the even lines near it and is not far below the strongest odd one near it.
 
@@ -137,21 +148,31 @@ def find_driven(power: Array) -> Lines:
     even = np.arange(2, power.size, 2)
     near = 2 * _NEAR + 1
     if odd.size < near or even.size < near:
-        raise UnusableInputError(f"a period of fewer than {4 * near} samples holds too few lines to tell apart")
+        raise UnusableInputError(
+            Message(
+                "multisine.short_period",
+                "a period of fewer than {samples} samples has too few lines to separate",
+                samples=4 * near,
+            )
+        )
     strongest = np.lib.stride_tricks.sliding_window_view(np.pad(power[odd], _NEAR), near).max(axis=1)
     quiet = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(power[even], _NEAR, mode="edge"), near), axis=1)
-    beside = quiet[np.minimum(np.arange(odd.size), quiet.size - 1)]
-    driven = (power[odd] > _DRIVEN_SHARE * strongest) & (power[odd] > 10.0 * beside)
+    background = quiet[np.minimum(np.arange(odd.size), quiet.size - 1)]
+    driven = (power[odd] > _DRIVEN_SHARE * strongest) & (power[odd] > 10.0 * background)
     driven &= power[odd] > _DRIVEN_RANGE * float(np.max(power[1:]))
     if driven.sum() < 2:
         raise UnusableInputError(
-            "no odd lines of the input stand out from the even ones: this takes an odd random-phase multisine"
+            Message(
+                "multisine.not_odd",
+                "the odd lines of the input do not stand out from the even ones: an odd random-phase multisine is "
+                "needed",
+            )
         )
     return _hanging_together(odd[driven], power)
 
 
 def _hanging_together(lines: Lines, power: Array) -> Lines:
-    """The group of lines (k,) with the most power: a spur such as that of the mains stands far beyond the others."""
+    """Return the group of lines (k,) with the most power, without distant spurs such as those of the mains."""
     gaps = np.diff(lines)
     usual = np.array([float(np.median(gaps[max(0, i - _NEAR) : i])) if i else float(gaps[0]) for i in range(gaps.size)])
     groups = np.split(lines, np.flatnonzero(gaps > _FAR * usual) + 1)

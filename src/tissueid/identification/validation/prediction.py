@@ -1,4 +1,4 @@
-"""Prediction n steps ahead: a free-run simulation, and what the past of its own residual foretells.
+"""Prediction n steps ahead: free-run simulation plus the predictable part of its residual.
 
 ``Model.predict`` of an output-error model is its simulation, because such a model says nothing of its noise. Here the
 noise is described from the residuals of the fitted samples and the description is added, so that a short horizon shows
@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Model, check_horizon
-from tissueid.identification.validation import complete_windows, scored_samples, vaf_percent
+from tissueid.identification.sample_masks import complete_windows, scored_samples
+from tissueid.identification.validation import vaf_percent
 from tissueid.identification.validation.autoregression import Autoregression, fit_autoregression
+from tissueid.identification.validation.scores import NO_SAMPLE
 from tissueid.identification.validation.vaf_spread import vaf_std_percent
+from tissueid.messages import Message
 from tissueid.records import Record
 
 
@@ -83,14 +86,14 @@ def prediction_curve(
     """
     steps = _doubling(model.memory_samples) if horizons is None else np.asarray(horizons, dtype=np.int_)
     if steps.size == 0:
-        raise UnusableInputError("no prediction horizon was given")
+        raise UnusableInputError(Message("prediction.no_horizon", "no prediction horizon is given"))
     check_horizon(int(steps.min()))
     model.check_rate(record)
     simulated = model.simulate(record.input)
     residual = _known_residual(model, record, simulated)
     used = scored_samples(record, model.memory_samples, part) & np.isfinite(simulated)
     if int(used.sum()) < 2:
-        raise UnusableInputError("no sample is left to score: the part is shorter than the memory, or full of gaps")
+        raise UnusableInputError(NO_SAMPLE)
     measured = record.output[used]
     errors = [measured - _ahead(simulated, residual, int(step), noise)[used] for step in steps]
     vaf = [vaf_percent(measured, measured - error) for error in errors]
@@ -108,7 +111,7 @@ def prediction_curve(
 
 
 def _known_residual(model: Model, record: Record, simulated: Array) -> Array:
-    """Residual (n,), NaN where the memory reaches before the record: there it is not the noise alone."""
+    """Return the residual (n,), NaN where the memory reaches before the record: there it is not the noise alone."""
     complete = complete_windows(np.isfinite(record.input), model.memory_samples)
     return np.where(complete, record.output - simulated, np.nan)
 

@@ -1,4 +1,4 @@
-"""The line that no model can cross: how much of the output comes back when a test is repeated.
+"""Highest VAF that a model can reach, from repeats of a test.
 
 Two tests with the same command differ by what no model of the tissue foretells: noise of the sensor, movement of the
 patient, what the tissue does of itself. Its variance is the floor of the simulation error, and puts a ceiling on the
@@ -18,8 +18,9 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.impulse_response import beyond_memory, factor_input
 from tissueid.identification.preparation import memory_in_samples, prepare
-from tissueid.identification.validation import part_mask
+from tissueid.identification.sample_masks import part_mask
 from tissueid.identification.validation.vaf_spread import ratio_std
+from tissueid.messages import Listing, Message
 from tissueid.records import Estimate, Record
 
 Lags = NDArray[np.int_]
@@ -27,13 +28,13 @@ Lags = NDArray[np.int_]
 _TAPER = 0.05
 
 _BLOCK_S = 0.25
-"""Length, s, of the stretches that are laid on one another."""
+"""Length of the aligned stretches, s."""
 
 _AS_GOOD = 1.5
-"""Misfit over the smallest up to which a shift is as good as the best."""
+"""Ratio to the smallest misfit up to which a shift is as good as the best."""
 
 _UNLIKE = 0.5
-"""Misfit over the input's variance from which two stretches are not of one command."""
+"""Misfit, relative to the input's variance, above which two stretches belong to different commands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class Ceiling:
     """Which repeats were not used, and why."""
 
     def explained_percent(self, vaf_percent: float) -> float:
-        """Share of what can be explained that a model of this VAF explains."""
+        """Return the share of what can be explained that a model of this VAF explains."""
         return 100.0 * vaf_percent / self.vaf_percent.value
 
 
@@ -82,10 +83,14 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
             samples that all repeats hold.
     """
     if len(records) < 2:
-        raise UnusableInputError("a noise floor takes two repeats of one command or more")
+        raise UnusableInputError(
+            Message("ceiling.too_few_repeats", "a noise floor needs at least two repeats of one command")
+        )
     rate = records[0].sample_rate_hz
     if any(not np.isclose(record.sample_rate_hz, rate, rtol=1e-6, atol=0.0) for record in records):
-        raise UnusableInputError("repeats of different sample rates cannot be compared: resample")
+        raise UnusableInputError(
+            Message("ceiling.sample_rates", "repeats with different sample rates cannot be compared: resample them")
+        )
     lags = memory_in_samples(memory, rate)
     block = max(2, min(round(_BLOCK_S * rate), len(records[0]) // 4))
     shifts = [_shifts(records[0].input, record.input, min(lags, block), block) for record in records]
@@ -103,26 +108,46 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
     output = y[:, used] - y[:, used].mean(axis=1, keepdims=True)
     power = np.mean(output**2, axis=0)
     centred = u[:, used] - u[:, used].mean(axis=1, keepdims=True)
-    apart = float(np.sqrt(np.mean(_floor(np.where(used, u - together.input, np.nan))[:, used] ** 2)))
-    apart_percent = 100.0 * apart / float(np.sqrt(np.mean(centred**2)))
+    input_difference = float(np.sqrt(np.mean(_floor(np.where(used, u - together.input, np.nan))[:, used] ** 2)))
+    difference_percent = 100.0 * input_difference / float(np.sqrt(np.mean(centred**2)))
     best = _ceiling(floor[:, used], power, rate)
     noise_power = np.mean(floor[:, used] ** 2, axis=0)
     noise_rms = float(np.sqrt(np.mean(noise_power)))
     spread = ratio_std(noise_power, np.ones(noise_power.size), rate)
-    findings = [f"no model can be expected to pass {best.value:.1f} ± {best.std:.1f} % on these repeats"]
+    findings: list[str] = [
+        Message(
+            "ceiling.best",
+            "no model is expected to exceed {percent:.1f} ± {std:.1f} % on these repeats",
+            percent=best.value,
+            std=best.std or 0.0,
+        )
+    ]
     for number, shift in enumerate(shifts[1:], start=2):
         changes = np.flatnonzero(np.diff(shift))
         if changes.size:
-            places = ", ".join(f"{shift[c + 1] - shift[c]:+d} at {(c + 1) * block / rate:.2f} s" for c in changes)
+            places = tuple(
+                Message(
+                    "ceiling.jump",
+                    "{samples} at {seconds:.2f} s",
+                    samples=f"{shift[c + 1] - shift[c]:+d}",
+                    seconds=(c + 1) * block / rate,
+                )
+                for c in changes
+            )
             findings.append(
-                f"repeat {number} steps against the first by samples that were lost without being marked: {places}"
+                Message(
+                    "ceiling.lost_samples",
+                    "repeat {number} is shifted against the first by lost samples that are not marked: {places}",
+                    number=number,
+                    places=Listing(places),
+                )
             )
     return Ceiling(
         vaf_percent=best,
         vaf_same_input_percent=_ceiling(raw[:, used], power, rate),
         noise_rms=Estimate(noise_rms, spread / (2.0 * noise_rms) if noise_rms > 0.0 else 0.0),
         output_rms=float(np.sqrt(np.mean(power))),
-        input_difference_percent=apart_percent,
+        input_difference_percent=difference_percent,
         repeats=len(records),
         n_samples=int(used.sum()),
         shifts=tuple(int(shift[0]) for shift in shifts),
@@ -132,21 +157,21 @@ def ceiling(records: Sequence[Record], part: slice | None = None, memory: float 
 
 
 def _floor(difference: Array) -> Array:
-    """Differences (repeats, n) from the mean of all, less their own means, scaled to the noise of a single repeat."""
+    """Return zero-mean differences (repeats, n) from the mean of all, scaled to the noise of one repeat."""
     repeats = difference.shape[0]
     centred = difference - np.nanmean(difference, axis=1, keepdims=True)
     return np.asarray(centred * np.sqrt(repeats / (repeats - 1)), dtype=np.float64)
 
 
 def _ceiling(floor: Array, power: Array, rate: float) -> Estimate:
-    """Ceiling from noise (repeats, n) and the mean output power (n,)."""
+    """Return the ceiling from noise (repeats, n) and the mean output power (n,)."""
     noise = np.mean(floor**2, axis=0)
     value = 100.0 * (1.0 - float(np.mean(noise)) / float(np.mean(power)))
     return Estimate(value, 100.0 * ratio_std(noise, power, rate))
 
 
 def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
-    """By how many samples the other input (m,) lags behind the first (n,), shape (blocks,), block by block.
+    """Return by how many samples the other input (m,) lags behind the first (n,), shape (blocks,), block by block.
 
     A block that fits about as well where the one before it did stays there, as in a preload, where nothing moves.
     """
@@ -157,23 +182,25 @@ def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
     for start in range(0, first.size - block + 1, block):
         stretch = first[start : start + block]
         around = reach[start : start + block + 2 * most]
-        apart = np.lib.stride_tricks.sliding_window_view(around, block) - stretch  # (2 most + 1, block)
-        known = np.isfinite(apart)
+        distance = np.lib.stride_tricks.sliding_window_view(around, block) - stretch  # (2 most + 1, block)
+        known = np.isfinite(distance)
         enough = known.sum(axis=1) >= block // 2
         if enough.any():
-            squares = np.sum(np.where(known, apart, 0.0) ** 2, axis=1) / np.maximum(1, known.sum(axis=1))
+            squares = np.sum(np.where(known, distance, 0.0) ** 2, axis=1) / np.maximum(1, known.sum(axis=1))
             squares[~enough] = np.inf
             near = np.flatnonzero(squares <= _AS_GOOD * np.min(squares)) - most
             last = int(near[np.argmin(np.abs(near - last))])
             alike |= bool(np.min(squares) < _UNLIKE * np.nanvar(stretch))
         found.append(last)
     if not alike:
-        raise UnusableInputError("the inputs of the repeats are not alike: choose tests of one command")
+        raise UnusableInputError(
+            Message("ceiling.different_inputs", "the inputs of the repeats differ: choose tests of one command")
+        )
     return np.array(found, dtype=np.int_)
 
 
 def _aligned(records: Sequence[Record], shifts: Sequence[Lags], block: int) -> tuple[Array, Array]:
-    """Inputs and outputs (repeats, n) on the samples of the first record; NaN where any repeat holds nothing."""
+    """Return inputs and outputs (repeats, n) on the samples of the first record; NaN where any is missing."""
     n = len(records[0])
     signals = np.full((2, len(records), n), np.nan)
     for row, (record, shift) in enumerate(zip(records, shifts, strict=True)):

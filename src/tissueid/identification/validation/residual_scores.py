@@ -1,4 +1,4 @@
-"""Whether a residual answers a signal: correlations over many lags, with bands that hold for coloured signals.
+"""Correlations of a residual with a signal over many lags, with bands valid for coloured signals.
 
 All that is claimed rests on one fact: if the residual is unrelated to the input, then, the input being what it was, a
 sum of residuals weighted by any function of the input has a variance that follows from the residual's own colour alone.
@@ -53,7 +53,7 @@ class Scores:
         return np.sqrt(np.diag(self.covariance))
 
     def joint(self) -> tuple[float, float]:
-        """Chance of a lag as far out as the farthest, and the standard deviations that 5 % of all curves exceed."""
+        """Return the p-value of the largest lag, and the threshold that 5 % of all curves exceed."""
         known = np.isfinite(self.correlation)
         if not known.any():
             return float("nan"), float("nan")
@@ -71,12 +71,12 @@ class Scores:
 
 
 def independent(lags: Lags, correlation: Array, std: Array) -> Scores:
-    """Scores of lags that chance leaves unrelated; all three of shape (lags,)."""
+    """Return the scores of lags that chance leaves unrelated; all three of shape (lags,)."""
     return Scores(lags, correlation, np.diag(std**2), unrelated=True)
 
 
 def _largest_of(related: Array) -> Array:
-    """Draws (draws,) of the largest modulus of Gaussian numbers of unit variance, so related (k, k)."""
+    """Return the draws (draws,) of the largest modulus of Gaussian numbers of unit variance, so related (k, k)."""
     values, vectors = linalg.eigh(related)
     kept = values > 1e-9 * values[-1]
     shape = (vectors[:, kept] * np.sqrt(values[kept])).astype(np.float32)  # (k, rank): single precision is plenty
@@ -100,7 +100,7 @@ class Held:
     n_rows: int
 
     def scores(self, which: int, extra: Array | None = None, widening: float = 1.0, project: bool = True) -> Scores:
-        """Scores of one signal. What the nuisance explains of it is taken out first, unless ``project`` is off.
+        """Return scores of one signal. What the nuisance explains of it is taken out first, unless ``project`` is off.
 
         ``extra`` (nuisance, nuisance) is the covariance of coefficients by which the residual may depend on the
         nuisance lags; it counts where these are not projected out. ``widening`` multiplies the variance otherwise.
@@ -170,7 +170,7 @@ def _rms(signal: Array) -> float:
 
 
 def _complete(whitened: Array, columns: Sequence[tuple[Array, Lags]]) -> Mask:
-    """Samples (n,) whose residual is known and so are all lags of all signals."""
+    """Return the samples (n,) whose residual is known and so are all lags of all signals."""
     n = whitened.size
     complete = np.isfinite(whitened)
     for signal, lags in columns:
@@ -187,7 +187,7 @@ def _complete(whitened: Array, columns: Sequence[tuple[Array, Lags]]) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class KernelError:
-    """How far a linear kernel fitted by least squares to so many samples is off, and what that does to residuals.
+    """Uncertainty of a linear kernel fitted by least squares to ``fitted`` samples, and its effect on residuals.
 
     ``covariance`` (lags, lags) is that of the kernel. ``excess`` (length,) is the correlation coefficient that the
     error of the kernel leaves in residuals of other samples at lags 0, 1, ...; in those of the fitted samples it is
@@ -200,7 +200,7 @@ class KernelError:
 
 
 def kernel_error(x: Array, noise: Autoregression, lags: int, fitted: int, length: int) -> KernelError:
-    """What a fit of so many lags to ``fitted`` samples of an input such as x (n,; NaN unknown) leaves behind.
+    """Return the uncertainty of a fit of ``lags`` lags to ``fitted`` samples of an input like x (n,); NaN is unknown.
 
     The covariance is inv(R) S inv(R) / fitted, with S from the product of the spectra of the input and of the noise.
     """

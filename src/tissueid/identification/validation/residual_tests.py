@@ -1,4 +1,4 @@
-"""What a residual still holds: tests of a model on a record, with bands of the right size.
+"""Residual tests of a model on a record.
 
 Linear and higher-order correlations (Billings and Voon 1986; Billings and Zhu 1994) of the residual with itself, the
 input, and the model's own output. A right model leaves a residual unrelated to the input; which test finds otherwise
@@ -17,7 +17,7 @@ from scipy import special
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask, Model
 from tissueid.identification.correlation import Correlator
-from tissueid.identification.validation import scored_samples
+from tissueid.identification.sample_masks import scored_samples
 from tissueid.identification.validation.autoregression import fit_autoregression
 from tissueid.identification.validation.residual_scores import (
     LEVEL,
@@ -28,6 +28,7 @@ from tissueid.identification.validation.residual_scores import (
     independent,
     kernel_error,
 )
+from tissueid.messages import Message
 from tissueid.records import Record
 
 TestName = Literal[
@@ -43,22 +44,50 @@ TestName = Literal[
     "residual_input_product",
 ]
 
-MEANINGS: dict[TestName, str] = {
-    "autocorrelation": "what is left hangs together from sample to sample: coloured noise or missing dynamics; by "
-    "itself no fault of a simulation, but deviations that assume white noise are too small",
-    "input": "what is left answers the input in a straight line: dynamics are missing, or the memory is too short",
-    "feedback": "what is left foretells the input: the input answers the output, and any fit to it is biased",
-    "squared_input": "what is left answers the square of the input: an even nonlinearity is missing",
-    "squared_output": "what is left answers the square of the depth: a stiffness that changes with depth is missing",
-    "squared_speed": "what is left answers the square of the speed: a damping that differs by direction is missing",
-    "cubed_output": "what is left answers the cube of the depth: an odd nonlinearity is missing, alike on both sides",
-    "residual_size_input": "what is left is larger at one end of the input: the model is worse there, or the noise "
-    "depends on the load",
-    "residual_size_squared_input": "what is left is larger at large inputs: a nonlinearity of high order is missing, "
-    "or the noise depends on the load",
-    "residual_input_product": "how far what is left hangs together depends on the input: its dynamics change with load",
+MEANINGS: dict[TestName, Message] = {
+    "autocorrelation": Message(
+        "residuals.autocorrelation",
+        "the residual is correlated in time: coloured noise or missing dynamics; a simulation is not affected, but "
+        "standard deviations that assume white noise are too small",
+    ),
+    "input": Message(
+        "residuals.input",
+        "the residual depends linearly on the input: dynamics are missing, or the memory is too short",
+    ),
+    "feedback": Message(
+        "residuals.feedback",
+        "the residual predicts the input: the input depends on the output, and every fit to it is biased",
+    ),
+    "squared_input": Message(
+        "residuals.squared_input", "the residual depends on the square of the input: an even nonlinearity is missing"
+    ),
+    "squared_output": Message(
+        "residuals.squared_output",
+        "the residual depends on the square of the depth: a stiffness that changes with depth is missing",
+    ),
+    "squared_speed": Message(
+        "residuals.squared_speed",
+        "the residual depends on the square of the speed: a damping that differs by direction is missing",
+    ),
+    "cubed_output": Message(
+        "residuals.cubed_output",
+        "the residual depends on the cube of the depth: a symmetric odd nonlinearity is missing",
+    ),
+    "residual_size_input": Message(
+        "residuals.residual_size_input",
+        "the residual is larger at one end of the input: the model is worse there, or the noise depends on the load",
+    ),
+    "residual_size_squared_input": Message(
+        "residuals.residual_size_squared_input",
+        "the residual is larger at large inputs: a nonlinearity of high order is missing, or the noise depends on "
+        "the load",
+    ),
+    "residual_input_product": Message(
+        "residuals.residual_input_product",
+        "the correlation of the residual in time depends on the input: its dynamics change with the load",
+    ),
 }
-"""What each test says when it fails."""
+"""Meaning of each test that fails."""
 
 _MOST_LAGS = 64
 """Lags of the tests with nuisance and of the higher orders, at most."""
@@ -106,7 +135,7 @@ class ResidualTests:
     findings: tuple[str, ...]
 
     def __getitem__(self, name: TestName) -> ResidualTest:
-        """The test of that name."""
+        """Return the test of that name."""
         return next(test for test in self.tests if test.name == name)
 
 
@@ -133,13 +162,18 @@ def residual_tests(
     model.check_rate(record)
     simulated = model.simulate_scheduled(record) if scheduled else model.simulate(record.input)
     if simulated is None:
-        raise UnusableInputError("this model does not choose by the measured output: test its free run")
+        raise UnusableInputError(Message("residuals.no_schedule", "this model has no schedule: test its free run"))
     memory = model.memory_samples
     used = scored_samples(record, memory, part) & np.isfinite(simulated)
     count = int(used.sum())
     if count < 4 * min(memory, _MOST_LAGS) + 2 * memory:
         raise UnusableInputError(
-            f"{count} residuals are too few to test a memory of {memory} samples: give a longer part"
+            Message(
+                "residuals.too_few",
+                "{count} residuals are too few to test a memory of {samples} samples: use a longer part",
+                count=count,
+                samples=memory,
+            )
         )
     residual = np.where(used, record.output - simulated, np.nan)
     x = record.input - float(np.mean(record.input[used]))
@@ -183,7 +217,7 @@ def residual_tests(
 
 
 def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: float, in_sample: bool) -> Scores:
-    """Correlation of a residual (n,) with its past, less what the error of the fitted kernel leaves in it."""
+    """Return the autocorrelation of a residual (n,), corrected for the error of the fitted kernel."""
     known = np.isfinite(residual)
     centred = np.where(known, residual - np.mean(residual[known]), 0.0)
     length = int(lags[-1]) + 1
@@ -195,7 +229,7 @@ def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: flo
 
 
 def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
-    """Innovation e[n] of the residual (n,) against e[n - k] x[n - k], the product of Billings and Voon.
+    """Return the innovation e[n] of the residual (n,) against e[n - k] x[n - k], the product of Billings and Voon.
 
     The terms of each sum are unrelated to one another when the innovation is white and knows nothing of the input.
     """
@@ -210,7 +244,7 @@ def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
 
 
 def _normal_scores(values: Array) -> Array:
-    """Values (n,) put on a normal distribution by their ranks; NaN stay.
+    """Return the values (n,) put on a normal distribution by their ranks; NaN stay.
 
     Squares of residuals have long tails, and sums of them are not yet normal after a few thousand samples.
     """
@@ -234,7 +268,7 @@ def _share(model: Model, x: Array) -> float:
 
 
 def _is_straight(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
-    """Whether half the input's excursions give half the output's."""
+    """Return whether half the input's excursions give half the output's."""
     middle = float(np.mean(u[used]))
     half = model.simulate(middle + 0.5 * (u - middle))[used]
     rest = model.simulate(np.full(u.size, middle))[used]
@@ -267,7 +301,7 @@ def _judged(scores: dict[TestName, Scores | None], rate: float) -> tuple[Residua
 
 
 def _holm(p_values: dict[TestName, float]) -> dict[TestName, float]:
-    """p-values that allow for how many there are (Holm 1979)."""
+    """Return p-values that allow for how many there are (Holm 1979)."""
     adjusted: dict[TestName, float] = {}
     largest = 0.0
     for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):
@@ -281,4 +315,10 @@ def _findings(tests: Sequence[ResidualTest]) -> tuple[str, ...]:
     found = tuple(test.meaning for test in failed)
     if any(test.name != "autocorrelation" for test in failed):
         return found
-    return (*found, "what is left is unrelated to the input as far as these tests see: the model lacks nothing here")
+    return (
+        *found,
+        Message(
+            "residuals.unrelated",
+            "these tests find no relation between residual and input: no missing dynamics or nonlinearity",
+        ),
+    )

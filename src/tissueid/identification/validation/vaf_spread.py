@@ -1,4 +1,4 @@
-"""How far a variance accounted for may be off: its standard deviation, neighbouring samples being related."""
+"""Standard deviation of a variance accounted for, with dependent samples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from scipy.special import stdtr
 
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import Correlator
-from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 
 _FEWEST = 8
 """Samples below which nothing is said of a correlation."""
@@ -17,7 +17,7 @@ _LEAST = 1e-12
 
 
 def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> float:
-    """Standard deviation of a VAF (Eq. 3.13), in percentage points, over other stretches of record like this one.
+    """Return the standard deviation of a VAF (Eq. 3.13), percentage points, over similar records.
 
     ``measured`` and ``error`` have shape (n,) and hold no NaN.
     """
@@ -25,7 +25,7 @@ def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> flo
 
 
 def unrelated_p_value(measured: Array, simulated: Array) -> float:
-    """Chance that a simulation unrelated to a measurement follows it as well as this one, one-sided; 1 for none.
+    """Return the one-sided p-value of a simulation against simulations unrelated to the measurement; 1 for no fit.
 
     Both have shape (n,) and hold no NaN. Their correlation is held against Student's distribution, with the number of
     independent samples that the autocorrelations of both leave (Bartlett 1935).
@@ -48,7 +48,7 @@ def unrelated_p_value(measured: Array, simulated: Array) -> float:
 
 
 def ratio_std(power: Array, whole: Array, sample_rate_hz: float) -> float:
-    """Standard deviation of the ratio of the means of two powers (n,), by the delta method; NaN for no power."""
+    """Return the standard deviation of the ratio of two mean powers, from (n,) each, by the delta method."""
     mean = float(np.mean(whole))
     if not mean > 0.0 or power.size < 2:
         return float("nan")

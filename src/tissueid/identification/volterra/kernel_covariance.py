@@ -1,4 +1,4 @@
-"""Prior covariances of Volterra kernels that are smooth and die away.
+"""Prior covariances of smooth, decaying Volterra kernels.
 
 For h1 the diagonal/correlated form of Chen, Ohlsson and Ljung (2012), for h2 that of Birpoutsoukis, Marconato, Lataire
 and Schoukens (2017), turned by 45 degrees: decay and correlation along the diagonal and across it, each with its own.
@@ -9,20 +9,57 @@ response of a mass has, and the marginal likelihood prefers it clearly on measur
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from tissueid.identification.base import Array
-from tissueid.identification.volterra.kernel_covariance_loops import fill_pairs, gather_pairs
+
+Index = NDArray[np.intp]
+
+
+@njit(cache=True)
+def fill_pairs(along: Array, across: Array, twice_along: Index, distance: Index) -> Array:
+    """Covariance (p, p) whose entry for two places is along[u, u'] across[v, v'], from their u and v (p,)."""
+    p = twice_along.size
+    covariance = np.empty((p, p))
+    for m in range(p):
+        one, other = along[twice_along[m]], across[distance[m]]
+        for k in range(m + 1):
+            covariance[m, k] = one[twice_along[k]] * other[distance[k]]
+    for m in range(p):
+        for k in range(m + 1, p):
+            covariance[m, k] = covariance[k, m]
+    return covariance
+
+
+@njit(cache=True)
+def gather_pairs(
+    weight: Array, along: Array, across: Array, twice_along: Index, distance: Index
+) -> tuple[Array, Array]:
+    """Return the sums of weight * across over the pairs of each u, u', and of weight * along over those of each v, v'.
+
+    ``weight`` (p, p) is symmetric, and so are the sums but for which of two halves an entry is counted in.
+    """
+    by_along = np.zeros_like(along)
+    by_across = np.zeros_like(across)
+    for m in range(twice_along.size):
+        u, v = twice_along[m], distance[m]
+        for k in range(m + 1):
+            twice = weight[m, k] if k == m else 2.0 * weight[m, k]
+            by_along[u, twice_along[k]] += twice * across[v, distance[k]]
+            by_across[v, distance[k]] += twice * along[u, twice_along[k]]
+    return by_along, by_across
+
 
 FIRST = 3
-"""How many hyperparameters the covariance of h1 has; that of h2 has five."""
+"""Number of hyperparameters of the covariance of h1; that of h2 has five."""
 
 Tables = tuple[Array, Array, Array]
 """A covariance, and its derivatives by the logarithms of decay and correlation rate."""
 
 
 def matern(distance: Array, rate: float) -> tuple[Array, Array]:
-    """Matern correlation of order 3/2 and its derivative by the logarithm of ``rate``, shape of ``distance``."""
+    """Return Matern correlation of order 3/2 and its derivative by the logarithm of ``rate``, shape of ``distance``."""
     reach = rate * distance
     fading = np.exp(-reach)
     return (1.0 + reach) * fading, -(reach**2) * fading
@@ -35,12 +72,12 @@ class FirstOrderCovariance:
         self._lag = np.arange(float(lags))
 
     def matrix(self, log_hyper: Array) -> Array:
-        """Covariance (L, L)."""
+        """Return the covariance (L, L)."""
         scale, decay, rate = np.exp(log_hyper)
         return _separable(self._lag, scale, decay, rate)[0]
 
     def slopes(self, log_hyper: Array, weight: Array) -> Array:
-        """Derivatives (3,) of sum(weight * covariance), for a symmetric weight (L, L)."""
+        """Return the derivatives (3,) of sum(weight * covariance), for a symmetric weight (L, L)."""
         scale, decay, rate = np.exp(log_hyper)
         return np.array([np.vdot(weight, table) for table in _separable(self._lag, scale, decay, rate)])
 
@@ -59,17 +96,17 @@ class SecondOrderCovariance:
         self._along_lag, self._across_lag = 0.5 * np.arange(2.0 * lags - 1.0), np.arange(float(lags))
 
     def matrix(self, log_hyper: Array) -> Array:
-        """Covariance (p, p), p = L (L + 1) / 2."""
+        """Return the covariance (p, p), p = L (L + 1) / 2."""
         along, across = self._tables(log_hyper)
         return np.asarray(fill_pairs(along[0], across[0], self._twice_along, self._across))
 
     def variance(self, log_hyper: Array) -> Array:
-        """Diagonal (p,) of the covariance."""
+        """Return the diagonal (p,) of the covariance."""
         scale, along_decay, _, across_decay, _ = np.exp(log_hyper)
         return np.asarray(scale * np.exp(-along_decay * self._twice_along - 2.0 * across_decay * self._across))
 
     def slopes(self, log_hyper: Array, weight: Array) -> Array:
-        """Derivatives (5,) of sum(weight * covariance), for a symmetric weight (p, p)."""
+        """Return the derivatives (5,) of sum(weight * covariance), for a symmetric weight (p, p)."""
         along, across = self._tables(log_hyper)
         by_along, by_across = gather_pairs(weight, along[0], across[0], self._twice_along, self._across)
         return np.array(

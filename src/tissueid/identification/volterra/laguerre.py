@@ -17,8 +17,9 @@ from scipy import linalg, ndimage, signal
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.dependence import long_run_covariance
+from tissueid.identification.effective_samples import long_run_covariance
 from tissueid.identification.preparation import SAMPLES_PER_PARAMETER
+from tissueid.messages import Message
 
 MOST_FUNCTIONS = {1: 16, 2: 12, 3: 9}
 """Functions tried for kernels of first, second and third order."""
@@ -62,7 +63,7 @@ class LaguerreKernels:
 
 
 def laguerre_functions(lags: int, count: int, pole: float) -> Array:
-    """The first ``count`` discrete Laguerre functions at lags 0 .. L - 1, shape (L, count).
+    """Return the first ``count`` discrete Laguerre functions at lags 0 .. L - 1, shape (L, count).
 
     Orthonormal over infinitely many lags. ``pole``, from 0 to under 1, is what is left of the first after one lag. Each
     comes from the one before by an all-pass filter, which is stable however many there are.
@@ -87,7 +88,7 @@ def laguerre_kernels(
     functions: int | None = None,
     pole: float | None = None,
 ) -> LaguerreKernels:
-    """Kernels of order 0 to ``order`` (1, 2 or 3) by least squares on Laguerre functions.
+    """Return the kernels of order 0 to ``order`` (1, 2 or 3) by least squares on Laguerre functions.
 
     Args:
         x: input (n,), its mean removed.
@@ -103,18 +104,40 @@ def laguerre_kernels(
         UnusableInputError: the order is not 1 to 3, the pole not from 0 to under 1, or too few rows.
     """
     if order not in MOST_FUNCTIONS:
-        raise UnusableInputError(f"a Laguerre expansion is for kernels of order 1, 2 or 3, not {order}")
+        raise UnusableInputError(
+            Message(
+                "laguerre.order", "a Laguerre expansion is for kernels of order 1, 2 or 3, got {order}", order=order
+            )
+        )
     if pole is not None and not 0.0 <= pole < 1.0:
-        raise UnusableInputError(f"the pole of Laguerre functions must be at least 0 and under 1, not {pole:g}")
+        raise UnusableInputError(
+            Message(
+                "laguerre.pole",
+                "the pole of Laguerre functions must be at least 0 and below 1, got {pole:g}",
+                pole=pole,
+            )
+        )
     if functions is not None and not 1 <= functions <= lags:
-        raise UnusableInputError(f"{lags} lags cannot tell {functions} Laguerre functions apart: take 1 to {lags}")
+        raise UnusableInputError(
+            Message(
+                "laguerre.too_many_functions",
+                "{lags} lags do not determine {functions} Laguerre functions: take 1 to {lags}",
+                lags=lags,
+                functions=functions,
+            )
+        )
     rows = np.flatnonzero(used)
     most = min(lags, MOST_FUNCTIONS[order]) if functions is None else functions
     while functions is None and most > 1 and _count(most, order) * SAMPLES_PER_PARAMETER > rows.size:
         most -= 1
     if rows.size < max(_count(most, order), 2 * _STRETCHES):
         raise UnusableInputError(
-            f"{rows.size} rows cannot carry {_count(most, order)} coefficients: record longer, or take fewer functions"
+            Message(
+                "laguerre.too_few_rows",
+                "{rows} rows are too few for {coefficients} coefficients: record longer, or take fewer functions",
+                rows=int(rows.size),
+                coefficients=_count(most, order),
+            )
         )
     trial = _Trial(np.where(np.isfinite(x), x, 0.0), y[rows] - y[rows].mean(), rows, lags, spacing, order)
     counts = range(1, most + 1) if functions is None else [functions]
@@ -134,7 +157,7 @@ class _Trial:
     order: int
 
     def regressors(self, functions: Array) -> Array:
-        """Products of the inputs filtered by the functions (L, Q), shape (rows, p)."""
+        """Return the products of the inputs filtered by the functions (L, Q), shape (rows, p)."""
         taps = np.zeros(((self.lags - 1) * self.spacing + 1, functions.shape[1]))
         taps[:: self.spacing] = functions
         filtered = signal.oaconvolve(self.x[:, None], taps, axes=0)[self.rows]  # (rows, Q)
@@ -148,7 +171,7 @@ class _Trial:
         return np.concatenate(columns, axis=1)
 
     def held_out(self, pole: float, counts: Sequence[int]) -> Array:
-        """Share of the output's power that is missed in stretches left out in turn, for each number of functions."""
+        """Return the cross-validated share of unexplained output power for each number of functions."""
         most = max(counts)
         regressors = self.regressors(laguerre_functions(self.lags, most, pole))
         size = np.sqrt(np.mean(regressors**2, axis=0))
@@ -172,7 +195,7 @@ class _Trial:
 
 
 def _choose(trial: _Trial, counts: Sequence[int], pole: float | None) -> tuple[float, int, float]:
-    """Pole and number of functions that miss least in what is left out, and the share that they miss."""
+    """Return the pole and number of functions that miss least in what is left out, and the share that they miss."""
     counts = list(counts)
     tried: dict[float, Array] = {}
     # The slowest function worth trying has died to a tenth at the end of the memory.
@@ -212,8 +235,14 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
     warnings: tuple[str, ...] = ()
     if rows < SAMPLES_PER_PARAMETER * p:
         warnings = (
-            f"{rows} rows for {p} coefficients is fewer than {SAMPLES_PER_PARAMETER} each: "
-            "record longer, or take fewer functions",
+            Message(
+                "laguerre.few_rows",
+                "{rows} rows for {coefficients} coefficients are fewer than {fewest} for each: record longer, or "
+                "take fewer functions",
+                rows=int(rows),
+                coefficients=p,
+                fewest=SAMPLES_PER_PARAMETER,
+            ),
         )
     coefficients[0] += offset
     return LaguerreKernels(
@@ -254,7 +283,7 @@ def _kernels(functions: Array, coefficients: Array, order: int) -> _Low:
 
 
 def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
-    """Squared error to expect of a sum that was cut off: what a few functions more change, squared.
+    """Return the squared error to expect of a sum that was cut off: what a few functions more change, squared.
 
     In expectation that is the squared bias that they remove and the variance that they add. It is averaged over
     neighbouring lags, because a single one says little. Zero when there are no more functions or rows to be had.
@@ -276,12 +305,12 @@ def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
 
 
 def _count(functions: int, order: int) -> int:
-    """Coefficients of an expansion to this order, the constant included."""
+    """Return the coefficients of an expansion to this order, the constant included."""
     return int(_highest(functions, order).size)
 
 
 def _highest(functions: int, order: int) -> NDArray[np.intp]:
-    """The highest function that each coefficient stands for (p,); -1 for the constant."""
+    """Return the highest function that each coefficient stands for (p,); -1 for the constant."""
     highest = [-1]
     for degree in range(1, order + 1):
         highest += [some[-1] for some in combinations_with_replacement(range(functions), degree)]
@@ -289,7 +318,7 @@ def _highest(functions: int, order: int) -> NDArray[np.intp]:
 
 
 def _second_variance(functions: Array, covariance: Array) -> Array:
-    """Variance of h2, (L, L), from the covariance of its coefficients."""
+    """Return the variance of h2, (L, L), from the covariance of its coefficients."""
     lags, count = functions.shape
     one, other = np.triu_indices(count)
     row, column = np.triu_indices(lags)
@@ -301,7 +330,7 @@ def _second_variance(functions: Array, covariance: Array) -> Array:
 
 
 def _third(functions: Array, coefficients: Array) -> Array:
-    """h3, (L, L, L)."""
+    """Return h3, (L, L, L)."""
     count = functions.shape[1]
     shares = np.zeros((count, count, count))
     for some, value in zip(combinations_with_replacement(range(count), 3), coefficients, strict=True):
@@ -313,5 +342,5 @@ def _third(functions: Array, coefficients: Array) -> Array:
 
 
 def _variance(terms: Array, covariance: Array) -> Array:
-    """Variance of each row of terms (k, p) times coefficients of this covariance (p, p)."""
+    """Return the variance of each row of terms (k, p) times coefficients of this covariance (p, p)."""
     return np.asarray(np.maximum(np.einsum("ij,ij->i", terms @ covariance, terms), 0.0))

@@ -1,11 +1,11 @@
-"""The ways to Volterra kernels, behind one result."""
+"""Methods of estimating Volterra kernels, with a common result."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 from tissueid.identification.base import Array
-from tissueid.identification.volterra.dual import DualKernels, dual_kernels
+from tissueid.identification.volterra.kernel_regression import DualKernels, dual_kernels
 from tissueid.identification.volterra.laguerre import laguerre_kernels
 from tissueid.identification.volterra.prior import RegularisedKernels, regularised_fit
 from tissueid.identification.volterra.regressors import Kernels, VolterraRegressors, kernels_of
@@ -28,7 +28,7 @@ class Solved:
 
 
 def exactly(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) -> Solved:
-    """Least squares without a constraint on the kernels (Eqs. 4.2-4.14), for an output (n,).
+    """Estimate kernels by least squares without constraints (Eqs. 4.2-4.14), for an output (n,).
 
     ``sample_rate_hz`` is that of the rows.
     """
@@ -47,7 +47,7 @@ def exactly(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) ->
 
 
 def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
-    """Kernels of first to third order under a prior that is smooth and dies away, for an output (n,).
+    """Return the kernels of first to third order under a prior that is smooth and dies away, for an output (n,).
 
     Raises:
         UnusableInputError: so few or so dependent rows leave nothing to choose a prior by.
@@ -69,7 +69,7 @@ def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
 
 
 def in_laguerre_functions(regressors: VolterraRegressors, output: Array) -> Solved:
-    """Kernels of first to third order as sums of a few Laguerre functions, for an output (n,).
+    """Return the kernels of first to third order as sums of a few Laguerre functions, for an output (n,).
 
     Raises:
         UnusableInputError: too few rows even for those.

@@ -1,4 +1,4 @@
-"""A Volterra series that can be simulated, and how its kernels are turned into physical units."""
+"""Volterra model: simulation, and kernels in physical units."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.identification.base import Array, Model
+from tissueid.identification.sample_masks import complete_windows
 from tissueid.identification.second_order_fit import SecondOrderFit
-from tissueid.identification.validation import complete_windows
-from tissueid.identification.volterra.dual import simulate_third
+from tissueid.identification.volterra.kernel_regression import simulate_third
 from tissueid.identification.volterra.regressors import Kernels
 
 _ENTRIES_AT_ONCE = 1 << 16
@@ -77,7 +77,7 @@ class VolterraModel(Model):
         return np.asarray(np.sum(self.contributions(u), axis=0), dtype=np.float64)
 
     def contributions(self, u: Array) -> tuple[Array, ...]:
-        """What each order, from the zeroth on, adds to the simulation of an input (n,): arrays (n,)."""
+        """Return what each order, from the zeroth on, adds to the simulation of an input (n,): arrays (n,)."""
         x = np.asarray(u, dtype=np.float64) - self.input_mean
         finite = np.isfinite(x)
         parts = np.vstack(
@@ -92,7 +92,7 @@ class VolterraModel(Model):
         return tuple(parts)
 
     def impulse_response(self, height: float = 1.0) -> ImpulseResponse:
-        """What an input of ``height``, lasting one lag, does beside the operating point."""
+        """Return the response to an input of ``height`` for one lag, relative to the operating point."""
         kernels = self.per_lag
         nothing = np.zeros(self.lag_s.size)
         lag = np.arange(self.lag_s.size)
@@ -107,7 +107,7 @@ class VolterraModel(Model):
 
 
 def kernel_outputs(kernels: Kernels, x: Array, spacing: int, order: int) -> Array:
-    """Outputs of the kernels of first to ``order``-th order, (order, n), for an input (n,) at rest before it."""
+    """Return the outputs (order, n) of the kernels of order 1 to ``order`` for an input (n,), at rest before it."""
     first, second, third = kernels.first, kernels.second, kernels.third
     outputs = np.zeros((order, x.size))
     if first is None:

@@ -1,4 +1,4 @@
-"""Regularised Volterra kernels: a Gaussian prior that is smooth and dies away, chosen by the marginal likelihood.
+"""Regularised Volterra kernels: a Gaussian prior for smooth, decaying kernels, by marginal likelihood.
 
 The posterior mean takes the place of the exact least-squares answer where the input leaves lags without information
 (Chen 2010, 4.3). It is smooth because the fit is, and not because a fit was filtered, so nothing is lost in the output.
@@ -23,6 +23,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import Correlator
 from tissueid.identification.volterra.kernel_covariance import FIRST, FirstOrderCovariance, SecondOrderCovariance
 from tissueid.identification.volterra.regressors import NormalEquations
+from tissueid.messages import Message
 
 ROUGH = 0.25
 """Spatial frequency, cycles per lag, above which :func:`roughness` counts: half the Nyquist frequency of the lags."""
@@ -31,7 +32,7 @@ _RANK = 1e-14
 """Share of the Gram matrix, its columns scaled to one, under which what is left of it carries nothing."""
 
 _EXPLAINED = 1e-10
-"""Share of the output's power under which an unexplained rest is rounding."""
+"""Share of the output's power below which the unexplained part is rounding."""
 
 _SEARCHES, _SEARCH_STEPS, _SETTLED = 4, 30, 2e-6
 
@@ -54,7 +55,7 @@ _BOUNDS = (_DECAY, _DECAY, _RATE, _DECAY, _DECAY, _RATE, _DECAY, _RATE)
 _SCALE_DOWN, _SCALE_UP = 14.0, 8.0
 
 _REACH = np.log([4.0, 0.5, 2.0, 4.0, 0.5, 2.0, 0.5, 2.0])
-"""How much wider and rougher than where a search begins the priors may become that it can still tell apart."""
+"""Largest factor by which priors may become wider and rougher than at the start of a search."""
 
 _WORTH = 0.03
 """Ratio of a direction's variance by a prior to what the samples leave it, under which it is left out of a search."""
@@ -63,7 +64,7 @@ _EXPECTED = (100.0, 20.0)
 """Ratio of the output of h1 and of h2 to the noise, in power, that the search begins with."""
 
 _REFIT = 1.5
-"""Ratio between an assumed and a found dependence from which the kernels are fitted again."""
+"""Ratio of estimated to assumed dependence above which the kernels are refitted."""
 
 _BLOCKS = 10
 
@@ -72,7 +73,7 @@ class Applied(Protocol):
     """Whatever turns coefficients (p,) into modelled outputs (rows,)."""
 
     def apply(self, theta: Array) -> Array:
-        """P theta."""
+        """Return P theta."""
         ...
 
 
@@ -99,7 +100,7 @@ class RegularisedKernels:
 def regularised(
     equations: NormalEquations, dependence: float = 1.0, start: RegularisedKernels | None = None
 ) -> RegularisedKernels:
-    """Regularised kernels of first or second order from normal equations alone.
+    """Return the regularised kernels of first or second order from normal equations alone.
 
     Args:
         equations: of an input and output whose means are removed.
@@ -111,12 +112,21 @@ def regularised(
     """
     if equations.order not in (1, 2):
         raise UnusableInputError(
-            f"the prior on the normal equations is for kernels of order 1 or 2, not {equations.order}: "
-            "higher orders take the dual route"
+            Message(
+                "volterra.prior_order",
+                "regularised normal equations are for kernels of order 1 or 2, got {order}",
+                order=equations.order,
+            )
         )
     if equations.rows / dependence < 10.0:
         raise UnusableInputError(
-            f"{equations.rows} rows of which {dependence:.0f} say as much as one cannot carry kernels: record longer"
+            Message(
+                "volterra.dependent_rows",
+                "{rows} rows that depend on each other over {samples:.0f} samples are too few for kernels: record "
+                "longer",
+                rows=equations.rows,
+                samples=dependence,
+            )
         )
     evidence = _Evidence(equations, max(1.0, dependence))
     begin = evidence.initial() if start is None else evidence.hyper_of(start)
@@ -124,7 +134,7 @@ def regularised(
 
 
 def regularised_fit(equations: NormalEquations, regressors: Applied, output: Array) -> RegularisedKernels:
-    """Regularised kernels with the dependence of the rows found from their own residual.
+    """Return the regularised kernels with the dependence of the rows found from their own residual.
 
     Args:
         equations: the normal equations of ``regressors`` and ``output``.
@@ -160,7 +170,7 @@ def regularised_fit(equations: NormalEquations, regressors: Applied, output: Arr
 
 
 def residual_dependence(residual: Array, modelled: Array) -> float:
-    """How many of the rows say as much as one independent row, at least 1.
+    """Return how many of the rows say as much as one independent row, at least 1.
 
     The mean of the residual's power spectrum, weighted by that of the modelled output, over its plain mean; both
     (rows,). Spectra are smoothed by Bartlett's window over a tenth of the rows.
@@ -177,7 +187,7 @@ def residual_dependence(residual: Array, modelled: Array) -> float:
 
 
 def roughness(kernel2: Array) -> float:
-    """Share of the two-dimensional Fourier energy of h2 (L, L) above ``ROUGH`` cycles per lag in any direction."""
+    """Return the share of the Fourier energy of h2 (L, L) above ``ROUGH`` cycles per lag in any direction."""
     energy = np.abs(np.fft.fft2(kernel2)) ** 2
     frequency = np.fft.fftfreq(kernel2.shape[0])
     total = float(energy.sum())
@@ -225,7 +235,7 @@ class _Evidence:
         self._seen = _Seen(root * size[:, None], output)
 
     def initial(self) -> Array:
-        """Hyperparameters to begin with: kernels that die away within the memory and explain most of the output."""
+        """Return initial hyperparameters: kernels decay within the memory and explain most of the output."""
         lags = self._lags
         decay, rate = min(4.0 / lags, 1.0), min(6.0 / lags, 1.0)
         power = np.diag(self._gram)
@@ -238,14 +248,14 @@ class _Evidence:
         return np.asarray(np.log(hyper), dtype=np.float64)
 
     def hyper_of(self, found: RegularisedKernels) -> Array:
-        """Hyperparameters of an answer, as this search has them."""
+        """Return the hyperparameters of an answer, as this search has them."""
         hyper = np.array(list(found.hyperparameters.values()))
         scales = [k for k in _SCALES if k < hyper.size]
         hyper[scales] = hyper[scales] ** 2 / (found.dependence * found.noise_variance)
         return np.asarray(np.log(hyper), dtype=np.float64)
 
     def search(self, begin: Array) -> Array:
-        """The hyperparameters (3,) or (8,) of the greatest marginal likelihood near a beginning.
+        """Return the hyperparameters (3,) or (8,) of the greatest marginal likelihood near a beginning.
 
         It looks only at what the samples tell a prior rougher and wider than the one it begins with (a quarter of
         the directions, as a rule), and looks again from where it came to when it left those bounds.
@@ -274,14 +284,14 @@ class _Evidence:
         return hyper
 
     def _told_to(self, hyper: Array) -> _Seen:
-        """What the samples tell a prior, without the directions of which it knows more than they do."""
+        """Return the normal equations for a prior, without directions in which the prior is stronger than the data."""
         seen = self._seen
         worth, directions = linalg.eigh(seen.root.T @ self._times_prior(hyper, seen), check_finite=False)
         kept = directions[:, worth > _WORTH]
         return _Seen(seen.root @ kept, seen.output @ kept)
 
     def _deviance(self, hyper: Array, seen: _Seen) -> tuple[float, Array]:
-        """Minus the log marginal likelihood, but for a constant, and its slopes."""
+        """Return minus the log marginal likelihood, up to a constant, and its derivatives."""
         lags, root = self._lags, seen.root
         try:
             factor, weights = _solve(seen, self._times_prior(hyper, seen))
@@ -298,7 +308,7 @@ class _Evidence:
         return float(value), 0.5 * slopes
 
     def posterior(self, hyper: Array) -> RegularisedKernels:
-        """Mean, standard deviation and what goes with them, at the hyperparameters given."""
+        """Return the mean, standard deviation and what goes with them, at the hyperparameters given."""
         spread = self._times_prior(hyper, self._seen)  # K B, (M, rank)
         factor, weights = _solve(self._seen, spread)
         power = self._unexplained(self._seen, weights)
@@ -314,22 +324,22 @@ class _Evidence:
         half = linalg.solve_triangular(factor, np.eye(factor.shape[0]), lower=True, check_finite=False)
         logarithms = float(np.sum(np.log(np.diag(factor))))
         evidence = -0.5 * self._independent * (np.log(2.0 * np.pi * noise) + 1.0) - logarithms
-        told = np.exp(hyper)
+        values = np.exp(hyper)
         for k in _SCALES:
-            if k < told.size:
-                told[k] = np.sqrt(told[k] * density)
+            if k < values.size:
+                values[k] = np.sqrt(values[k] * density)
         return RegularisedKernels(
             coefficients=np.concatenate([[self._right_mean - self._means @ kernels], kernels * self._share]),
             std=np.sqrt(density * np.concatenate([[max(mean_variance, 0.0)], variance * self._share**2])),
             effective_parameters=1.0 + factor.shape[0] - float(np.sum(half**2)),
-            hyperparameters=dict(zip(_NAMES, told.tolist(), strict=False)),
+            hyperparameters=dict(zip(_NAMES, values.tolist(), strict=False)),
             log_evidence=float(evidence),
             noise_variance=noise,
             dependence=self.dependence,
         )
 
     def _prior_times(self, hyper: Array, values: Array) -> Array:
-        """The prior covariance times values (M, k)."""
+        """Return the prior covariance times values (M, k)."""
         lags = self._lags
         first = self._first.matrix(hyper[:FIRST]) @ values[:lags]
         if self._second is None:
@@ -351,7 +361,7 @@ class _Evidence:
 
 
 def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
-    """Cholesky factor (rank, rank) of I + B' K B from K B, and the weights (rank,) that make kernels of K B."""
+    """Return Cholesky factor (rank, rank) of I + B' K B from K B, and the weights (rank,) that make kernels of K B."""
     inner = seen.root.T @ spread
     inner[np.diag_indices_from(inner)] += 1.0
     factor = linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
@@ -359,7 +369,7 @@ def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
 
 
 def _product(half: Array, step: Array) -> Array:
-    """half' half - step step', symmetric (p, p): what a change of the covariance is weighed by."""
+    """Return half' half - step step', symmetric (p, p): what a change of the covariance is weighed by."""
     product = half.T @ half
     product -= np.outer(step, step)
     return np.asarray(product, dtype=np.float64)

@@ -42,7 +42,7 @@ class NormalEquations:
 
 
 def coefficient_count(lags: int, order: int) -> int:
-    """M of Eq. 4.5: how many coefficients kernels of order 0 to ``order`` have together, symmetry counted out."""
+    """Return M of Eq. 4.5: the number of different coefficients of symmetric kernels of order 0 to ``order``."""
     return sum(math.comb(lags + degree - 1, degree) for degree in range(order + 1))
 
 
@@ -88,7 +88,7 @@ class VolterraRegressors:
         return lagged_inputs(self.x, self.rows, self.lags, self.spacing)
 
     def apply(self, theta: Array) -> Array:
-        """P theta: (M,) to (rows,)."""
+        """Return P theta: (M,) to (rows,)."""
         if self.order == 3:
             by_channel = np.empty(self.columns)
             by_channel[self._place] = theta
@@ -102,32 +102,32 @@ class VolterraRegressors:
         return total
 
     def adjoint(self, r: Array) -> Array:
-        """P'r: (rows,) to (M,)."""
+        """Return P'r: (rows,) to (M,)."""
         if self.order < 3:
             return self._sums(r, self.windows)
         chunks = [slice(first, first + _ROWS_AT_ONCE) for first in range(0, r.size, _ROWS_AT_ONCE)]
         return np.asarray(np.sum([self._sums(r[some], self.windows[some]) for some in chunks], axis=0))
 
     def block_sums(self, r: Array, edges: NDArray[np.intp]) -> Array:
-        """P'r over each block of rows alone, (M, blocks), for an r (rows,) and the first row of each block."""
+        """Return P'r over each block of rows alone, (M, blocks), for an r (rows,) and the first row of each block."""
         ends = np.append(edges[1:], r.size)
         blocks = [self._sums(r[a:b], self.windows[a:b]) for a, b in zip(edges, ends, strict=True)]
         return np.column_stack(blocks)
 
     def matrix(self) -> Array:
-        """P itself, (rows, M)."""
+        """Return P itself, (rows, M)."""
         if self.order == 0:
             return np.ones((self.rows.size, 1))
         return self._lagged.matrix()[:, self._place]
 
     def gram(self) -> Array:
-        """P'P, (M, M), by the displacement of lagged products."""
+        """Return P'P, (M, M), by the displacement of lagged products."""
         if self.order == 0:
             return np.array([[float(self.rows.size)]])
         return self._lagged.gram(self._place)
 
     def normal_equations(self, gram: Array, y: Array) -> NormalEquations:
-        """The normal equations for an output y (rows,)."""
+        """Return the normal equations for an output y (rows,)."""
         centred = y - y.mean()
         return NormalEquations(gram, self.adjoint(centred), float(centred @ centred), y.size, self.lags, self.order)
 
@@ -179,7 +179,7 @@ class VolterraRegressors:
 
 
 def lagged_inputs(x: Array, rows: NDArray[np.intp], lags: int, spacing: int) -> Array:
-    """Inputs x(n - i spacing), i = 0 .. lags - 1, for the samples n of ``rows`` (rows,): shape (rows, lags)."""
+    """Return the inputs x(n - i spacing), i = 0 .. lags - 1, for the samples n of ``rows``, (rows, lags)."""
     windows = np.empty((rows.size, lags))
     for lag in range(lags):
         windows[:, lag] = x[rows - lag * spacing]
@@ -187,7 +187,7 @@ def lagged_inputs(x: Array, rows: NDArray[np.intp], lags: int, spacing: int) -> 
 
 
 def kernels_of(values: Array, lags: int, order: int) -> Kernels:
-    """The symmetric kernels of coefficients (M,), each divided by how often it stands for one term (Eq. 4.14).
+    """Return the symmetric kernels of coefficients (M,), each divided by how often it stands for one term (Eq. 4.14).
 
     Standard deviations of coefficients give those of the kernels in the same way.
     """

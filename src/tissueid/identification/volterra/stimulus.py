@@ -1,4 +1,4 @@
-"""The exact answer to Eqs. 4.2-4.14, with a factor kept per stimulus so that another response costs a solve."""
+"""Exact solution of Eqs. 4.2-4.14, with a factor per stimulus that is reused for other responses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissueid.identification.base import Array, Mask
-from tissueid.identification.dependence import dependence_samples
+from tissueid.identification.effective_samples import dependence_samples
 from tissueid.identification.least_squares import Factor, factor
 from tissueid.identification.volterra.regressors import VolterraRegressors
 
@@ -25,7 +25,7 @@ class VolterraStimulus:
     factor: Factor
 
     def matches(self, x: Array, used: Mask, lags: int, spacing: int, order: int) -> bool:
-        """True when this is the factor of that input (n,), at those rows (n,), with those kernels."""
+        """Return whether this is the factor of that input (n,), at those rows (n,), with those kernels."""
         mine = self.regressors
         return (
             (mine.lags, mine.spacing, mine.order) == (lags, spacing, order)
@@ -34,11 +34,11 @@ class VolterraStimulus:
         )
 
     def solve(self, output: Array) -> Array:
-        """Coefficients (M,) for an output (n,), of which only the rows are read."""
+        """Return the coefficients (M,) for an output (n,), of which only the rows are read."""
         return self.factor.solve(output[self.regressors.rows])
 
     def deviations(self, residuals: Array, sample_rate_hz: float) -> Array:
-        """Standard deviations of the coefficients (M,), from the residuals at the rows (rows,).
+        """Return the standard deviations of the coefficients (M,), from the residuals at the rows (rows,).
 
         What a kernel leaves of tissue is coloured and not unrelated to the input, so the covariance is the sandwich
         inv(P'P) S inv(P'P), with S from sums of P e over blocks of rows within which the residual depends on itself

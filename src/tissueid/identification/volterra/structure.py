@@ -1,4 +1,4 @@
-"""What Volterra kernels say of the order of blocks: Wiener, Hammerstein, LNL, or none of them.
+"""Block structure indicated by Volterra kernels: Wiener, Hammerstein, LNL, or none of them.
 
 The second kernel of a Hammerstein system lives on its diagonal and follows the first kernel there; every slice of a
 Wiener system's is the first kernel; of an LNL system's, the sum of the slices is (Chen, Ishii and Suzumura 1986; Haber
@@ -16,6 +16,8 @@ from scipy import ndimage
 
 from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
 
 KernelName = Literal["linear", "wiener", "hammerstein", "lnl", "neither", "undetermined"]
 
@@ -23,16 +25,16 @@ _BLURS = (0.0, 0.5, 1.0, 1.5, 2.0)
 """Widths, in lags, by which an estimated kernel may be smeared across its diagonal: a regularised one always is."""
 
 _NEAR = 0.95
-"""Cosine from which kernels without a standard deviation count as proportional."""
+"""Cosine above which kernels without a standard deviation are proportional."""
 
 _TOLERANCE = 0.02
-"""What a cosine may fall short of its band: priors and short memories bend kernels by as much."""
+"""Tolerance of a cosine below its band: priors and short memories distort kernels by as much."""
 
 _DRAWS = 100
 _LEVEL = 0.05
 _LOBE = 0.1
 _FELT = 4.0
-"""Standard errors that the strongest value of a kernel must reach for it to be there at all."""
+"""Threshold of the strongest value of a kernel, in standard errors, for the kernel to be present."""
 
 _LEAST = 0.1
 """Share of an estimated kernel's energy that is taken to be the kernel's own at the least."""
@@ -83,49 +85,83 @@ def kernel_structure(
     _check(kernel1, kernel2)
     kernel2 = 0.5 * (kernel2 + kernel2.T)
     if not _there(kernel2, kernel2_std):
-        sentence = "the second kernel does not differ from zero: the kernels are those of a linear system"
-        return StructureVerdict("linear", {}, 0.0, sentence)
+        return StructureVerdict("linear", {}, 0.0, _LINEAR)
     first = kernel1 if _there(kernel1, kernel1_std) else None
     scores = _scores(first, kernel2, kernel1_std, kernel2_std)
     lobes = _side_lobes(kernel2)
-    shown = ", ".join(f"{name} {score.cosine:.2f}" for name, score in scores.items())
-    kept = [name for name in ("wiener", "hammerstein") if scores[name].kept]
-    if len(kept) == 2:
-        sentence = f"the kernels do not tell Wiener and Hammerstein apart (cosines: {shown})"
-        return StructureVerdict("undetermined", scores, lobes, sentence)
-    if kept == ["wiener"]:
-        sentence = f"every slice of the second kernel is the first kernel, as in a Wiener system (cosines: {shown})"
-        return StructureVerdict("wiener", scores, lobes, sentence)
-    if kept == ["hammerstein"]:
-        sentence = f"the second kernel is the first along its diagonal, as in a Hammerstein system (cosines: {shown})"
-        return StructureVerdict("hammerstein", scores, lobes, sentence)
-    if "lnl" in scores and scores["lnl"].kept:
-        sentence = f"the slices of the second kernel add up to the first kernel, as in an LNL system (cosines: {shown})"
-        return StructureVerdict("lnl", scores, lobes, sentence)
-    sentence = f"{'neither Wiener nor Hammerstein nor LNL' if 'lnl' in scores else 'neither Wiener nor Hammerstein'} "
-    sentence += f"(cosines: {shown})"
+    name = _name(scores)
+    shown = Listing(tuple(f"{which} {score.cosine:.2f}" for which, score in scores.items()))
+    if name != "neither":
+        return StructureVerdict(name, scores, lobes, Message(f"structure.{name}", _SENTENCES[name], cosines=shown))
+    tried = (
+        marked("neither Wiener nor Hammerstein nor LNL")
+        if "lnl" in scores
+        else marked("neither Wiener nor Hammerstein")
+    )
     if lobes > _LOBE:
-        sentence += (
-            f"; side lobes of {100.0 * lobes:.0f} % of the peak flank it: parameters that vary with depth would look "
-            "like this"
+        sentence = Message(
+            "structure.side_lobes",
+            "{tried} (cosines: {cosines}); the peak has side lobes of {percent:.0f} %: parameters that vary with depth "
+            "would look like this",
+            tried=tried,
+            cosines=shown,
+            percent=100.0 * lobes,
         )
     else:
-        sentence += "; parameters that vary with depth would look like this"
+        sentence = Message(
+            "structure.neither",
+            "{tried} (cosines: {cosines}); parameters that vary with depth would look like this",
+            tried=tried,
+            cosines=shown,
+        )
     return StructureVerdict("neither", scores, lobes, sentence)
+
+
+_LINEAR = Message(
+    "structure.linear", "the second kernel does not differ from zero: the kernels are those of a linear system"
+)
+_SENTENCES: dict[KernelName, str] = {
+    "undetermined": marked("the kernels do not distinguish Wiener and Hammerstein (cosines: {cosines})"),
+    "wiener": marked(
+        "every slice of the second kernel is proportional to the first kernel, as in a Wiener system (cosines: "
+        "{cosines})"
+    ),
+    "hammerstein": marked(
+        "the second kernel is the first along its diagonal, as in a Hammerstein system (cosines: {cosines})"
+    ),
+    "lnl": marked("the slices of the second kernel sum to the first kernel, as in an LNL system (cosines: {cosines})"),
+}
+
+
+def _name(scores: dict[str, StructureScore]) -> KernelName:
+    if scores["wiener"].kept and scores["hammerstein"].kept:
+        return "undetermined"
+    if scores["wiener"].kept:
+        return "wiener"
+    if scores["hammerstein"].kept:
+        return "hammerstein"
+    return "lnl" if "lnl" in scores and scores["lnl"].kept else "neither"
 
 
 def _check(kernel1: Array, kernel2: Array) -> None:
     lags = kernel1.size
     if kernel1.ndim != 1 or kernel2.shape != (lags, lags):
         raise UnusableInputError(
-            f"kernels of shapes {kernel1.shape} and {kernel2.shape} do not belong together: the second must be (L, L)"
+            Message(
+                "volterra.kernel_shapes",
+                "kernels of shapes {first} and {second} do not match: the second must be (L, L)",
+                first=str(kernel1.shape),
+                second=str(kernel2.shape),
+            )
         )
     if not (np.all(np.isfinite(kernel1)) and np.all(np.isfinite(kernel2))):
-        raise UnusableInputError("a kernel holds a value that is not finite: fit it again on a record that carries it")
+        raise UnusableInputError(
+            Message("volterra.kernel_not_finite", "a kernel has a value that is not finite: fit it to a longer record")
+        )
 
 
 def _there(kernel: Array, std: Array | None) -> bool:
-    """True when a kernel differs from zero: its strongest value stands out of its errors."""
+    """Return whether a kernel differs from zero: its strongest value stands out of its errors."""
     if not np.any(kernel):
         return False
     if std is None:
@@ -134,7 +170,7 @@ def _there(kernel: Array, std: Array | None) -> bool:
 
 
 def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array | None) -> dict[str, StructureScore]:
-    """Cosines with bands; without a first kernel, Wiener means rank one and LNL cannot be asked."""
+    """Return the cosines with bands; without a first kernel, Wiener means rank one and LNL cannot be asked."""
     cosines = {"wiener": _wiener(kernel1, kernel2), "hammerstein": _hammerstein(kernel1, kernel2)}
     if kernel1 is not None:
         cosines["lnl"] = _cosine(kernel2.sum(axis=0), kernel1)
@@ -145,7 +181,7 @@ def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Arr
 
 
 def _cosine(a: Array, b: Array) -> float:
-    """Absolute cosine between two arrays of one shape."""
+    """Return the absolute cosine between two arrays of one shape."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return abs(float(np.vdot(a, b))) / size if size > 0.0 else 0.0
 
@@ -158,7 +194,7 @@ def _wiener(kernel1: Array | None, kernel2: Array) -> float:
 
 
 def _hammerstein(kernel1: Array | None, kernel2: Array) -> float:
-    """Best cosine with a diagonal kernel, smeared by as much as an estimate may be."""
+    """Return the best cosine with a diagonal kernel, smeared by as much as an estimate may be."""
     diagonal = np.diag(kernel2) if kernel1 is None else kernel1
     return max(_cosine(kernel2, _smeared(np.diag(diagonal), width)) for width in _BLURS)
 
@@ -170,7 +206,7 @@ def _smeared(kernel2: Array, width: float) -> Array:
 def _bands(
     kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array, names: tuple[str, ...]
 ) -> dict[str, float]:
-    """Where each cosine would lie above 19 times in 20 if the structure held and the kernels had these errors.
+    """Return where each cosine would lie above 19 times in 20 if the structure held and the kernels had these errors.
 
     The errors of neighbouring lags depend on each other in ways that standard deviations do not tell; they are
     drawn both unrelated and as smooth as the kernel itself, and the wider band is taken.
@@ -215,14 +251,14 @@ def _of_size(pattern: Array, size: float) -> Array:
 
 
 def _smoothness(kernel: Array) -> float:
-    """Width, in lags, of the Gaussian whose smoothing leaves noise as smooth as a kernel (L,) is."""
+    """Return the width, in lags, of the Gaussian whose smoothing leaves noise as smooth as a kernel (L,) is."""
     neighbours = float(kernel[1:] @ kernel[:-1]) / float(kernel @ kernel)
     neighbours = min(max(neighbours, 1e-6), 0.999)  # exp(-1 / (4 width^2)) for smoothed white noise
     return float(np.sqrt(-0.25 / np.log(neighbours)))
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], width: float) -> Array:
-    """Unit-variance Gaussian errors of a shape, unrelated or smooth over a width in lags."""
+    """Return the unit-variance Gaussian errors of a shape, unrelated or smooth over a width in lags."""
     white = rng.standard_normal(shape)
     if width < 0.3:
         return white
@@ -231,6 +267,6 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], width: float) -> Ar
 
 
 def _side_lobes(kernel2: Array) -> float:
-    """Largest value of the other sign than the peak's, as a share of the peak."""
+    """Return the largest value of the other sign than the peak's, as a share of the peak."""
     peak = kernel2.flat[int(np.argmax(np.abs(kernel2)))]
     return float(max(0.0, np.max(-np.sign(peak) * kernel2)) / abs(peak)) if peak != 0.0 else 0.0

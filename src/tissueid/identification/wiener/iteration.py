@@ -19,11 +19,12 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.base import Array
 from tissueid.identification.correlation import ROWS_AT_ONCE, Correlator, convolve_at_rest
 from tissueid.identification.impulse_response import ImpulseResponses
+from tissueid.identification.sample_masks import finite_runs
 from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity, fit_nonlinearity
-from tissueid.identification.validation import finite_runs
+from tissueid.messages import Message
 
 _CERTAIN = 3.0
-"""Standard deviations by which the sum of a kernel must differ from zero to be divided by."""
+"""Threshold of the sum of a kernel as a divisor, in standard deviations from zero."""
 
 _FOLDED_PERCENT = 5.0
 """Share of the output that may lie on a branch of g that cannot be inverted before the feedback form takes over."""
@@ -59,7 +60,7 @@ class Pass:
 
 
 def linear_output(kernel: Array, x: Array, input_mean: float) -> Array:
-    """z, shape (n,): the mean input and what the kernel makes of the rest x (n,), in the input's unit."""
+    """Return z, shape (n,): the mean input and what the kernel makes of the rest x (n,), in the input's unit."""
     return input_mean + convolve_at_rest(kernel, x)
 
 
@@ -89,11 +90,11 @@ class LinearStage:
         self.y = self.fitted(self.output)
 
     def fitted(self, values: Array) -> Array:
-        """The fitted samples (m,) of a signal (n,) of the whole record."""
+        """Return the fitted samples (m,) of a signal (n,) of the whole record."""
         return values[self._stretch][self.used]
 
     def response(self, kernel: Array) -> Array:
-        """Response of a kernel (lags,) at the fitted samples, (m,), at rest before the record."""
+        """Return the response of a kernel (lags,) at the fitted samples, (m,), at rest before the record."""
         return self._correlator.convolve(kernel)[self.used]
 
     def products(self, values: Array) -> Array:
@@ -103,21 +104,21 @@ class LinearStage:
         return self._correlator.cross(scattered) * scattered.size
 
     def solve(self, right: Array) -> Array:
-        """Solution h (lags,) of R h = right (lags,)."""
+        """Return the solution h (lags,) of R h = right (lags,)."""
         return np.asarray(self.solved.inverse @ right)
 
     def kernel(self, target: Array) -> Array:
-        """Impulse response per sample (lags,) to an output (n,) of the whole record."""
+        """Return the impulse response per sample (lags,) to an output (n,) of the whole record."""
         return self.solve(self.solved.products(target))
 
     def inverted(self, nonlinearity: StaticNonlinearity) -> Array:
-        """The measured output carried back through g, (n,), to fit a kernel to (Eqs. 3.21, 3.25)."""
+        """Return the measured output carried back through g, (n,), to fit a kernel to (Eqs. 3.21, 3.25)."""
         target = self.output.copy()
         target[self._stretch] = nonlinearity.inverse(self.output[self._stretch])
         return target
 
     def fed_back(self, cascade: Cascade, share: float) -> Array:
-        """The linear output of a cascade and a share of the output error times the slope of g, (n,)."""
+        """Return the linear output of a cascade and a share of the output error times the slope of g, (n,)."""
         linear = self._correlator.convolve(cascade.kernel)
         z = self.input_mean + linear[self.used]
         slope = cascade.nonlinearity.slope(z)
@@ -171,7 +172,11 @@ def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -
         other = _iterate(stage, form, degree, passes, stage.even_kernel)
         done = min([way for way in (done, other) if way], key=_best_rss, default=[])
     if not done:
-        raise UnusableInputError("the linear stage has no steady-state gain to normalise it by: take lms or spectral")
+        raise UnusableInputError(
+            Message(
+                "wiener.no_gain", "the linear stage has no steady-state gain for its normalisation: use lms or spectral"
+            )
+        )
     return done
 
 
@@ -185,10 +190,10 @@ def _best_rss(passes: list[Pass]) -> float:
 
 
 def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Array | None) -> list[Pass]:
-    """So many passes from the impulse response to the measured output, or from a ``first`` kernel (lags,).
+    """Run ``passes`` iterations from the impulse response to the measured output, or from a ``first`` kernel (lags,).
 
     As long as the inverse is taken, z is scaled by the steady-state gain. A kernel on its way by feedback may have a
-    sum that is far from what it will be, so there z keeps the spread of the input, and a pass is only told once its
+    sum that is far from what it will be, so there z keeps the spread of the input, and a pass is only reported once its
     gain is certain.
     """
     ones = np.ones(stage.lags)
@@ -246,7 +251,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
 
 
 def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
-    """The cascade with as much of its kernel as ``stage`` has lags, of the more that ``longer`` has.
+    """Return the cascade with as much of its kernel as ``stage`` has lags, of the more that ``longer`` has.
 
     What the kernel holds where the input has no power, which the refinement leaves to chance, goes first: a cut through
     it would excite what is in the band. What then goes with the cut hardly moves z, so g stays as it is.
@@ -259,6 +264,6 @@ def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Casc
 
 
 def _normalised(stage: LinearStage, cascade: Cascade) -> Cascade:
-    """The same cascade with a kernel that sums to one; a polynomial knows no scale of z."""
+    """Return the same cascade with a kernel that sums to one; a polynomial knows no scale of z."""
     kernel = cascade.kernel / float(cascade.kernel.sum())
     return Cascade(kernel, cascade.nonlinearity.refit(stage.input_mean + stage.response(kernel), stage.y), cascade.rss)

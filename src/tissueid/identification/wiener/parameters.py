@@ -1,4 +1,4 @@
-"""The numbers of a Wiener cascade, each with its standard deviation (Chen 2010, Eqs. 3.26-3.29)."""
+"""Parameters of a Wiener cascade, with standard deviations (Chen 2010, Eqs. 3.26-3.29)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from tissueid.identification.base import Array, Mask
 from tissueid.identification.second_order import Hold
 from tissueid.identification.second_order_fit import SecondOrderFit, fit_second_order
 from tissueid.identification.static_nonlinearity import Exponential, StaticNonlinearity
+from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 _FLAT = 1e-3
-"""Where the slope of g is below this share of its largest, an output says nothing of z."""
+"""Share of the largest slope of g below which an output does not determine z."""
 
 _BENT = 2.0
-"""Standard deviations by which C2 must differ from zero for the curve to be called bent."""
+"""Threshold of C2 from zero for a curved nonlinearity, in standard deviations."""
 
 
 def fit_linear_stage(
@@ -50,7 +51,7 @@ def wiener_parameters(
     c3: float,
     mechanical: bool,
 ) -> dict[str, Estimate]:
-    """Named estimates of a cascade.
+    """Return the named estimates of a cascade.
 
     ``scaled_mass_s2`` and ``scaled_damping_s`` are M/K and B/K of the linear stage times ``scaling``. Mass, damping
     and stiffness are those at the mean input (Eqs. 3.27-3.29); for signals other than N and m, a gain instead.
@@ -59,7 +60,7 @@ def wiener_parameters(
         nonlinearity: g.
         covariance: of its coefficients, shape (p, p).
         stage: the second-order system of the linear stage.
-        mean_input: where mass, damping and stiffness are told.
+        mean_input: input at which mass, damping and stiffness are reported.
         scaling: stiffness ascribed to the linear stage.
         surface: known offset of g, or None.
         c3: known C3, when the offset is not known.
@@ -91,19 +92,24 @@ def wiener_parameters(
 
 
 def straightness(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
-    """Say so when an exponential bends no more than its uncertainty: then C1 and C2 apart mean nothing."""
+    """Return a warning where the curvature of an exponential is below its uncertainty."""
     if not isinstance(nonlinearity, Exponential):
         return []
     bend = next(estimate for name, estimate in parameters.items() if name.startswith("c2"))
     if bend.std is not None and abs(bend.value) > _BENT * bend.std:
         return []
-    return ["the nonlinearity is straight within its uncertainty: C1 and C2 are not determined, only their product"]
+    return [
+        Message(
+            "wiener.straight",
+            "the nonlinearity is straight within its uncertainty: only the product of C1 and C2 is determined",
+        )
+    ]
 
 
 def derived(
     nonlinearity: StaticNonlinearity, covariance: Array, figure: Callable[[StaticNonlinearity], float]
 ) -> Estimate:
-    """A figure of g with its standard deviation to first order; no standard deviation where it is not finite."""
+    """Return a figure of g with its standard deviation to first order; no standard deviation where it is not finite."""
     value = figure(nonlinearity)
     slopes = np.zeros(nonlinearity.coefficients.size)
     for k, spread in enumerate(np.sqrt(np.maximum(np.diag(covariance), 0.0))):
@@ -118,7 +124,7 @@ def derived(
 
 
 def _product(first: Estimate, second: Estimate, factor: float) -> Estimate:
-    """Product of two figures whose errors are taken to be unrelated."""
+    """Return the product of two figures whose errors are taken to be unrelated."""
     value = first.value * second.value * factor
     if first.std is None or second.std is None:
         return Estimate(value)

@@ -1,7 +1,7 @@
 """Joint least-squares refinement of a Wiener cascade, and the uncertainty of its static nonlinearity.
 
 The Hunter-Korenberg iteration regresses on the inverse of noisy outputs, which biases it where g bends. Here the
-simulation error of the output itself is minimised over the kernel and g together: Gauss-Newton, with g solved anew
+simulation error of the output itself is minimised over the kernel and g together: Gauss-Newton, with g solved again
 at each step (Golub and Pereyra 1973). The normal equations are never formed. They are solved by conjugate gradients
 in which a product is a convolution and a correlation, and the input's own correlation matrix is the preconditioner;
 what the input does not excite is left alone.
@@ -14,12 +14,12 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.identification.base import Array
-from tissueid.identification.dependence import dependence_samples, long_run_covariance
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 from tissueid.identification.wiener.iteration import Cascade, LinearStage
 
 _STEPS = 10
 _SETTLED = 1e-3
-"""Relative gain below which a step ends the search: less than the noise of a few thousand samples could tell."""
+"""Relative gain of a step below which the search ends."""
 
 _STEP_TOLERANCE, _STEP_PRODUCTS = 1e-2, 20
 _COVARIANCE_TOLERANCE, _COVARIANCE_PRODUCTS = 1e-6, 100
@@ -39,18 +39,18 @@ class _Slopes:
         self._slope = cascade.nonlinearity.slope(z)
 
     def forward(self, kernel: Array) -> Array:
-        """J kernel, shape (m,)."""
+        """Return J kernel, shape (m,)."""
         return np.asarray(self._slope * self.stage.response(kernel - kernel.mean()))
 
     def backward(self, values: Array) -> Array:
-        """Transpose of J times values (m,), shape (lags,)."""
+        """Return the transpose of J times values (m,), shape (lags,)."""
         products = self.stage.products(self._slope * values)
         return np.asarray(products - products.mean())
 
     def solve(self, right: Array, project: Callable[[Array], Array], tolerance: float, products: int) -> Array:
-        """Kernel (lags,) that solves J' P J kernel = right (lags,), where ``project`` applies P to a vector (m,).
+        """Solve J' P J kernel = right for the kernel (lags,); ``project`` applies the projection P to a vector (m,).
 
-        Preconditioned conjugate gradients, for so many ``products`` at most, or until one more gains less than
+        Preconditioned conjugate gradients, for at most ``products`` products, or until one more gains less than
         ``tolerance`` of all that was gained: what the input does not excite gains nothing and is never entered.
         """
         kernel = np.zeros(self.stage.lags)
@@ -111,7 +111,7 @@ def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
 
 
 def coefficient_covariance(stage: LinearStage, cascade: Cascade) -> Array:
-    """Covariance (p, p) of the coefficients of g, with the kernel unknown too and a residual of any colour.
+    """Return the covariance (p, p) of the coefficients of g, with the kernel unknown too and a residual of any colour.
 
     What the kernel could explain of each coefficient's effect is taken out of it first; the rest determines it.
     """

@@ -1,4 +1,4 @@
-"""Figures of cascades: the blocks in the order of the signal, each with its curve (Chen 2010, Fig. 3.6)."""
+"""Figures of cascades: the blocks in signal order, each with its curve (Chen 2010, Fig. 3.6)."""
 
 from __future__ import annotations
 
@@ -11,30 +11,34 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import FancyArrowPatch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label, display_unit, label_and_unit
 from tissueid.identification.cascades.curves import curve_slopes
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
-from tissueid.reports.diagnostics import CONFIDENCE, Array
+from tissueid.language import _, marked
+from tissueid.messages import Message
+from tissueid.reports import captions
+from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import BLUE, DASHES, FULL_WIDTH, INK, MUTED, ORANGE, SERIES, drawing, new_figure
-from tissueid.wording import axis_label, named_unit, people_unit
 
 _STRUCTURES = {
-    "linear": "a linear system",
-    "wiener": "linear dynamics, then a curve (Wiener, LN)",
-    "hammerstein": "a curve, then linear dynamics (Hammerstein, NL)",
-    "lnl": "a curve between two linear systems (LNL)",
-    "nln": "linear dynamics between two curves (NLN)",
+    "linear": marked("a linear system"),
+    "wiener": marked("linear dynamics, then a curve (Wiener, LN)"),
+    "hammerstein": marked("a curve, then linear dynamics (Hammerstein, NL)"),
+    "lnl": marked("a curve between two linear systems (LNL)"),
+    "nln": marked("linear dynamics between two curves (NLN)"),
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A block of a cascade: its title, the axes' labels, and its curve (k,) with a deviation (k,) or None."""
+    """A block of a cascade: title, axis labels, and a curve (k,) with a standard deviation (k,) or None."""
 
     title: str
     x_label: str
@@ -47,7 +51,7 @@ class Block:
 
 @drawing
 def block_diagram(blocks: list[Block], source: str, drain: str) -> Figure:
-    """Blocks from left to right with arrows between them, and the names of what goes in and comes out."""
+    """Draw blocks from left to right with arrows between them, and the names of input and output."""
     drawn = new_figure(FULL_WIDTH, 3.2)
     every = drawn.subplots(1, len(blocks), squeeze=False)[0]
     for axes, block in zip(every, blocks, strict=True):
@@ -68,12 +72,12 @@ def block_diagram(blocks: list[Block], source: str, drain: str) -> Figure:
         layout.set(rect=(0.085, 0.02, 0.83, 0.96), wspace=0.16)
     drawn.draw_without_rendering()
     drawn.set_layout_engine("none")
-    _wires(drawn, list(every), source, drain)
+    _draw_connections(drawn, list(every), source, drain)
     return drawn
 
 
-def _wires(drawn: Figure, every: list[Axes], source: str, drain: str) -> None:
-    """Frames about the blocks, and arrows into, between and out of them."""
+def _draw_connections(drawn: Figure, every: list[Axes], source: str, drain: str) -> None:
+    """Draw frames around the blocks, and arrows into, between and out of them."""
     back = drawn.transFigure.inverted()
     extents = [axes.get_tightbbox() or axes.bbox for axes in every]
     frames = [extent.transformed(back).padded(0.008, 0.02) for extent in extents]
@@ -108,57 +112,60 @@ def _wires(drawn: Figure, every: list[Axes], source: str, drain: str) -> None:
 @figure(
     HammersteinModel,
     "blocks",
-    "Structure: a curve, then linear dynamics",
-    "Block diagram from left to right: the static curve of the input, and the impulse response that follows it.",
+    marked("Structure: a curve, then linear dynamics"),
+    marked("Block diagram from left to right: the static curve of the input, and the impulse response after it."),
     group="nonlinear",
     place=12,
 )
 def hammerstein(subject: Subject[HammersteinModel]) -> Drawn:
-    """The two blocks of a Hammerstein cascade."""
+    """Draw the two blocks of a Hammerstein cascade."""
     model, record = subject.model, subject.record
-    unit, scale = people_unit(record.output_unit)
+    unit, scale = display_unit(record.output_unit)
     u = _span(subject.fitted_input)
     std = _curve_std(model.nonlinearity, u, model.nonlinearity_covariance)
     blocks = [
         Block(
-            "static",
-            axis_label(record.input_name, people_unit(record.input_unit)[0]),
-            axis_label("passed on", unit),
-            u * people_unit(record.input_unit)[1],
+            _("static"),
+            axis_label(record.input_name, display_unit(record.input_unit)[0]),
+            axis_label("inner_signal", unit),
+            u * display_unit(record.input_unit)[1],
             scale * model.nonlinearity(u),
             None if std is None else scale * std,
             dynamic=False,
         ),
-        _kernel_block("linear", model.kernel, model.kernel_std, model.lag_s, model.sample_rate_hz),
+        _kernel_block(_("linear"), model.kernel, model.kernel_std, model.lag_s, model.sample_rate_hz),
     ]
-    gain = "sums to one" if model.steady_gain else "has no steady gain, and a root-sum-square of one"
-    return block_diagram(blocks, record.input_name, record.output_name), (
-        f"What the cascade does to the {record.input_name}, in the order of the signal, with 95 % bands. "
-        f"The kernel {gain}; the curve carries the unit. Tissue that stiffens flattens the curve. "
-        f"{_findings(model.report.findings)}"
+    scaled = _("The kernel sums to one; the curve carries the unit. Tissue that stiffens flattens the curve.")
+    if not model.steady_gain:
+        scaled = _(
+            "The kernel has no steady gain; its root sum of squares is one, and the curve carries the unit. Tissue "
+            "that stiffens flattens the curve."
+        )
+    return block_diagram(blocks, _(record.input_name), _(record.output_name)), captions.joined(
+        _("The blocks in signal order, with 95 % bands."), scaled, captions.findings(model.report.findings)
     )
 
 
 @figure(
     WienerModel,
     "blocks",
-    "Structure: linear dynamics, then a curve",
-    "Block diagram from left to right: the impulse response, and the static curve that follows it.",
+    marked("Structure: linear dynamics, then a curve"),
+    marked("Block diagram from left to right: the impulse response, and the static curve after it."),
     group="nonlinear",
     place=15,
 )
 def wiener(subject: Subject[WienerModel]) -> Drawn:
-    """The two blocks of a Wiener cascade (Chen 2010, Fig. 3.6)."""
+    """Draw the two blocks of a Wiener cascade (Chen 2010, Fig. 3.6)."""
     model, record = subject.model, subject.record
-    unit, scale = people_unit(record.output_unit)
-    in_unit, in_scale = people_unit(record.input_unit)
+    unit, scale = display_unit(record.output_unit)
+    in_unit, in_scale = display_unit(record.input_unit)
     z = _span(model.linear_output(record.input)[subject.analysis.fit_part])
     lag_s = np.arange(model.kernel.size) / model.sample_rate_hz
     blocks = [
-        _kernel_block("linear", model.kernel, None, lag_s, model.sample_rate_hz),
+        _kernel_block(_("linear"), model.kernel, None, lag_s, model.sample_rate_hz),
         Block(
-            "static",
-            axis_label("passed on", in_unit),
+            _("static"),
+            axis_label("inner_signal", in_unit),
             axis_label(record.output_name, unit),
             in_scale * z,
             scale * model.nonlinearity(z),
@@ -166,25 +173,25 @@ def wiener(subject: Subject[WienerModel]) -> Drawn:
             dynamic=False,
         ),
     ]
-    return block_diagram(blocks, record.input_name, record.output_name), (
-        "What the cascade does, in the order of the signal. The kernel sums to one; the curve turns the load that it "
-        "passes on into a position. Tissue that stiffens flattens the curve."
+    return block_diagram(blocks, _(record.input_name), _(record.output_name)), _(
+        "The blocks in signal order. The kernel sums to one; the curve converts the load after the linear stage to a "
+        "position. Tissue that stiffens flattens the curve."
     )
 
 
 @figure(
     CascadeModel,
     "blocks",
-    "Structure: the blocks that the record speaks for",
-    "Block diagram from left to right: the linear and static blocks of the chosen structure, each with its curve.",
+    marked("Structure: the blocks that the record supports"),
+    marked("Block diagram from left to right: linear and static blocks of the chosen structure, each with its curve."),
     group="nonlinear",
     place=14,
 )
 def cascade(subject: Subject[CascadeModel]) -> Drawn:
-    """The blocks of the chosen structure, in their order."""
+    """Draw the blocks of the chosen structure."""
     model, record = subject.model, subject.record
-    in_unit, in_scale = people_unit(record.input_unit)
-    out_unit, out_scale = people_unit(record.output_unit)
+    in_unit, in_scale = display_unit(record.input_unit)
+    out_unit, out_scale = display_unit(record.output_unit)
     rate = model.sample_rate_hz
     blocks: list[Block] = []
     driven = record.input - model.input_mean
@@ -193,96 +200,103 @@ def cascade(subject: Subject[CascadeModel]) -> Drawn:
         u = _span(subject.fitted_input)
         last = model.outer is None
         y = model.inner(u) * (out_scale if last else 1.0)
-        label = axis_label("passed on", out_unit if last else "")
+        label = axis_label("inner_signal", out_unit if last else "")
         blocks.append(
-            Block("static", axis_label(record.input_name, in_unit), label, in_scale * u, y, None, dynamic=False)
+            Block(_("static"), axis_label(record.input_name, in_unit), label, in_scale * u, y, None, dynamic=False)
         )
         driven = model.inner(record.input)
     blocks.append(
         _kernel_block(
-            "linear", first_scale * model.first_kernel, first_scale * model.first_kernel_std, model.lag_s, rate
+            _("linear"), first_scale * model.first_kernel, first_scale * model.first_kernel_std, model.lag_s, rate
         )
     )
     if model.outer is not None:
         inside = convolve_at_rest(model.first_kernel, driven)
         z = _span(inside[subject.analysis.fit_part])
-        last_name = record.output_name if model.second_kernel is None else "passed on"
+        last_name = record.output_name if model.second_kernel is None else "inner_signal"
         offset = model.offset if model.second_kernel is None else 0.0
         y = out_scale * (model.outer(z) + offset)
         label = axis_label(last_name, out_unit)
-        blocks.append(Block("static", "Passed on", label, z, y, None, dynamic=False))
+        blocks.append(Block(_("static"), axis_label("inner_signal", ""), label, z, y, None, dynamic=False))
     if model.second_kernel is not None:
-        blocks.append(_kernel_block("linear", model.second_kernel, model.second_kernel_std, model.lag_s, rate))
-    text = f"The record was described as {_STRUCTURES[model.structure]}, with 95 % bands of the kernels. "
+        blocks.append(_kernel_block(_("linear"), model.second_kernel, model.second_kernel_std, model.lag_s, rate))
+    text = _("Chosen structure: {structure}. Bands: 95 % of the kernels.").format(
+        structure=_(_STRUCTURES[model.structure])
+    )
+    doubt = ""
     if model.choice is not None and not model.choice.confident:
-        text += "It does not speak for this structure alone: see the findings. "
-    return block_diagram(blocks, record.input_name, record.output_name), text + _findings(model.report.findings)
+        doubt = _("The record supports other structures about as well: see the findings.")
+    return block_diagram(blocks, _(record.input_name), _(record.output_name)), captions.joined(
+        text, doubt, captions.findings(model.report.findings)
+    )
 
 
 @figure(
     HammersteinModel,
     "iterations",
-    "How the Hammerstein iteration settled",
-    "Variance accounted for by pass, and the parameters of the linear stage relative to their last value.",
+    marked("Convergence of the Hammerstein iteration"),
+    marked("Variance accounted for by pass, and the parameters of the linear stage relative to their last value."),
     group="nonlinear",
     place=22,
 )
 def iterations(subject: Subject[HammersteinModel]) -> Drawn:
-    """VAF and parameters of the linear stage by pass (as Chen 2010, Fig. 3.9).
+    """Draw VAF and parameters of the linear stage by pass (as Chen 2010, Fig. 3.9).
 
     Raises:
-        UnusableInputError: there was one pass only.
+        UnusableInputError: there was only one pass.
     """
     model = subject.model
     if len(model.history) < 2:
-        raise UnusableInputError("the iteration made a single pass")
+        raise UnusableInputError(captions.SINGLE_PASS)
     passes = [one.iteration for one in model.history]
     drawn = new_figure(FULL_WIDTH, 2.7)
     left, right = drawn.subplots(1, 2)
     left.plot(passes, [one.nonlinear_vaf_percent for one in model.history], color=BLUE, marker="o", markersize=3.5)
-    left.set_ylabel("VAF (%)")
+    left.set_ylabel(_("VAF (%)"))
     left.margins(y=0.25)
     for (name, last), colour, marker in zip(model.history[-1].parameters.items(), SERIES, "os^D", strict=False):
         values = np.array([one.parameters.get(name, np.nan) for one in model.history])
         if last != 0.0 and np.isfinite(values).all():
-            right.plot(passes, values / last, color=colour, marker=marker, markersize=3.5, label=named_unit(name)[0])
-    right.set_ylabel("Over its last value")
+            right.plot(
+                passes, values / last, color=colour, marker=marker, markersize=3.5, label=_(label_and_unit(name)[0])
+            )
+    right.set_ylabel(_("Relative to the last value"))
     if right.lines:
         right.legend(loc="best")
     for axes in (left, right):
         axes.axvline(model.chosen, color=MUTED, linewidth=1.0, linestyle=DASHES[2])
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
-        axes.set_xlabel("Pass")
-    refined = ", and then refined jointly" if model.refined else ""
-    return drawn, f"The passes should level off within a few. Pass {model.chosen} (dotted) was kept{refined}."
+        axes.set_xlabel(_("Pass"))
+    kept = _("Pass {chosen} (dotted) was kept.")
+    if model.refined:
+        kept = _("Pass {chosen} (dotted) was kept, then all parameters were refined jointly.")
+    return drawn, captions.joined(
+        _("The curves should level off within a few passes."), kept.format(chosen=model.chosen)
+    )
 
 
 def _kernel_block(title: str, kernel: Array, std: Array | None, lag_s: Array, rate: float) -> Block:
-    """A linear block by its impulse response, per second."""
+    """Return a linear block with its impulse response per second."""
     spread = None if std is None else rate * std
-    return Block(title, "Lag (ms)", "Impulse response (per s)", 1e3 * lag_s, rate * kernel, spread, dynamic=True)
+    return Block(title, _("Lag (ms)"), _("Impulse response (1/s)"), 1e3 * lag_s, rate * kernel, spread, dynamic=True)
 
 
 def _span(values: Array) -> Array:
-    """Even steps over the central 99 % of what was received.
+    """Return 200 even steps over the central 99 % of the received values.
 
     Raises:
-        UnusableInputError: nothing was received.
+        UnusableInputError: fewer than two values were received.
     """
     known = values[np.isfinite(values)]
     if known.size < 2:
-        raise UnusableInputError("no sample lies where the cascade can be run")
+        raise UnusableInputError(Message("report.cascade_not_run", "the cascade can be run at no sample"))
     low, high = np.quantile(known, (0.005, 0.995))
     return np.linspace(float(low), float(high), 200)
 
 
 def _curve_std(curve: StaticNonlinearity, x: Array, covariance: Array) -> Array | None:
-    """Standard deviation (k,) of a curve at x (k,) from the covariance (p, p) of its coefficients."""
+    """Return the standard deviation (k,) of a curve at x (k,) from the covariance (p, p) of its coefficients."""
     if not np.isfinite(covariance).all():
         return None
     slopes = curve_slopes(curve, x)  # (p, k)
     return np.asarray(np.sqrt(np.maximum(np.einsum("pk,pq,qk->k", slopes, covariance, slopes), 0.0)))
-
-
-def _findings(findings: tuple[str, ...]) -> str:
-    return " ".join(f"{said[:1].upper()}{said[1:]}." for said in findings)

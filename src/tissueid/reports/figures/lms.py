@@ -1,18 +1,18 @@
-"""Figure of the impulse response by correlation."""
+"""Figure of the impulse response estimated by correlation."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tissueid.identification.engines.lms import LmsModel
+from tissueid.formatting import number
+from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.language import _, marked
 from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import BLUE, DASHES, HALF_WIDTH, MUTED, ORANGE, drawing, new_figure
-from tissueid.reports.units import ratio_unit
-from tissueid.wording import number
+from tissueid.reports.units import kernel_unit
 
 
 @figure(
@@ -23,7 +23,7 @@ from tissueid.wording import number
     group="linear",
     wide=False,
     place=40,
-    standard="LMS",
+    standard=Lms.name,
 )
 def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
     return impulse_response_figure(subject.model, subject.record), _caption(subject.model)
@@ -31,8 +31,8 @@ def _impulse_response(subject: Subject[LmsModel]) -> Drawn:
 
 @drawing
 def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
-    """Impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
-    per_unit, scale = ratio_unit(record)
+    """Draw the impulse response, its deviation at every lag, and the second-order fit (Chen 2010, Fig. 3.5)."""
+    per_unit, scale = kernel_unit(record)
     figure = new_figure(HALF_WIDTH, 4.6)
     axes = figure.subplots()
     lag_ms = 1e3 * model.lag_s
@@ -47,13 +47,12 @@ def impulse_response_figure(model: LmsModel, record: Record) -> Figure:
     axes.plot(1e3 * fit_s, fitted, color=ORANGE, linestyle=DASHES[1], linewidth=1.6, label=_("second order"))
     axes.set_xlim(0.0, float(lag_ms[-1]) or 1.0)
     axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel(_("Impulse response ({unit} per s)").format(unit=per_unit))
+    axes.set_ylabel(_("Impulse response ({unit})").format(unit=per_unit))
     axes.legend(loc="upper right")
     return figure
 
 
 def _caption(model: LmsModel) -> str:
-    """Under the impulse response."""
     memory_ms = 1e3 * model.memory_samples / model.sample_rate_hz
     text = _(
         "The response rises, and should be over well before the end of the memory of {memory} ms; the "

@@ -1,22 +1,23 @@
-"""Figures of localized linear tests: the levels of a stepped record, and the dynamics at each (Chen 2010, 3.4)."""
+"""Figures of localized linear tests: levels of a stepped record, and the dynamics at each (Chen 2010, 3.4)."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from tissueid.identification.localized.model import LevelFit, LocalizedModel
-from tissueid.reports.diagnostics import thin
+from tissueid.analysis.curves.plot import thin
+from tissueid.formatting import axis_label, display_unit, fixed
+from tissueid.identification.localized import LevelFit, LocalizedModel
+from tissueid.language import _, marked
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import depth_bar, depth_colours
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, SERIES, frequency_axis, log_axis, new_figure
 from tissueid.reports.units import kernel_unit, ratio_unit
-from tissueid.wording import axis_label, fixed, people_unit
 
 _BELOW = 0.3
-"""Times the lowest natural frequency from which a Bode diagram goes,"""
+"""Lower end of a Bode diagram as a multiple of the lowest natural frequency."""
 _ABOVE = 6.0
-"""and times the highest up to which it goes."""
+"""Upper end of a Bode diagram as a multiple of the highest natural frequency."""
 
 
 def _by_depth(model: LocalizedModel) -> list[LevelFit]:
@@ -26,13 +27,13 @@ def _by_depth(model: LocalizedModel) -> list[LevelFit]:
 @figure(
     LocalizedModel,
     "levels",
-    "Levels found in the record",
-    "Input and output over time, with each level as a line coloured by its depth.",
+    marked("Levels found in the record"),
+    marked("Input and output over time, with each level as a line coloured by its depth."),
     group="record",
     place=50,
 )
 def levels(subject: Subject[LocalizedModel]) -> Drawn:
-    """Where the record stands at a level (Chen 2010, Fig. 3.12)."""
+    """Draw the levels found in the record (Chen 2010, Fig. 3.12)."""
     model, record = subject.model, subject.record
     drawn = new_figure(FULL_WIDTH, 3.9)
     every = drawn.subplots(2, 1, sharex=True)
@@ -42,32 +43,32 @@ def levels(subject: Subject[LocalizedModel]) -> Drawn:
         (every[0], record.input_name, record.input_unit, record.input, SERIES[1], "force"),
         (every[1], record.output_name, record.output_unit, record.output, SERIES[2], "position"),
     ):
-        unit, scale = people_unit(si_unit)
+        unit, scale = display_unit(si_unit)
         axes.plot(*thin(record.time, scale * values), color=trace, linewidth=0.5, alpha=0.5)
         for one, colour in zip(found, colours, strict=True):
             span = record.time[[one.level.first, one.level.end - 1]]
             axes.plot(span, [scale * float(getattr(one, of))] * 2, color=colour, linewidth=3.0, solid_capstyle="butt")
         axes.set_ylabel(axis_label(name, unit))
-    every[1].set_xlabel("Time (s)")
+    every[1].set_xlabel(_("Time (s)"))
     every[1].set_xlim(float(record.time[0]), float(record.time[-1]))
     drawn.align_ylabels()
     least = min(one.samples for one in found)
-    return drawn, (
-        f"{len(found)} levels; each is fitted by a linear system of its own, a memory after the step to it. The lines "
-        f"are the means there, coloured from shallow to deep. The shortest holds {least} usable samples."
-    )
+    return drawn, _(
+        "{count} levels; each has its own linear fit, which begins one memory length after the step. Lines: mean of "
+        "each level, coloured from shallow to deep. The shortest level has {least} usable samples."
+    ).format(count=len(found), least=least)
 
 
 @figure(
     LocalizedModel,
     "impulse-responses",
-    "Impulse response at each level",
-    "Impulse responses against lag, coloured by depth; beside them each divided by the area under it.",
+    marked("Impulse response at each level"),
+    marked("Left: impulse responses against lag, coloured by depth. Right: each divided by its area."),
     group="linear",
     place=50,
 )
 def impulse_responses(subject: Subject[LocalizedModel]) -> Drawn:
-    """Impulse responses by level, as they are and scaled by their area (Chen 2010, Fig. 3.12a)."""
+    """Draw impulse responses by level, unscaled and divided by their area (Chen 2010, Fig. 3.12a)."""
     model, record = subject.model, subject.record
     found = _by_depth(model)
     unit, scale = kernel_unit(record)
@@ -82,27 +83,27 @@ def impulse_responses(subject: Subject[LocalizedModel]) -> Drawn:
         right.plot(1e3 * time_s, response * one.fit.sign * one.fit.system.stiffness, color=colour, linestyle=dash)
     for axes in (left, right):
         axes.axhline(0.0, color=MUTED, linewidth=0.8)
-        axes.set_xlabel("Lag (ms)")
+        axes.set_xlabel(_("Lag (ms)"))
         axes.set_xlim(0.0, 1e3 * float(time_s[-1]))
-    left.set_ylabel(f"Impulse response ({unit})")
-    right.set_ylabel("Divided by its area (per s)")
+    left.set_ylabel(_("Impulse response ({unit})").format(unit=unit))
+    right.set_ylabel(_("Divided by its area (1/s)"))
     _bar(subject, right, found)
-    return drawn, (
-        "Deeper tissue answers less and sooner. Divided by its area (right) a response shows the dynamics alone: in a "
-        "Wiener system all would lie on each other. Dashed: levels that were come to by moving out of the tissue."
+    return drawn, _(
+        "Deeper tissue should respond less and faster. Divided by its area (right), a response shows the dynamics "
+        "alone: in a Wiener system all curves would coincide. Dashed: levels reached by moving out of the tissue."
     )
 
 
 @figure(
     LocalizedModel,
     "bode",
-    "Bode diagram at each level",
-    "Magnitude and phase against frequency of the linear system at each level, coloured by depth.",
+    marked("Bode diagram at each level"),
+    marked("Magnitude and phase against frequency of the linear system at each level, coloured by depth."),
     group="linear",
     place=52,
 )
 def bode(subject: Subject[LocalizedModel]) -> Drawn:
-    """Compliance by level (Chen 2010, Fig. 3.13)."""
+    """Draw the compliance by level (Chen 2010, Fig. 3.13)."""
     model, record = subject.model, subject.record
     found = _by_depth(model)
     per_unit, scale = ratio_unit(record)
@@ -117,20 +118,20 @@ def bode(subject: Subject[LocalizedModel]) -> Drawn:
         left.plot(frequency_hz, np.abs(response), color=colour, linestyle=dash)
         right.plot(frequency_hz, np.degrees(np.unwrap(np.angle(response))), color=colour, linestyle=dash)
     log_axis(left)
-    left.set_ylabel(f"Magnitude ({per_unit})")
-    right.set_ylabel("Phase (°)")
+    left.set_ylabel(_("Magnitude ({unit})").format(unit=per_unit))
+    right.set_ylabel(_("Phase (°)"))
     for axes in (left, right):
         frequency_axis(axes, float(frequency_hz[0]), float(frequency_hz[-1]))
     _bar(subject, right, found)
     low, high = (fixed(float(one), 1) for one in (natural[0], natural[-1]))
-    return drawn, (
-        "The level at low frequencies is one over the stiffness: it falls with depth, while the natural frequency "
-        f"rises, here from {low} Hz at the shallowest to {high} Hz at the deepest."
-    )
+    return drawn, _(
+        "The magnitude at low frequencies is one over the stiffness: it falls with depth, while the natural frequency "
+        "rises, here from {low} Hz at the shallowest level to {high} Hz at the deepest."
+    ).format(low=low, high=high)
 
 
 def _bar(subject: Subject[LocalizedModel], axes: Axes, found: list[LevelFit]) -> None:
-    """The bar of depths beside a panel."""
-    unit, scale = people_unit(subject.record.output_unit)
+    """Add the colour bar of depths to a panel."""
+    unit, scale = display_unit(subject.record.output_unit)
     low, high = scale * found[0].position, scale * found[-1].position
     depth_bar(axes, low, high, axis_label(subject.record.output_name, unit))

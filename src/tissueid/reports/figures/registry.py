@@ -1,6 +1,6 @@
-"""Which figures there are of a model: each is declared for a class of models, and drawn for all that derive from it.
+"""Registry of figures: each is declared for a class of models and drawn for all classes derived from it.
 
-Whoever makes a page asks for the figures of a model and puts them in the group that each belongs to. A figure
+Reports request the figures of a model and place them in their groups. A figure
 declared for :class:`~tissueid.identification.base.Model` itself is drawn for every engine, ours or not.
 """
 
@@ -19,19 +19,20 @@ from typing import Any, Generic, Literal, TypeVar
 from matplotlib.figure import Figure
 
 from tissueid.analysis import Analysis
+from tissueid.identification import LineFigure, engine_label, engine_names, get_engine
 from tissueid.identification.base import Array, Model
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.language import _
+from tissueid.messages import translated
 from tissueid.records import Record
 from tissueid.reports.blocks import Picture, picture
-from tissueid.reports.style import drawing
-from tissueid.wording import engine_label
+from tissueid.reports.style import FULL_WIDTH, SERIES, drawing, new_figure
 
 M_co = TypeVar("M_co", bound=Model, covariant=True)
 M = TypeVar("M", bound=Model)
 
 Group = Literal["record", "linear", "nonlinear", "validation"]
-"""What a figure tells of: what was recorded, the dynamics, what is not linear, or how it does on unseen samples."""
+"""Subject of a figure: recorded signals, linear dynamics, nonlinearity, or performance on held-out samples."""
 
 Drawn = tuple[Figure, str]
 """A figure and its caption."""
@@ -48,7 +49,7 @@ class Subject(Generic[M_co]):
 
     @property
     def label(self) -> str:
-        """The engine as people write it."""
+        """Return the display name of the engine."""
         return engine_label(self.name)
 
     @property
@@ -128,7 +129,7 @@ def figure(
         group: where on a page it belongs.
         wide: whether it takes the full width of the page, or half.
         place: order in its group.
-        standard: the engine, as the standard report names it, whose absence that report tells of; "" for others.
+        standard: name of the engine of the standard report without which the figure is left out; "" for others.
         short: whether it stands in the short section of a further test too.
         applies: whether the figure has any meaning for a model; where it has none nothing is said of it.
 
@@ -150,11 +151,45 @@ def figures_of(subject: Subject[Model]) -> tuple[Declared, ...]:
     """The figures that can be drawn of a model, in their order; one of a class overrides that of the classes above."""
     _load()
     found: dict[str, Declared] = {}
+    if subject.name in engine_names():
+        for described in get_engine(subject.name).figures:
+            found[described.key] = _of_engine(subject.name, described)
     for kind in type(subject.model).__mro__:
         for (model, key), one in _declared.items():
             if model is kind:
                 found.setdefault(key, one)
     return tuple(sorted((one for one in found.values() if one.applies(subject)), key=lambda one: one.place))
+
+
+def _of_engine(name: str, one: LineFigure) -> Declared:
+    """Return the declaration of a figure that an engine describes by its curves."""
+
+    def draw(subject: Subject[Any]) -> Drawn:
+        drawn = new_figure(FULL_WIDTH, 4.2)
+        axes = drawn.subplots()
+        for place, curve in enumerate(one.curves(subject.model)):
+            style: dict[str, Any] = {"linestyle": "none", "marker": "."} if curve.points else {}
+            colour = SERIES[place % len(SERIES)]
+            axes.plot(curve.x, curve.y, color=colour, label=translated(curve.label) or None, **style)
+        axes.set_xlabel(translated(one.x_label))
+        axes.set_ylabel(translated(one.y_label))
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(loc="best")
+        return drawn, translated(one.caption)
+
+    return Declared(
+        model=Model,  # type: ignore[type-abstract]
+        key=one.key,
+        heading=one.heading,
+        alt=one.alt,
+        group=one.group,
+        wide=True,
+        place=50,
+        standard=name,
+        short=False,
+        applies=lambda _subject: True,
+        draw=draw,
+    )
 
 
 def all_figures() -> tuple[Declared, ...]:

@@ -7,12 +7,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
-from tissueid.identification.engines.spectral import SpectralModel
+from tissueid.formatting import fixed
+from tissueid.identification.engines.spectral import Spectral, SpectralModel
 from tissueid.language import _, marked
 from tissueid.records import Record
-from tissueid.reports.captions import second_order
-from tissueid.reports.diagnostics import CONFIDENCE, Array, power_edge
+from tissueid.reports.captions import FEW_FREQUENCIES, second_order
+from tissueid.reports.diagnostics import Array, power_edge
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import (
     BLUE,
@@ -27,7 +29,6 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.reports.units import ratio_unit
-from tissueid.wording import fixed
 
 
 @figure(
@@ -38,7 +39,7 @@ from tissueid.wording import fixed
     group="record",
     wide=False,
     place=30,
-    standard="spectral",
+    standard=Spectral.name,
     short=True,
 )
 def _coherence(subject: Subject[SpectralModel]) -> Drawn:
@@ -53,7 +54,7 @@ def _coherence(subject: Subject[SpectralModel]) -> Drawn:
     group="linear",
     wide=False,
     place=30,
-    standard="spectral",
+    standard=Spectral.name,
     short=True,
 )
 def _bode(subject: Subject[SpectralModel]) -> Drawn:
@@ -61,7 +62,7 @@ def _bode(subject: Subject[SpectralModel]) -> Drawn:
 
 
 def excited_band(model: SpectralModel) -> NDArray[np.bool_]:
-    """Mask (bins,) of the frequencies that hold 99 % of the input's power, zero apart."""
+    """Return a mask (bins,) of the frequencies that contain 99 % of the input power, without zero."""
     spectra = model.spectra
     edge = power_edge(spectra.frequency_hz, spectra.input_psd)
     return (spectra.frequency_hz > 0.0) & (spectra.frequency_hz <= edge)
@@ -110,7 +111,7 @@ def bode_figure(model: SpectralModel, record: Record) -> Figure:
     """
     band = excited_band(model)
     if band.sum() < 3:
-        raise UnusableInputError(_("the input has power at fewer than three frequencies"))
+        raise UnusableInputError(FEW_FREQUENCIES)
     spectra = model.spectra
     frequency_hz = spectra.frequency_hz[band]
     per_unit, scale = ratio_unit(record)

@@ -1,4 +1,4 @@
-"""Figures of what is done to a rough second-order kernel: filter, regularisation, spacing (Chen 2010, 4.3)."""
+"""Figures of the smoothing of a second-order kernel: filter, regularisation, spacing (Chen 2010, 4.3)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ import numpy as np
 
 from tissueid.analysis import Analysis
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import axis_label, display_unit, fixed
 from tissueid.identification.base import Model
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent
 from tissueid.identification.volterra.model import VolterraModel
+from tissueid.language import _, marked
+from tissueid.messages import Message
+from tissueid.reports import captions
 from tissueid.reports.diagnostics import held_out_prediction, power_spectrum
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.figures.volterra import kernel_in_units
@@ -30,11 +34,12 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.reports.validation_figures import readable_stretch
-from tissueid.wording import axis_label, fixed, people_unit
 
 _SPREAD = 15.0
-"""Of the filter, in samples of the kernel's transform, as in the thesis."""
+"""Standard deviation of the filter in samples of the kernel's transform, as in the thesis."""
 _STRETCH_S = 0.25
+"""Seconds of held-out samples that are drawn."""
+_RAW, _FILTERED = marked("raw"), marked("filtered")
 
 
 def _has_second(subject: Subject[VolterraModel]) -> bool:
@@ -44,14 +49,14 @@ def _has_second(subject: Subject[VolterraModel]) -> bool:
 @figure(
     VolterraModel,
     "processing",
-    "Second-order kernel, raw and made smooth",
-    "Images of the second-order kernel and below each the magnitude of its two-dimensional Fourier transform.",
+    marked("Second-order kernel, raw and smoothed"),
+    marked("Images of the second-order kernel and below each the magnitude of its two-dimensional Fourier transform."),
     group="nonlinear",
     place=61,
     applies=_has_second,
 )
 def processing(subject: Subject[VolterraModel]) -> Drawn:
-    """Strategies against noise in the kernel, in time and frequency (Chen 2010, Figs. 4.8, 4.9, 4.13 and 4.15)."""
+    """Draw the raw and smoothed kernels in time and frequency (Chen 2010, Figs. 4.8, 4.9, 4.13 and 4.15)."""
     models = _strategies(subject)
     lag_ms = 1e3 * subject.model.lag_s
     drawn = new_figure(FULL_WIDTH, 5.4)
@@ -62,37 +67,37 @@ def processing(subject: Subject[VolterraModel]) -> Drawn:
     for (label, model), upper, lower in zip(models, every[0], every[1], strict=True):
         kernel, unit = kernel_in_units(subject.with_model(model))
         image(upper, lag_ms, lag_ms, kernel, f"({unit})")
-        upper.set_title(label)
-        upper.set_xlabel("Lag (ms)")
+        upper.set_title(_(label))
+        upper.set_xlabel(_("Lag (ms)"))
         magnitude = np.abs(np.fft.fftshift(np.fft.fft2(kernel)))
-        image(lower, frequency_hz, frequency_hz, magnitude / magnitude.max(), "of its largest", signed=False)
-        lower.set_xlabel("Frequency (Hz)")
+        image(lower, frequency_hz, frequency_hz, magnitude / magnitude.max(), _("relative to maximum"), signed=False)
+        lower.set_xlabel(_("Frequency (Hz)"))
         for axes in (upper, lower):
             axes.set_box_aspect(1.0)
-        scores.append(f"{label} {fixed(_held_out_vaf(subject, model), 1)} %")
-    every[0, 0].set_ylabel("Lag (ms)")
-    every[1, 0].set_ylabel("Frequency (Hz)")
-    return drawn, (
-        "Upper row: the same kernel by plain least squares, after a two-dimensional Gaussian filter, and as the model "
-        "has it; each with a scale of its own. Lower row: the magnitude of its Fourier transform; what lies near the "
-        f"edges is noise. Held-out variance accounted for: {', '.join(scores)}."
-    )
+        scores.append(f"{_(label)} {fixed(_held_out_vaf(subject, model), 1)} %")
+    every[0, 0].set_ylabel(_("Lag (ms)"))
+    every[1, 0].set_ylabel(_("Frequency (Hz)"))
+    return drawn, _(
+        "Upper row: the kernel by plain least squares, after a two-dimensional Gaussian filter, and of the model; each "
+        "has its own scale. Lower row: magnitude of the Fourier transform; values near the edges are noise. Held-out "
+        "variance accounted for: {scores}."
+    ).format(scores=", ".join(scores))
 
 
 @figure(
     VolterraModel,
     "processing-output",
-    "Output with raw and smooth kernels",
-    "Measured held-out output as dots with the simulations of the raw and the smoothed kernels as lines.",
+    marked("Output with raw and smoothed kernels"),
+    marked("Measured held-out output as dots with the simulations of the raw and the smoothed kernels as lines."),
     group="validation",
     place=70,
     applies=_has_second,
 )
 def processing_output(subject: Subject[VolterraModel]) -> Drawn:
-    """The strategies over a stretch of held-out samples (Chen 2010, Figs. 4.7 and 4.11)."""
+    """Draw the simulations over a stretch of held-out samples (Chen 2010, Figs. 4.7 and 4.11)."""
     runs = [held_out_prediction(label, _analysis_of(subject, model)) for label, model in _strategies(subject)]
     stretch = readable_stretch(runs[0], _STRETCH_S)
-    unit, scale = people_unit(subject.record.output_unit)
+    unit, scale = display_unit(subject.record.output_unit)
     drawn = new_figure(FULL_WIDTH, 3.0)
     axes = drawn.subplots()
     time_s = runs[0].time_s[stretch]
@@ -103,61 +108,61 @@ def processing_output(subject: Subject[VolterraModel]) -> Drawn:
         linestyle="none",
         marker=".",
         markersize=3.0,
-        label="measured",
+        label=_("measured"),
     )
     for run, colour, dash in zip(runs, SERIES, DASHES, strict=False):
-        axes.plot(time_s, scale * run.predicted[stretch], color=colour, linestyle=dash, label=run.label)
+        axes.plot(time_s, scale * run.predicted[stretch], color=colour, linestyle=dash, label=_(run.label))
     axes.set_xlim(float(time_s[0]), float(time_s[-1]))
-    axes.set_xlabel("Time (s)")
+    axes.set_xlabel(_("Time (s)"))
     axes.set_ylabel(axis_label(subject.record.output_name, unit))
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
-    return drawn, (
-        "A stretch that was not fitted. Where the filtered kernel departs from the raw one, the filter took away "
-        "more than noise."
+    return drawn, _(
+        "A stretch of held-out data. Where the filtered kernel differs from the raw one, the filter removed more than "
+        "noise."
     )
 
 
 @figure(
     VolterraModel,
     "processing-residual",
-    "What is left with raw and smooth kernels",
-    "Clouds of measured against modelled held-out output for the raw and the smoothed kernels.",
+    marked("Residual nonlinearity with raw and smoothed kernels"),
+    marked("Clouds of measured against modelled held-out output for the raw and the smoothed kernels."),
     group="validation",
     place=72,
     applies=_has_second,
 )
 def processing_residual(subject: Subject[VolterraModel]) -> Drawn:
-    """Residual nonlinearity before and after smoothing (Chen 2010, Fig. 4.10)."""
+    """Draw the residual nonlinearity before and after smoothing (Chen 2010, Fig. 4.10)."""
     runs = [held_out_prediction(label, _analysis_of(subject, model)) for label, model in _strategies(subject)]
-    unit, scale = people_unit(subject.record.output_unit)
+    unit, scale = display_unit(subject.record.output_unit)
     measured = scale * runs[0].measured
     known = np.isfinite(measured)
     if not known.any():
-        raise UnusableInputError("no held-out output was received")
+        raise UnusableInputError(captions.NO_HELD_OUT_OUTPUT)
     drawn = new_figure(FULL_WIDTH, 3.7)
     every = drawn.subplots(1, max(2, len(runs)), sharex=True, sharey=True)
     for place, (axes, run) in enumerate(zip(every, runs, strict=False)):
         residual_cloud(axes, scale * run.predicted, scale * run.measured, POINTS[place])
         diagonal(axes, float(measured[known].min()), float(measured[known].max()))
-        axes.set_title(run.label)
+        axes.set_title(_(run.label))
         axes.set_xlabel(axis_label("modelled", unit))
     every[0].set_ylabel(axis_label("measured", unit))
-    return drawn, "All held-out samples. Smoothing should leave the clouds as narrow and as straight as they were."
+    return drawn, _("All held-out samples. Smoothing should not make the clouds wider or more bent.")
 
 
 @figure(
     VolterraModel,
     "spacing",
-    "Input at the spacing of the lags",
-    "Power spectra of the input sampled at several rates; a white input is level up to the end of its curve.",
+    marked("Input at the spacing of the lags"),
+    marked("Power spectra of the input sampled at several rates; a white input is level up to the end of its curve."),
     group="record",
     wide=False,
     place=60,
 )
 def spacing(subject: Subject[VolterraModel]) -> Drawn:
-    """Spectra of the input at several sample rates (Chen 2010, Fig. 4.8)."""
+    """Draw spectra of the input at several sample rates (Chen 2010, Fig. 4.8)."""
     model = subject.model
-    unit, scale = people_unit(subject.record.input_unit)
+    unit, scale = display_unit(subject.record.input_unit)
     drawn = new_figure(HALF_WIDTH, 3.9)
     axes = drawn.subplots()
     steps = sorted({1, model.lag_spacing, max(2, 2 * model.lag_spacing)})
@@ -168,34 +173,37 @@ def spacing(subject: Subject[VolterraModel]) -> Drawn:
         if found is None:
             continue
         frequency_hz, density = found
-        mine = " (the lags)" if step == model.lag_spacing else ""
-        axes.plot(frequency_hz[1:], density[1:], color=colour, linestyle=dash, label=f"{fixed(rate, 0)} Hz{mine}")
+        label = _("{rate} Hz (the lags)") if step == model.lag_spacing else "{rate} Hz"
+        label = label.format(rate=fixed(rate, 0))
+        axes.plot(frequency_hz[1:], density[1:], color=colour, linestyle=dash, label=label)
         axes.axvline(0.5 * rate, color=MUTED, linewidth=0.8, linestyle=DASHES[2])
         lowest, top = min(lowest, float(frequency_hz[1])), max(top, float(density[1:].max()))
     if not top > 0.0:
-        raise UnusableInputError("the fitted part is too short, or too full of gaps, for a power spectrum")
+        raise UnusableInputError(
+            Message("report.no_spectrum", "the fitted part is too short, or has too many gaps, for a power spectrum")
+        )
     frequency_axis(axes, lowest, 0.5 * model.sample_rate_hz)
     axes.set_ylim(1e-7 * top, 3.0 * top)
     log_axis(axes)
-    axes.set_ylabel(f"Power spectral density ({unit}²/Hz)")
+    axes.set_ylabel(_("Power spectral density ({unit}²/Hz)").format(unit=unit))
     axes.legend(loc="lower left")
-    return drawn, (
-        "A kernel can be told lag by lag where the input is white at the spacing of the lags: level up to half the "
-        "rate (dotted). Where the curve falls before that, neighbouring lags are hard to tell apart and the plain "
+    return drawn, _(
+        "Each lag of a kernel can be estimated where the input is white at the spacing of the lags: level up to half "
+        "the rate (dotted). Where the curve falls before that, neighbouring lags cannot be separated and the plain "
         "kernel is noise."
     )
 
 
 @lru_cache(maxsize=2)
 def _strategies(subject: Subject[VolterraModel]) -> tuple[tuple[str, VolterraModel], ...]:
-    """The raw kernel, the filtered one, and the model itself where it is neither.
+    """Return the raw kernel, the filtered one, and the model itself where it is neither.
 
     Raises:
-        UnusableInputError: this record cannot carry the plain least-squares fit.
+        UnusableInputError: the record does not determine the plain least-squares fit.
     """
     model = subject.model
     if model.unfiltered is not None:
-        return ("raw", model.unfiltered), ("filtered", model)
+        return (_RAW, model.unfiltered), (_FILTERED, model)
     rate = model.sample_rate_hz
     plain = Volterra(
         method="exact",
@@ -205,7 +213,7 @@ def _strategies(subject: Subject[VolterraModel]) -> tuple[tuple[str, VolterraMod
         smoothing=_SPREAD,
     ).fit(subject.record, subject.analysis.fit_part)
     assert plain.unfiltered is not None
-    found: tuple[tuple[str, VolterraModel], ...] = (("raw", plain.unfiltered), ("filtered", plain))
+    found: tuple[tuple[str, VolterraModel], ...] = ((_RAW, plain.unfiltered), (_FILTERED, plain))
     method = str(model.report.options.get("method", "as fitted"))
     return found if method == "exact" else (*found, ({"laguerre": "Laguerre"}.get(method, method), model))
 

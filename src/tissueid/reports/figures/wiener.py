@@ -8,9 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tissueid.errors import UnusableInputError
-from tissueid.identification.engines.wiener import WienerModel
+from tissueid.formatting import axis_label, display_unit, fixed, label_and_unit, number
+from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
+from tissueid.messages import Message
 from tissueid.records import Record
+from tissueid.reports.captions import SINGLE_PASS
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import (
@@ -24,7 +27,6 @@ from tissueid.reports.style import (
     drawing,
     new_figure,
 )
-from tissueid.wording import axis_label, fixed, named_unit, number, people_unit
 
 _MOST_POINTS = 4000
 
@@ -36,7 +38,7 @@ _MOST_POINTS = 4000
     marked("Left: measured output against predicted linear output with a fitted curve. Right: stiffness by depth."),
     group="nonlinear",
     place=10,
-    standard="Wiener",
+    standard=Wiener.name,
     short=True,
 )
 def _nonlinearity(subject: Subject[WienerModel]) -> Drawn:
@@ -52,7 +54,7 @@ def _nonlinearity(subject: Subject[WienerModel]) -> Drawn:
     marked("Left: variance accounted for by pass. Right: each parameter relative to its last value by pass."),
     group="nonlinear",
     place=20,
-    standard="Wiener",
+    standard=Wiener.name,
 )
 def _iterations(subject: Subject[WienerModel]) -> Drawn:
     return iterations_figure(subject.model), _iterations_caption(subject.model)
@@ -62,13 +64,13 @@ def _iterations(subject: Subject[WienerModel]) -> Drawn:
 def nonlinearity_figure(
     model: WienerModel, record: Record, part: slice | None = None, surface_position_m: float = float("nan")
 ) -> Figure:
-    """Static nonlinearity (Chen 2010, Fig. 3.8, Eq. 3.26), and beside it the stiffness along it (Eq. 3.27).
+    """Draw the static nonlinearity (Chen 2010, Fig. 3.8, Eq. 3.26) and the stiffness along it (Eq. 3.27).
 
     Args:
         model: the cascade.
         record: input and output; the points are its received samples.
         part: which of them were fitted.
-        surface_position_m: where the tissue begins; NaN when nobody knows.
+        surface_position_m: position of the tissue surface, m; NaN if unknown.
 
     Raises:
         UnusableInputError: no sample lies where the model can be run.
@@ -78,9 +80,14 @@ def nonlinearity_figure(
     known = np.isfinite(z) & np.isfinite(measured)
     z, measured = z[known], measured[known]
     if z.size < 2:
-        raise UnusableInputError(_("no sample lies where the Wiener model can be run"))
-    in_unit, in_scale = people_unit(record.input_unit)
-    out_unit, out_scale = people_unit(record.output_unit)
+        raise UnusableInputError(
+            Message(
+                "report.wiener_not_run",
+                "the Wiener model cannot be simulated: no sample has an uninterrupted input over the memory",
+            )
+        )
+    in_unit, in_scale = display_unit(record.input_unit)
+    out_unit, out_scale = display_unit(record.output_unit)
     figure = new_figure(FULL_WIDTH, 3.7)
     left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     some = slice(None, None, max(1, -(-z.size // _MOST_POINTS)))
@@ -116,8 +123,8 @@ def _stiffness_panel(axes: Axes, model: WienerModel, record: Record, ends: Array
     z = np.linspace(max(low, float(ends[0])), min(high, float(ends[1])), 200)
     slope = np.abs(model.nonlinearity.slope(z))
     clear = slope > 1e-3 * slope.max()
-    in_scale = people_unit(record.input_unit)[1]
-    out_unit, out_scale = people_unit(record.output_unit)
+    in_scale = display_unit(record.input_unit)[1]
+    out_unit, out_scale = display_unit(record.output_unit)
     origin = surface_position_m if np.isfinite(surface_position_m) and record.output_name == "position" else 0.0
     depth = out_scale * (model.nonlinearity(z) - origin)
     axes.plot(depth[clear], in_scale / slope[clear], color=SERIES[2], linewidth=1.8)
@@ -130,14 +137,14 @@ def _stiffness_panel(axes: Axes, model: WienerModel, record: Record, ends: Array
 
 @drawing
 def iterations_figure(model: WienerModel) -> Figure:
-    """How the Wiener iteration settled: VAF, and parameters relative to the last pass (Chen 2010, Fig. 3.9).
+    """Draw the convergence of the Wiener iteration: VAF, and parameters relative to the last (Chen 2010, Fig. 3.9).
 
     Raises:
-        UnusableInputError: there was one pass only.
+        UnusableInputError: there was only one pass.
     """
     history = model.history
     if len(history) < 2:
-        raise UnusableInputError(_("the iteration made a single pass"))
+        raise UnusableInputError(SINGLE_PASS)
     passes = [item.iteration for item in history]
     figure = new_figure(FULL_WIDTH, 2.9)
     left, right = figure.subplots(1, 2)
@@ -166,7 +173,7 @@ def iterations_figure(model: WienerModel) -> Figure:
             linestyle=DASHES[drawn % len(DASHES)],
             marker="os^DvP"[drawn % 6],
             markersize=3.5,
-            label=_(named_unit(name)[0]),
+            label=_(label_and_unit(name)[0]),
         )
         drawn += 1
     right.axhline(1.0, color=MUTED, linewidth=0.8)

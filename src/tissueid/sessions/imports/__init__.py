@@ -1,16 +1,16 @@
 """Records from elsewhere into sessions, and sessions out to other programs (docs/sessions.md)."""
 
-from tissueid.sessions.imports.assembling import (
+from tissueid.sessions.imports.column_mapping import ROLES, guessed_role, parse_map
+from tissueid.sessions.imports.export import FORMATS, export_session
+from tissueid.sessions.imports.format_detection import is_record, open_foreign
+from tissueid.sessions.imports.imported_session import (
     ImportedSession,
     assembled,
     check_new_session,
     import_session,
     instrument_figures,
 )
-from tissueid.sessions.imports.building import Choices, Imported, Source, import_test
-from tissueid.sessions.imports.exporting import FORMATS, export_session
-from tissueid.sessions.imports.mapping import ROLES, guessed_role, parse_map
-from tissueid.sessions.imports.opening import is_record, open_foreign
+from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test
 from tissueid.sessions.imports.units import alternatives
 
 __all__ = [

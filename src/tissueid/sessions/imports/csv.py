@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
-from tissueid.sessions.imports.text import (
+from tissueid.messages import Message
+from tissueid.sessions.imports.imported_table import ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.text_cells import (
     blocks_of,
     cells_of,
     encoding_of,
@@ -25,12 +26,19 @@ from tissueid.sessions.imports.text import (
     shown,
 )
 from tissueid.sessions.imports.units import known_unit
+from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
 
 _LOOKED_AT = 400
 """Lines that are looked at to find out how a file is written."""
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 _COMMENTS = ("#", "%", "//")
-_NAMES = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "spaces"}
+_DECIMAL_COMMAS = {
+    "\t": Message("import.decimal_commas", "read with decimal commas and tabs between the columns"),
+    ";": Message("import.decimal_commas", "read with decimal commas and semicolons between the columns"),
+    ",": Message("import.decimal_commas", "read with decimal commas and commas between the columns"),
+    "|": Message("import.decimal_commas", "read with decimal commas and bars between the columns"),
+    " ": Message("import.decimal_commas", "read with decimal commas and spaces between the columns"),
+}
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,7 @@ class _Layout:
     columns: tuple[Column, ...]
 
 
-def open_csv(path: Path) -> ForeignFile:
+def open_csv(path: Path) -> ImportedTable:
     """Look into a text file of rows.
 
     Raises:
@@ -58,8 +66,8 @@ def open_csv(path: Path) -> ForeignFile:
 
     notices = []
     if layout.decimal == ",":
-        notices.append(f"read with decimal commas and {_NAMES[layout.delimiter]} between the columns")
-    return ForeignFile("csv", layout.columns, load, notices=tuple(notices))
+        notices.append(_DECIMAL_COMMAS[layout.delimiter])
+    return ImportedTable("csv", layout.columns, load, notices=tuple(notices))
 
 
 # -- how it is written ----------------------------------------------------------------------------------------
@@ -70,17 +78,26 @@ def _is_comment(line: str) -> bool:
 
 
 def _layout(lines: list[str]) -> _Layout:
-    told = [line for line in lines if line.strip() and not _is_comment(line)]
+    data_lines = [line for line in lines if line.strip() and not _is_comment(line)]
     best, layout = 0.0, None
     for delimiter, decimal in product(_DELIMITERS, (".", ",")):
-        score, width = _score([cells_of(line, delimiter) for line in told], decimal)
+        score, width = _score([cells_of(line, delimiter) for line in data_lines], decimal)
         if score > best:
             best, layout = score, (delimiter, decimal, width)
     if layout is None:
-        raise UnusableInputError("holds no rows of two or more columns with numbers in its first lines")
+        raise UnusableInputError(
+            Message("import.no_columns", "holds no rows of two or more columns with numbers in its first lines")
+        )
     delimiter, decimal, width = layout
     if width > MAX_COLUMNS:
-        raise UnusableInputError(f"has {width} columns; at most {MAX_COLUMNS} are read")
+        raise UnusableInputError(
+            Message(
+                "import.too_many_columns",
+                "has {columns} columns; at most {most} are read",
+                columns=width,
+                most=MAX_COLUMNS,
+            )
+        )
     start = _first_row(lines, delimiter, decimal, width)
     return _Layout(delimiter, decimal, width, start, _columns(lines[:start], delimiter, width, lines[start:]))
 
@@ -113,7 +130,9 @@ def _first_row(lines: list[str], delimiter: str, decimal: str, width: int) -> in
         found = [is_number(cells[place], decimal) for place in numeric]
         if any(found) and all(f or is_missing(cells[p]) for f, p in zip(found, numeric, strict=True)):
             return number
-    raise UnusableInputError("holds no row of numbers in its first lines")
+    raise UnusableInputError(
+        Message("import.no_numeric_row", "the first lines hold no row of numbers: it is not a table of data")
+    )
 
 
 def _columns(above: list[str], delimiter: str, width: int, below: list[str]) -> tuple[Column, ...]:
@@ -152,8 +171,16 @@ def _load(
 ) -> tuple[list[NDArray[np.float64]], range]:
     total = sum(1 for _ in _data_lines(path, encoding, layout.start))
     chosen = rows.within(total)
-    if len(chosen) > MAX_ROWS:
-        raise UnusableInputError(f"has {len(chosen)} rows; at most {MAX_ROWS} make a test: choose with @FIRST:LAST")
+    if len(chosen) > MAX_SAMPLES:
+        raise UnusableInputError(
+            Message(
+                "import.too_many_rows",
+                "has {count} rows; at most {most} make a test: select some ({rows})",
+                count=len(chosen),
+                most=MAX_SAMPLES,
+                rows=ROWS,
+            )
+        )
     lines = islice(_data_lines(path, encoding, layout.start), chosen.start, chosen.stop)
     blocks: list[list[NDArray[np.float64]]] = []
     for block in blocks_of(lines, lambda line: len(line[1])):
@@ -162,8 +189,14 @@ def _load(
             row = cells_of(line, layout.delimiter)
             if len(row) != layout.width:
                 raise UnusableInputError(
-                    f"line {number} has {len(row)} cells where others have {layout.width}; leave rows out "
-                    "with @FIRST:LAST"
+                    Message(
+                        "import.cells",
+                        "line {line} has {cells} cells where others have {others}; leave rows out ({rows})",
+                        line=number,
+                        cells=len(row),
+                        others=layout.width,
+                        rows=ROWS,
+                    )
                 )
             for column, place in zip(cells, places, strict=True):
                 column.append(row[place])
@@ -177,6 +210,12 @@ def _numbers(cells: list[str], block: list[tuple[int, str]], layout: _Layout, pl
     except ValueError as error:
         bad = int(error.args[0])
         raise UnusableInputError(
-            f"line {block[bad][0]}, column {place + 1}: {shown(cells[bad])} is not a number; leave rows out with "
-            "@FIRST:LAST"
+            Message(
+                "import.not_a_number",
+                "line {line}, column {column}: {found} is not a number; leave rows out ({rows})",
+                line=block[bad][0],
+                column=place + 1,
+                found=shown(cells[bad]),
+                rows=ROWS,
+            )
         ) from error

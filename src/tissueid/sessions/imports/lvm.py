@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.sessions.imports.table import MAX_COLUMNS, MAX_ROWS, Column, ForeignFile, Rows
-from tissueid.sessions.imports.text import blocks_of, encoding_of, lines_of, numbers, shown
+from tissueid.messages import Message
+from tissueid.sessions.imports.imported_table import ROWS, Column, ImportedTable, Rows
+from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
 from tissueid.sessions.imports.units import known_unit
+from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
 
 FIRST_LINE = "LabVIEW Measurement"
 _END = "***End_of_Header***"
@@ -50,15 +52,19 @@ class _Outline:
         return 2 * place - 1 if self.x_columns == "multi" and place else place
 
     def figure(self, segment: _Segment, key: str) -> float | None:
-        """A figure of the first channel in a segment's header; None where it is not told."""
+        """A figure of the first channel in a segment's header; None if it is missing."""
         values = segment.header.get(key, [])
         try:
             return float(numbers(values[:1], self.decimal)[0]) if values and values[0].strip() else None
         except ValueError as error:
-            raise UnusableInputError(f"its header says {key} {shown(values[0])}: not a number") from error
+            raise UnusableInputError(
+                Message(
+                    "import.lvm_value", "its header says {key} {value}: not a number", key=key, value=shown(values[0])
+                )
+            ) from error
 
 
-def open_lvm(path: Path) -> ForeignFile:
+def open_lvm(path: Path) -> ImportedTable:
     """Look into an LVM file.
 
     Raises:
@@ -70,32 +76,42 @@ def open_lvm(path: Path) -> ForeignFile:
     for segment in outline.segments[1:]:
         if segment.channels != first.channels:
             raise UnusableInputError(
-                f"its segments have different channels, from row {segment.first} on others than before; export them "
-                "one by one"
+                Message(
+                    "import.lvm_channels",
+                    "its segments have different channels from row {row} on; export them one by one",
+                    row=segment.first,
+                )
             )
     units = [known_unit(text) for text in first.header.get("Y_Unit_Label", [])]
     stored = outline.x_columns != "no"
     by_time = all(text in ("", "Time") for text in first.header.get("X_Dimension", ["Time"])[:1])
     columns = [Column("X_Value", "s" if by_time else "")]
     for place, name in enumerate(first.channels):
-        told = units[place] if place < len(units) else None
-        columns.append(Column(name, told.symbol) if told else Column.headed(name))
+        stated = units[place] if place < len(units) else None
+        columns.append(Column(name, stated.symbol) if stated else Column.headed(name))
     step = outline.figure(first, "Delta_X")
     if not stored and step is None:
-        raise UnusableInputError("has neither times (X_Columns) nor a step (Delta_X)")
+        raise UnusableInputError(Message("import.lvm_no_time", "has neither times (X_Columns) nor a step (Delta_X)"))
     total = sum(segment.rows for segment in outline.segments)
     notices = []
     for segment in outline.segments:
         said = outline.figure(segment, "Samples")
         if said is not None and said != segment.rows:
             notices.append(
-                f"its header announces {said:.0f} rows from row {segment.first} on, and {segment.rows} are there"
+                Message(
+                    "import.lvm_rows",
+                    "the header announces {announced:.0f} rows from row {row} on, but the file has {rows}: "
+                    "it may be cut short",
+                    announced=said,
+                    row=segment.first,
+                    rows=segment.rows,
+                )
             )
 
     def load(places: Sequence[int], rows: Rows) -> tuple[list[NDArray[np.float64]], range]:
         return _load(path, encoding, total, places, rows)
 
-    return ForeignFile(
+    return ImportedTable(
         "lvm",
         tuple(columns),
         load,
@@ -112,7 +128,7 @@ def _outline(path: Path, encoding: str) -> _Outline:
     for outline, segment, _, _ in _rows(path, encoding):  # noqa: B007
         segment.rows += 1
     if not outline.segments:
-        raise UnusableInputError("holds no rows")
+        raise UnusableInputError(Message("import.lvm_empty", "holds no rows"))
     return outline
 
 
@@ -138,7 +154,14 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
         elif cells[0] == "Channels":
             header, segment = {"Channels": cells[1:]} | _header(lines, outline.separator), None
         elif header is None:
-            raise UnusableInputError(f"line {number}: the header of a segment was to come, not {shown(line)}")
+            raise UnusableInputError(
+                Message(
+                    "import.lvm_header",
+                    "line {line}: expected the header of a segment, not {found}",
+                    line=number,
+                    found=shown(line),
+                )
+            )
         elif cells[0] == "X_Value":
             segment = _segment(outline, header, cells, total)
         else:
@@ -148,10 +171,12 @@ def _rows(path: Path, encoding: str) -> Iterator[_Row]:
 
 
 def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], first: int) -> _Segment:
-    told = header["Channels"][0] if header["Channels"] else ""
-    if not (told.isascii() and told.isdigit() and len(told) <= 9 and 0 < int(told) <= MAX_COLUMNS):
-        raise UnusableInputError(f"a header says that there are {shown(told)} channels")
-    count = int(told)
+    stated = header["Channels"][0] if header["Channels"] else ""
+    if not (stated.isascii() and stated.isdigit() and len(stated) <= 9 and 0 < int(stated) <= MAX_COLUMNS):
+        raise UnusableInputError(
+            Message("import.lvm_channel_count", "a header announces {found} channels", found=shown(stated))
+        )
+    count = int(stated)
     before = outline.segments[-1].channels if outline.segments else [""] * count
     if named:
         names = named[1 :: 2 if outline.x_columns == "multi" else 1]
@@ -166,41 +191,69 @@ def _segment(outline: _Outline, header: dict[str, list[str]], named: list[str], 
 def _file_header(lines: Iterator[tuple[int, str]]) -> _Outline:
     head = next(lines, (1, ""))[1]
     if not head.startswith(FIRST_LINE):
-        raise UnusableInputError(f"does not begin with {FIRST_LINE!r}: not an LVM file")
+        raise UnusableInputError(
+            Message(
+                "import.lvm_not_one",
+                "it is not an LVM file: its first line does not begin with '{found}'",
+                found=FIRST_LINE,
+            )
+        )
     after = head[len(FIRST_LINE) :][:1]
-    told = _header(lines, after if after in _SEPARATORS.values() else "")
+    stated = _header(lines, after if after in _SEPARATORS.values() else "")
 
     def one(key: str, default: str) -> str:
-        return (told.get(key) or [default])[0] or default
+        return (stated.get(key) or [default])[0] or default
 
     separator = _SEPARATORS.get(one("Separator", "Tab").lower(), "\t")
     decimal = one("Decimal_Separator", ".") if separator != "," else "."
     if decimal not in (".", ","):
-        raise UnusableInputError(f"its header says Decimal_Separator {shown(decimal)}: neither a point nor a comma")
+        raise UnusableInputError(
+            Message(
+                "import.lvm_decimal",
+                "its header says Decimal_Separator {found}: neither a point nor a comma",
+                found=shown(decimal),
+            )
+        )
     x_columns = one("X_Columns", "One").lower()
     if x_columns not in ("no", "one", "multi"):
-        raise UnusableInputError(f"its header says X_Columns {shown(x_columns)}: not No, One or Multi")
+        raise UnusableInputError(
+            Message(
+                "import.lvm_x_columns",
+                "its header says X_Columns {found}: not No, One or Multi",
+                found=shown(x_columns),
+            )
+        )
     return _Outline(separator, decimal, x_columns)
 
 
 def _header(lines: Iterator[tuple[int, str]], separator: str) -> dict[str, list[str]]:
     """Keys and values up to the end of a header; without a ``separator``, that of each line."""
-    told: dict[str, list[str]] = {}
+    stated: dict[str, list[str]] = {}
     for _, (_, line) in zip(range(_LONGEST_HEADER), lines, strict=False):
         if line.startswith(_END):
-            return told
+            return stated
         between = separator or next((mark for mark in _SEPARATORS.values() if mark in line), "\t")
         key, *values = (cell.strip() for cell in line.split(between))
-        told[key] = values
-    raise UnusableInputError(f"has a header without {_END}: cut off, or no LVM file")
+        stated[key] = values
+    raise UnusableInputError(
+        Message("import.lvm_truncated", "has a header without {found}: truncated, or not an LVM file", found=_END)
+    )
 
 
 def _load(
     path: Path, encoding: str, total: int, places: Sequence[int], rows: Rows
 ) -> tuple[list[NDArray[np.float64]], range]:
     chosen = rows.within(total)
-    if len(chosen) > MAX_ROWS:
-        raise UnusableInputError(f"has {len(chosen)} rows; at most {MAX_ROWS} make a test: choose with @FIRST:LAST")
+    if len(chosen) > MAX_SAMPLES:
+        raise UnusableInputError(
+            Message(
+                "import.too_many_rows",
+                "has {count} rows; at most {most} make a test: select some ({rows})",
+                count=len(chosen),
+                most=MAX_SAMPLES,
+                rows=ROWS,
+            )
+        )
     blocks: list[list[NDArray[np.float64]]] = []
     lines = islice(_rows(path, encoding), chosen.start, chosen.stop)
     row = chosen.start
@@ -218,21 +271,43 @@ def _column(block: list[_Row], row: int, place: int) -> NDArray[np.float64]:
     column = []
     for _, _, number, cells in block:
         if len(cells) <= at:
-            raise UnusableInputError(f"line {number} has {len(cells)} cells; column {place + 1} is missing")
+            raise UnusableInputError(
+                Message(
+                    "import.lvm_cells",
+                    "line {line} has {cells} cells; column {column} is missing",
+                    line=number,
+                    cells=len(cells),
+                    column=place + 1,
+                )
+            )
         if outline.x_columns == "multi" and place and cells[at - 1] != cells[0]:
-            raise UnusableInputError(f"line {number}: the channels have times of their own; export them one by one")
+            raise UnusableInputError(
+                Message(
+                    "import.lvm_own_times",
+                    "line {line}: the channels have different times; export them one by one",
+                    line=number,
+                )
+            )
         column.append(cells[at])
     try:
         return numbers(column, outline.decimal)
     except ValueError as error:
         bad = int(error.args[0])
         raise UnusableInputError(
-            f"line {block[bad][2]}, column {place + 1}: {shown(column[bad])} is not a number"
+            Message(
+                "import.lvm_not_a_number",
+                "line {line}, column {column}: {found} is not a number",
+                line=block[bad][2],
+                column=place + 1,
+                found=shown(column[bad]),
+            )
         ) from error
 
 
 def _time(outline: _Outline, segment: _Segment, row: int) -> float:
     start, step = outline.figure(segment, "X0"), outline.figure(segment, "Delta_X")
     if step is None:
-        raise UnusableInputError(f"the header before row {segment.first} has no Delta_X")
+        raise UnusableInputError(
+            Message("import.lvm_no_step", "the header before row {row} has no Delta_X", row=segment.first)
+        )
     return (start or 0.0) + step * (row - segment.first)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
-from tissueid.untrusted import most_unpacked
+from tissueid.messages import Message
+from tissueid.untrusted_input import allowed_unpacked_bytes
 
 LARGEST = 2_000_000_000
 """Bytes of all variables of a file together, once they are out of their compression."""
@@ -38,7 +39,7 @@ Variable = tuple[str, "NDArray[np.generic]"]
 
 class _DamagedError(UnusableInputError):
     def __init__(self) -> None:
-        super().__init__("is damaged, or not a MAT file")
+        super().__init__(Message("import.mat_damaged", "is damaged, or not a MAT file"))
 
 
 def variables(path: Path) -> Iterator[Variable]:
@@ -48,7 +49,13 @@ def variables(path: Path) -> Iterator[Variable]:
         UnusableInputError: the file is damaged, or its variables are too large.
     """
     if path.stat().st_size > LARGEST:
-        raise UnusableInputError(f"has more than {LARGEST} bytes; save what is needed of it, or save it as version 7.3")
+        raise UnusableInputError(
+            Message(
+                "import.mat_size",
+                "has more than {most} bytes; save only the needed variables, or save it as version 7.3",
+                most=LARGEST,
+            )
+        )
     data = memoryview(path.read_bytes())
     if len(data) < 20:
         raise _DamagedError
@@ -58,7 +65,7 @@ def variables(path: Path) -> Iterator[Variable]:
     mark = bytes(data[126:128])
     if mark not in (b"IM", b"MI"):
         raise _DamagedError
-    reader = _Level5("<" if mark == b"IM" else ">", min(LARGEST, most_unpacked(len(data))))
+    reader = _Level5("<" if mark == b"IM" else ">", min(LARGEST, allowed_unpacked_bytes(len(data))))
     yield from reader.top(data[128:])
 
 
@@ -112,7 +119,12 @@ class _Level5:
     def _spend(self, size: int) -> None:
         self.budget -= size
         if self.budget < 0:
-            raise UnusableInputError("holds more than can be read from a file of its size; save less of it in MATLAB")
+            raise UnusableInputError(
+                Message(
+                    "import.mat_unpacked",
+                    "holds more than can be read from a file of its size; save fewer variables in MATLAB",
+                )
+            )
 
     def _matrix(self, data: memoryview, before: str, depth: int) -> Iterator[Variable]:
         if not len(data):

@@ -1,4 +1,4 @@
-"""Units of records from elsewhere, and what they are in SI."""
+"""Units of imported records and their conversion to SI."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
 
 
 @dataclass(frozen=True)
 class Unit:
     """A unit: a value in ``si`` is value * ``factor`` / ``divisor`` + ``offset``.
 
-    Factor and divisor are apart because a thousand has a float of its own and a thousandth has not: 3 mm is
+    Factor and divisor are separate because 1000 is exact in floating point and 0.001 is not: 3 mm is
     3.0 / 1000.0, the float closest to 0.003.
     """
 
@@ -26,7 +27,7 @@ class Unit:
     offset: float = 0.0
 
     def to_si(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values in SI, shape as given; those that are SI already keep every bit."""
+        """Return values in SI, same shape; values that are in SI already are unchanged."""
         if self.factor != 1.0:
             values = values * self.factor
         if self.divisor != 1.0:
@@ -92,26 +93,32 @@ _TAILED = re.compile(r"(.*\S)\s*(?:[/,;]\s*|_)(\S(?:.*\S)?)\s*", re.DOTALL)
 
 
 def known_unit(text: str) -> Unit | None:
-    """The unit that a text names, by its symbol or in words; None where it names none."""
+    """Return the unit that a text names by symbol or word; None if it names none."""
     text = text.strip()
     symbol = _ALIASES.get(text, text)
     return _BY_SYMBOL.get(symbol) or _BY_SYMBOL.get(_WORDS.get(text.lower(), ""))
 
 
 def unit_named(text: str) -> Unit:
-    """The unit that a text names.
+    """Return the unit that a text names.
 
     Raises:
-        UnusableInputError: it names none; lists what is known.
+        UnusableInputError: it names none.
     """
     if (unit := known_unit(text)) is None:
-        known = ", ".join(unit.symbol for unit in _UNITS)
-        raise UnusableInputError(f"{text!r} is not a unit that is known here: {known}")
+        raise UnusableInputError(
+            Message(
+                "import.unknown_unit",
+                "'{unit}' is not a known unit; known are {units}",
+                unit=Verbatim(text),
+                units=", ".join(unit.symbol for unit in _UNITS),
+            )
+        )
     return unit
 
 
 def alternatives(si: str) -> tuple[Unit, ...]:
-    """Every unit of the same quantity."""
+    """Return all units of the same quantity."""
     return tuple(unit for unit in _UNITS if unit.si == si)
 
 

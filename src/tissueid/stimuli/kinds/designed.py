@@ -9,14 +9,16 @@ from typing import ClassVar, Self
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.records import Estimate
+from tissueid.stimuli.amplitude_design import DesignPrecision, LocalTissue, predicted_precision
 from tissueid.stimuli.base import OpenLoopKind, Stimulus, stimulus
-from tissueid.stimuli.design import DesignPrecision, LocalTissue, predicted_precision
 from tissueid.stimuli.kinds.noise import Noise
 from tissueid.stimuli.spectra import Butterworth
 
 _GROWTH_PER_M = 1000.0
-"""Growth of log K with depth where no test has told it: e-fold in a millimetre, skin under some newtons."""
+"""Growth of log K with depth without a test: e-fold in a millimetre, skin under some newtons."""
 
 _MOST_OF_RANGE = 1.0 / math.sqrt(3.0)
 """Root-mean-square of an even distribution over its half range."""
@@ -34,40 +36,52 @@ class Designed(OpenLoopKind):
 
     For the question "mass, damping and stiffness under this load", and no other load: the swing is some half a newton
     either way. Smaller, it drowns in the noise of the measured force; larger, the line no longer holds and the answer
-    is an average over depths that depends on the stimulus. The defaults are for skin nobody has tested yet;
+    is an average over depths that depends on the stimulus. The defaults are for skin that was not tested before;
     :meth:`after` takes what a first test has found.
     """
 
     name: ClassVar[str] = "designed"
+    title: ClassVar[str] = marked("Noise about one load")
 
-    load_n: float = Field(5.5, gt=0.0, le=100.0, description="Load about which the tissue is to be known, N")
-    force_min_n: float = Field(0.5, ge=-100.0, le=100.0, description="Force below which it never goes, N")
-    force_max_n: float = Field(10.5, ge=-100.0, le=100.0, description="Force beyond which it never goes, N")
-    seconds: float = Field(2.0, gt=0.0, le=600.0, description="Length, s")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="The same seed gives the same samples")
-    cutoff_hz: float = Field(100.0, gt=0.0, description="Cut-off frequency, Hz: twice the natural frequency will do")
-    mass_kg: float = Field(0.09, gt=0.0, le=10.0, description="Mass that is expected, kg, moving part included")
-    damping_n_s_per_m: float = Field(12.0, gt=0.0, le=1e4, description="Damping that is expected, N s/m")
+    load_n: float = Field(5.5, gt=0.0, le=100.0, description=marked("Load about which the tissue is to be known, N"))
+    force_min_n: float = Field(0.5, ge=-100.0, le=100.0, description=marked("Force below which it never goes, N"))
+    force_max_n: float = Field(10.5, ge=-100.0, le=100.0, description=marked("Force beyond which it never goes, N"))
+    seconds: float = Field(2.0, gt=0.0, le=600.0, description=marked("Length, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
+    seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("The same seed gives the same samples"))
+    cutoff_hz: float = Field(
+        100.0, gt=0.0, description=marked("Cut-off frequency, Hz: twice the natural frequency will do")
+    )
+    mass_kg: float = Field(0.09, gt=0.0, le=10.0, description=marked("Mass that is expected, kg, moving part included"))
+    damping_n_s_per_m: float = Field(12.0, gt=0.0, le=1e4, description=marked("Damping that is expected, N s/m"))
     stiffness_n_per_m: float | None = Field(
-        None, gt=0.0, le=1e7, description="Stiffness under the load, N/m; growth times load when not given"
+        None, gt=0.0, le=1e7, description=marked("Stiffness under the load, N/m; growth times load when not given")
     )
     stiffness_growth_per_m: float = Field(
-        _GROWTH_PER_M, ge=0.0, le=1e5, description="Growth of the logarithm of the stiffness with depth, 1/m"
+        _GROWTH_PER_M, ge=0.0, le=1e5, description=marked("Growth of the logarithm of the stiffness with depth, 1/m")
     )
     damping_turn_n_s2_per_m2: float = Field(
-        70.0, ge=0.0, le=1e4, description="Growth of the damping with speed, N s2/m2: more on the way in than out"
+        70.0,
+        ge=0.0,
+        le=1e4,
+        description=marked("Growth of the damping with speed, N s2/m2: more on the way in than out"),
     )
     force_noise_n_per_root_hz: float = Field(
-        1.2e-3, gt=0.0, le=1.0, description="Noise density of the measured force, N per root Hz"
+        1.2e-3, gt=0.0, le=1.0, description=marked("Noise density of the measured force, N per root Hz")
     )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if not self.force_min_n < self.load_n < self.force_max_n:
             raise UnusableInputError(
-                f"the load of {self.load_n:g} N must lie between the least and the greatest force, "
-                f"{self.force_min_n:g} and {self.force_max_n:g} N"
+                Message(
+                    "designed.load",
+                    "the load of {load_n:g} N must lie between the least and the greatest force, "
+                    "{force_min_n:g} and {force_max_n:g} N",
+                    load_n=self.load_n,
+                    force_min_n=self.force_min_n,
+                    force_max_n=self.force_max_n,
+                )
             )
         Butterworth(self.cutoff_hz).check(self.sample_rate)
         self._noise()
@@ -98,7 +112,7 @@ class Designed(OpenLoopKind):
 
     @property
     def tissue(self) -> LocalTissue:
-        """The tissue that is expected under the load."""
+        """Return the mass, damping and stiffness expected under the load."""
         stiffness = self.stiffness_n_per_m
         if stiffness is None:  # what an exponential law has under this load
             stiffness = max(self.stiffness_growth_per_m, 1.0) * self.load_n

@@ -7,11 +7,12 @@ from typing import ClassVar, Self
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.stimuli.autocorrelation_bounds import least_error
 from tissueid.stimuli.base import Stimulus, stimulus
-from tissueid.stimuli.distributions import DistributionName
 from tissueid.stimuli.interchange import Interchanged, OnProgress, arrange, interchange
-from tissueid.stimuli.joint_limits import least_error
-from tissueid.stimuli.shaped import Shaped
+from tissueid.stimuli.shape_options import DistributionName, Shaped
 
 
 @stimulus
@@ -27,27 +28,44 @@ class Interchange(Shaped):
     """
 
     name: ClassVar[str] = "interchange"
+    title: ClassVar[str] = marked("Exact amplitudes and spectrum")
 
-    distribution: DistributionName = Field("uniform", description="Distribution over the range")
-    lags: int = Field(500, ge=1, le=5000, description="Lags over which the autocorrelation is to be right")
+    distribution: DistributionName = Field("uniform", description=marked("Distribution over the range"))
+    lags: int = Field(500, ge=1, le=5000, description=marked("Lags over which the autocorrelation is to be right"))
     tolerance: float = Field(
-        1e-6, ge=1e-12, le=1.0, description="Sum of squared differences of the autocorrelation over the lags, at most"
+        1e-6,
+        ge=1e-12,
+        le=1.0,
+        description=marked("Sum of squared differences of the autocorrelation over the lags, at most"),
     )
-    max_trials: int = Field(2_000_000, ge=1, le=10**9, description="Swaps to try before giving up")
+    max_trials: int = Field(2_000_000, ge=1, le=10**9, description=marked("Swaps to try before giving up"))
 
     @model_validator(mode="after")
     def _can_be_reached(self) -> Self:
         if self.lags > self.samples // 2:
             raise UnusableInputError(
-                f"{self.lags} lags need at least {2 * self.lags} samples, not {self.samples}: "
-                "ask for fewer lags or a longer stimulus"
+                Message(
+                    "interchange.lags",
+                    "{lags} lags need at least {needed} samples, not {samples}: ask for fewer lags or a "
+                    "longer stimulus",
+                    lags=self.lags,
+                    needed=2 * self.lags,
+                    samples=self.samples,
+                )
             )
         levels = self.wanted_distribution().levels(self.samples)
         bound = least_error(levels, self.wanted_spectrum().autocorrelation(self.lags, self.sample_rate))
         if bound.error > self.tolerance:
             raise UnusableInputError(
-                f"no {self.distribution} signal has this autocorrelation: {bound.reason}; the error cannot fall below "
-                f"{bound.error:.2g}, and {self.tolerance:g} was asked for"
+                Message(
+                    "interchange.unreachable",
+                    "no {distribution} signal has this autocorrelation: {reason}; the error cannot fall "
+                    "below {error:.2g}, and {tolerance:g} was asked for",
+                    distribution=self.distribution,
+                    reason=bound.reason,
+                    error=bound.error,
+                    tolerance=self.tolerance,
+                )
             )
         return self
 
@@ -71,11 +89,22 @@ class Interchange(Shaped):
             UnusableInputError: the design fell short of the tolerance.
         """
         if not designed.reached:
-            hint = f" (two-valued ones stop at about {_coarse(designed):.1g})" if self.distribution == "binary" else ""
+            hint = ""
+            if self.distribution == "binary":
+                error = _coarse(designed)
+                hint = Message("interchange.binary", " (two-valued ones stop at about {error:.1g})", error=error)
             raise UnusableInputError(
-                f"after {designed.tried} tried swaps the error of the autocorrelation over {designed.lags} lags is "
-                f"{designed.error:.2g}, not {self.tolerance:g}{hint}: allow more (max_trials), ask for less "
-                "(tolerance, lags) or for a longer stimulus"
+                Message(
+                    "interchange.not_reached",
+                    "after {tried} tried swaps the error of the autocorrelation over {lags} lags is "
+                    "{error:.2g}, not {tolerance:g}{hint}: allow more (max_trials), ask for less (tolerance, "
+                    "lags) or for a longer stimulus",
+                    tried=designed.tried,
+                    lags=designed.lags,
+                    error=designed.error,
+                    tolerance=self.tolerance,
+                    hint=hint,
+                )
             )
         return self.as_stimulus(designed.values)
 

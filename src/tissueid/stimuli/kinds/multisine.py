@@ -9,9 +9,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli.base import GUIDED, Array, Ranged, Stimulus, crest_factor, stimulus
 from tissueid.stimuli.crest import Lines, lowered, peak_ratio, schroeder_phases
-from tissueid.stimuli.multisine import (
+from tissueid.stimuli.multisine_lines import (
     best_of_random,
     butterworth,
     detection_lines,
@@ -50,36 +52,43 @@ class Multisine(Ranged):
     """
 
     name: ClassVar[str] = "multisine"
+    title: ClassVar[str] = marked("Multisine")
 
-    period_s: float = Field(2.0, gt=0.0, le=_LONGEST_S, description="Period, s: one over it is the resolution in Hz")
+    period_s: float = Field(
+        2.0, gt=0.0, le=_LONGEST_S, description=marked("Period, s: one over it is the resolution in Hz")
+    )
     period_samples: int | None = Field(
-        None, ge=8, le=_LARGEST_PERIOD, description="Period in samples, in place of seconds"
+        None, ge=8, le=_LARGEST_PERIOD, description=marked("Period in samples, in place of seconds")
     )
-    periods: int = Field(2, ge=1, le=1000, description="Whole periods; two or more tell noise from distortion")
-    settling_s: float = Field(0.25, ge=0.0, le=60.0, description="Run-in before the first whole period, s")
-    lowest_hz: float = Field(0.0, ge=0.0, le=1e6, description="Lowest frequency that may be driven, Hz")
-    highest_hz: float = Field(200.0, gt=0.0, le=1e6, description="Highest frequency that may be driven, Hz")
-    lines: Literal["full", "odd", "odd_random"] = Field("odd_random", description="Which lines are driven")
+    periods: int = Field(2, ge=1, le=1000, description=marked("Whole periods; two or more tell noise from distortion"))
+    settling_s: float = Field(0.25, ge=0.0, le=60.0, description=marked("Run-in before the first whole period, s"))
+    lowest_hz: float = Field(0.0, ge=0.0, le=1e6, description=marked("Lowest frequency that may be driven, Hz"))
+    highest_hz: float = Field(200.0, gt=0.0, le=1e6, description=marked("Highest frequency that may be driven, Hz"))
+    lines: Literal["full", "odd", "odd_random"] = Field("odd_random", description=marked("Which lines are driven"))
     group: int | None = Field(
-        None, ge=2, le=100, description=f"odd_random: of so many odd lines one is a detection line; {_USUAL_GROUP}"
+        None, ge=2, le=100, description=marked("odd_random: number of odd lines per detection line; 2 by default")
     )
-    lines_seed: int = Field(0, ge=0, le=2**63 - 1, description="odd_random: the same seed gives the same lines")
+    lines_seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("odd_random: the same seed gives the same lines"))
     notches: tuple[tuple[float, float], ...] = Field(
-        (), max_length=1000, description="Bands (low, high) that are left out, Hz"
+        (), max_length=1000, description=marked("Bands (low, high) that are left out, Hz")
     )
-    spectrum: Literal["flat", "butterworth", "power_law", "table"] = Field("flat", description="Amplitude of the lines")
-    cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description="butterworth: cut-off frequency, Hz")
-    order: int = Field(2, ge=1, le=12, description="butterworth: order")
-    exponent: float = Field(1.0, ge=-4.0, le=4.0, description="power_law: the amplitude goes as 1 / frequency to this")
+    spectrum: Literal["flat", "butterworth", "power_law", "table"] = Field(
+        "flat", description=marked("Amplitude of the lines")
+    )
+    cutoff_hz: float = Field(100.0, gt=0.0, le=1e6, description=marked("butterworth: cut-off frequency, Hz"))
+    order: int = Field(2, ge=1, le=12, description=marked("butterworth: order"))
+    exponent: float = Field(
+        1.0, ge=-4.0, le=4.0, description=marked("power_law: the amplitude goes as 1 / frequency to this")
+    )
     table: tuple[tuple[float, float], ...] = Field(
         (),
         max_length=10_000,
-        description="table: (frequency in Hz, relative amplitude), straight between, level beyond the ends",
+        description=marked("table: (frequency in Hz, relative amplitude), straight between, level beyond the ends"),
     )
-    phases: Literal["low_crest", "schroeder", "random"] = Field("low_crest", description="Phases of the lines")
-    draws: int = Field(2, ge=1, le=100, description="Random sets of phases that are tried; the best is kept")
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="Realisation: the same seed gives the same phases")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    phases: Literal["low_crest", "schroeder", "random"] = Field("low_crest", description=marked("Phases of the lines"))
+    draws: int = Field(2, ge=1, le=100, description=marked("Random sets of phases that are tried; the best is kept"))
+    seed: int = Field(0, ge=0, le=2**63 - 1, description=marked("Realisation: the same seed gives the same phases"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -88,7 +97,12 @@ class Multisine(Ranged):
         self._check_spectrum()
         if self.lines != "odd_random" and self.group is not None:
             raise UnusableInputError(
-                f"detection lines are odd lines left out: choose odd_random lines, or no group for {self.lines} ones"
+                Message(
+                    "multisine.group",
+                    "detection lines (group) need odd random lines, not {lines}: set lines to odd_random, "
+                    "or omit group",
+                    lines=self.lines,
+                )
             )
         self._check_lines()
         return self
@@ -188,68 +202,137 @@ class Multisine(Ranged):
         whole = max(1, round(exact))
         if self.period_samples is None and abs(exact - whole) > _WHOLE * whole:
             raise UnusableInputError(
-                f"a period of {self.period_s:g} s is {exact:.6g} samples at {self.sample_rate:g} Hz, which is no whole "
-                f"number: take {whole / self.sample_rate:.9g} s"
+                Message(
+                    "multisine.period_fraction",
+                    "a period of {period_s:g} s is {exact:.6g} samples at {sample_rate:g} Hz, which is no "
+                    "whole number: take {whole:.9g} s",
+                    period_s=self.period_s,
+                    exact=exact,
+                    sample_rate=self.sample_rate,
+                    whole=whole / self.sample_rate,
+                )
             )
         if self.period_samples is not None and "period_s" in self.model_fields_set and whole != self.period_samples:
             raise UnusableInputError(
-                f"a period of {self.period_s:g} s has {exact:.6g} samples, not {self.period_samples}: "
-                "give one of the two"
+                Message(
+                    "multisine.period_twice",
+                    "a period of {period_s:g} s has {exact:.6g} samples, not {period_samples}: give one of the two",
+                    period_s=self.period_s,
+                    exact=exact,
+                    period_samples=self.period_samples,
+                )
             )
         if not 8 <= self.period <= _LARGEST_PERIOD:
-            raise UnusableInputError(f"a period must have 8 to {_LARGEST_PERIOD} samples, not {self.period}")
+            raise UnusableInputError(
+                Message(
+                    "multisine.period",
+                    "a period must have 8 to {limit} samples, not {period}",
+                    limit=_LARGEST_PERIOD,
+                    period=self.period,
+                )
+            )
         seconds = self.settling_s + self.periods * self.period / self.sample_rate
         if seconds > _LONGEST_S:
             raise UnusableInputError(
-                f"{self.periods} periods and their run-in last {seconds:g} s: a stimulus may last {_LONGEST_S:g} s"
+                Message(
+                    "multisine.length",
+                    "{periods} periods and their run-in last {seconds:g} s: a stimulus may last {limit:g} s",
+                    periods=self.periods,
+                    seconds=seconds,
+                    limit=_LONGEST_S,
+                )
             )
 
     def _check_band(self) -> None:
         if self.highest_hz >= 0.5 * self.sample_rate:
             raise UnusableInputError(
-                f"a highest frequency of {self.highest_hz:g} Hz needs more than {2 * self.highest_hz:g} samples a "
-                f"second, not {self.sample_rate:g}"
+                Message(
+                    "multisine.nyquist",
+                    "a highest frequency of {highest_hz:g} Hz needs more than {needed:g} samples a "
+                    "second, not {sample_rate:g}",
+                    highest_hz=self.highest_hz,
+                    needed=2 * self.highest_hz,
+                    sample_rate=self.sample_rate,
+                )
             )
-        bands = [("the band", self.lowest_hz, self.highest_hz), *(("a notch", *notch) for notch in self.notches)]
+        notch_name = marked("a notch")
+        bands = [
+            (marked("the band"), self.lowest_hz, self.highest_hz),
+            *((notch_name, *notch) for notch in self.notches),
+        ]
         for what, low, high in bands:
             if not 0.0 <= low < high:
                 raise UnusableInputError(
-                    f"{what} must go from a lower to a higher frequency, not from {low:g} to {high:g} Hz"
+                    Message(
+                        "multisine.band",
+                        "{what} must go from a lower to a higher frequency, not from {low:g} to {high:g} Hz",
+                        what=what,
+                        low=low,
+                        high=high,
+                    )
                 )
 
     def _check_spectrum(self) -> None:
         if (self.spectrum == "table") != bool(self.table):
-            raise UnusableInputError("a table of amplitudes and the spectrum 'table' belong together")
+            raise UnusableInputError(
+                Message("multisine.table_spectrum", "a table of amplitudes and the spectrum 'table' belong together")
+            )
         if not self.table:
             return
         hz, size = np.array(self.table).T
         if np.any(np.diff(hz) <= 0.0) or np.any(hz < 0.0) or np.any(size < 0.0) or not np.any(size > 0.0):
             raise UnusableInputError(
-                "a table of amplitudes takes rising frequencies and amplitudes that are not negative, not all zero"
+                Message(
+                    "multisine.table",
+                    "a table of amplitudes takes rising frequencies and amplitudes that are not negative, not all zero",
+                )
             )
 
     def _check_lines(self) -> None:
         candidates = self._candidates()
-        which = "line" if self.lines == "full" else "odd line"
-        band = f"{self.lowest_hz:g} to {self.highest_hz:g} Hz at a resolution of {self.resolution_hz:g} Hz"
+        which = marked("line") if self.lines == "full" else marked("odd line")
+        band = Message(
+            "multisine.band_words",
+            "{low:g} to {high:g} Hz at a resolution of {resolution:g} Hz",
+            low=self.lowest_hz,
+            high=self.highest_hz,
+            resolution=self.resolution_hz,
+        )
         if candidates.size < 2:
-            left = " after the notches" if self.notches else ""
+            left = marked(" after the notches") if self.notches else ""
             raise UnusableInputError(
-                f"a multisine needs two lines or more, and {band} leaves {candidates.size or 'no'} {which}{left}: "
-                "widen the band, or take a longer period"
+                Message(
+                    "multisine.lines",
+                    "a multisine needs two lines or more, and {band} leaves {count} {which}{left}: widen the "
+                    "band, or take a longer period",
+                    band=band,
+                    count=candidates.size or marked("no"),
+                    which=which,
+                    left=left,
+                )
             )
         with np.errstate(over="ignore", under="ignore"):
             power = float(np.sum(self._relative(self._frequency(candidates)) ** 2))
         if not np.finfo(np.float64).tiny <= power < np.inf:
             raise UnusableInputError(
-                f"the power of the lines adds up to {power:g}, which is no amount to scale: "
-                "give amplitudes nearer 1, or a higher cut-off"
+                Message(
+                    "multisine.power",
+                    "the power of the lines adds up to {power:g}, which is no amount to scale: give "
+                    "amplitudes nearer 1, or a higher cut-off",
+                    power=power,
+                )
             )
         group = self.group or _USUAL_GROUP
         if self.lines == "odd_random" and candidates.size < max(group, 3):
             raise UnusableInputError(
-                f"{band} leaves {candidates.size} odd lines, too few for a detection line in each group of {group}: "
-                "widen the band, take a longer period, or a smaller group"
+                Message(
+                    "multisine.detection",
+                    "{band} leaves {size} odd lines, too few for a detection line in each group of {group}: "
+                    "widen the band, take a longer period, or a smaller group",
+                    band=band,
+                    size=candidates.size,
+                    group=group,
+                )
             )
 
 

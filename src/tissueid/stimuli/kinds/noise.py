@@ -8,8 +8,9 @@ import numpy as np
 import scipy
 from pydantic import Field
 
+from tissueid.language import marked
 from tissueid.stimuli.base import Array, Stimulus, stimulus
-from tissueid.stimuli.shaped import Shaped
+from tissueid.stimuli.shape_options import Shaped
 from tissueid.stimuli.spectra import settling
 from tissueid.stimuli.surrogate import mean_crossing, spectral_surrogate
 
@@ -33,8 +34,11 @@ class Noise(Shaped):
     """
 
     name: ClassVar[str] = "noise"
+    title: ClassVar[str] = marked("Noise")
 
-    clipped: float = Field(0.0027, ge=0.0, le=0.1, description="Gaussian: share of samples held at the range's ends")
+    clipped: float = Field(
+        0.0027, ge=0.0, le=0.1, description=marked("Gaussian: share of samples held at the range's ends")
+    )
 
     def build(self) -> Stimulus:
         """Build the history, shape (seconds * sample_rate,), N or V."""

@@ -1,4 +1,4 @@
-"""Nothing at all: what moves the probe while nobody asks it to."""
+"""No force: a record of disturbances and sensor noise."""
 
 from __future__ import annotations
 
@@ -7,22 +7,24 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from tissueid.language import marked
 from tissueid.stimuli.base import OpenLoopKind, Stimulus, stimulus
 
 
 @stimulus
 class Quiet(OpenLoopKind):
-    """No force at all: a record of what the surroundings and the sensors do by themselves.
+    """No force: a record of disturbances and sensor noise.
 
     The probe leans on the tissue with its own weight, or lies free where the device does not point down. Pulse, breath,
     a shaking hand, hum and the sensors' noise are left.
     """
 
     name: ClassVar[str] = "quiet"
+    title: ClassVar[str] = marked("Quiet: no force")
     test_kind: ClassVar[str] = "quiet"
 
-    seconds: float = Field(1.5, gt=0.0, le=600.0, description="Length, s")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    seconds: float = Field(1.5, gt=0.0, le=600.0, description=marked("Length, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
 
     def build(self) -> Stimulus:
         """Build the history, shape (seconds * sample_rate,), N: zeros. It has no crest factor: that is NaN."""

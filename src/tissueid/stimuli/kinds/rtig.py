@@ -9,17 +9,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli.base import MOST_SAMPLES, Array, stimulus
 from tissueid.stimuli.feedback import BLOCK, FeedbackKind
+from tissueid.stimuli.rtig.averages import Averages
 from tissueid.stimuli.rtig.histogram import DepthHistogram
 from tissueid.stimuli.rtig.identified import Identified
-from tissueid.stimuli.rtig.local import LocalIdentification
-from tissueid.stimuli.rtig.measured import Averages
-from tissueid.stimuli.rtig.scheduled import Scheduled
+from tissueid.stimuli.rtig.identified_control import Scheduled
+from tissueid.stimuli.rtig.local_identification import LocalIdentification
 from tissueid.stimuli.rtig.source import RtigSource, Setup
 from tissueid.stimuli.rtig.static_map import StaticMap
 from tissueid.stimuli.rtig.stochastic import StochasticStream
-from tissueid.stimuli.rtig.sweep import Sweep
+from tissueid.stimuli.rtig.target_sweep import TargetSweep
 from tissueid.stimuli.spectra import check_settling
 
 _PRELOAD = 0.1
@@ -46,67 +48,112 @@ class Rtig(FeedbackKind):
     """
 
     name: ClassVar[str] = "rtig"
+    title: ClassVar[str] = marked("Equal depths, by feedback")
 
     force_min_n: float = Field(
-        -0.6, ge=-100.0, le=100.0, description="Least force, N; below zero the coil carries its own weight"
+        -0.6, ge=-100.0, le=100.0, description=marked("Least force, N; below zero the coil carries its own weight")
     )
-    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description="Least depth wanted, from the surface, m")
-    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description="Greatest depth wanted, m")
+    depth_min_m: float = Field(0.001, ge=-0.05, le=0.05, description=marked("Least depth wanted, from the surface, m"))
+    depth_max_m: float = Field(0.004, ge=-0.05, le=0.05, description=marked("Greatest depth wanted, m"))
     distribution: Literal["uniform", "triangular", "table"] = Field(
-        "uniform", description="Desired distribution of the depth over its range"
+        "uniform", description=marked("Desired distribution of the depth over its range")
     )
     table: tuple[float, ...] = Field(
-        (), max_length=200, description="For 'table': time wanted in each of evenly wide parts of the range, any unit"
+        (),
+        max_length=200,
+        description=marked("For 'table': time wanted in each of evenly wide parts of the range, any unit"),
     )
-    bins: int = Field(30, ge=4, le=200, description="Bins of the histogram over the range of depth")
+    bins: int = Field(30, ge=4, le=200, description=marked("Bins of the histogram over the range of depth"))
     gain_n_per_m: float = Field(
         1000.0,
         gt=0.0,
         le=1e6,
-        description="Change of force for a change of depth: the stiffness that is assumed, N/m",
+        description=marked("Change of force for a change of depth: the stiffness that is assumed, N/m"),
     )
     edge_modulation: float = Field(
-        0.3, ge=0.0, le=1.0, description="Without identification: part of the gain that is left at the range's edges"
+        0.3,
+        ge=0.0,
+        le=1.0,
+        description=marked("Without identification: part of the gain that is left at the range's edges"),
     )
-    stochastic: Literal["uniform", "gaussian"] = Field("uniform", description="Distribution of the stochastic part")
+    stochastic: Literal["uniform", "gaussian"] = Field(
+        "uniform", description=marked("Distribution of the stochastic part")
+    )
     stochastic_share: float = Field(
-        0.13, ge=0.0, le=0.3, description="Width of the stochastic part in that of the force range"
+        0.13, ge=0.0, le=0.3, description=marked("Width of the stochastic part in that of the force range")
     )
-    cutoff_hz: float = Field(200.0, ge=1.0, description="Cut-off frequency of the stochastic part, Hz")
-    order: int = Field(8, ge=1, le=12, description="Order of its low-pass")
-    identify: bool = Field(True, description="Identify the tissue on the way, and steer by it")
-    memory: float = Field(0.0625, gt=0.0, le=1.0, description="With identification: length of the local responses, s")
+    cutoff_hz: float = Field(200.0, ge=1.0, description=marked("Cut-off frequency of the stochastic part, Hz"))
+    order: int = Field(8, ge=1, le=12, description=marked("Order of its low-pass"))
+    identify: bool = Field(True, description=marked("Identify the tissue on the way, and steer by it"))
+    memory: float = Field(
+        0.0625, gt=0.0, le=1.0, description=marked("With identification: length of the local responses, s")
+    )
     forgetting: float = Field(
-        2.0, ge=0.1, le=1000.0, description="With identification: time after which the static force is forgotten, s"
+        2.0,
+        ge=0.1,
+        le=1000.0,
+        description=marked("With identification: time after which the static force is forgotten, s"),
     )
-    cycle: float = Field(0.5, ge=0.1, le=60.0, description="With identification: length of a sweep in and out, s")
+    cycle: float = Field(
+        0.5, ge=0.1, le=60.0, description=marked("With identification: length of a sweep in and out, s")
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.depth_max_m - self.depth_min_m < _LEAST_RANGE_M:
             raise UnusableInputError(
-                f"the greatest depth ({1e3 * self.depth_max_m:g} mm) must be {1e3 * _LEAST_RANGE_M:g} mm or more "
-                f"beyond the least ({1e3 * self.depth_min_m:g} mm)"
+                Message(
+                    "rtig.range",
+                    "the greatest depth ({depth_max_m:g} mm) must be {least:g} mm or more beyond the "
+                    "least ({depth_min_m:g} mm)",
+                    depth_max_m=1000.0 * self.depth_max_m,
+                    least=1000.0 * _LEAST_RANGE_M,
+                    depth_min_m=1000.0 * self.depth_min_m,
+                )
             )
         if self.cutoff_hz >= 0.5 * self.sample_rate:
             raise UnusableInputError(
-                f"a cut-off of {self.cutoff_hz:g} Hz needs more than {2 * self.cutoff_hz:g} samples a second, "
-                f"not {self.sample_rate:g}"
+                Message(
+                    "rtig.nyquist",
+                    "a cut-off of {cutoff_hz:g} Hz needs more than {needed:g} samples a second, not {sample_rate:g}",
+                    cutoff_hz=self.cutoff_hz,
+                    needed=2 * self.cutoff_hz,
+                    sample_rate=self.sample_rate,
+                )
             )
         check_settling(self.cutoff_hz, self.sample_rate)
         samples = round(self.seconds * self.sample_rate)
         if samples > MOST_SAMPLES:
             raise UnusableInputError(
-                f"the test would have {samples:.3g} samples, and {MOST_SAMPLES:.3g} is the most: lower its length"
+                Message(
+                    "rtig.samples",
+                    "the test would have {samples:.3g} samples, and {limit:.3g} is the most: lower its length",
+                    samples=samples,
+                    limit=MOST_SAMPLES,
+                )
             )
         if samples < BLOCK:
-            raise UnusableInputError(f"{self.seconds:g} s at {self.sample_rate:g} Hz is less than one block of {BLOCK}")
+            raise UnusableInputError(
+                Message(
+                    "rtig.short",
+                    "{seconds:g} s at {sample_rate:g} Hz is less than one block of {block}",
+                    seconds=self.seconds,
+                    sample_rate=self.sample_rate,
+                    block=BLOCK,
+                )
+            )
         if self.distribution == "table" and not (len(self.table) > 1 and min(self.table) >= 0.0 < max(self.table)):
-            raise UnusableInputError("a table of the desired distribution needs two entries or more, none negative")
+            raise UnusableInputError(
+                Message("rtig.table", "a table of the desired distribution needs two entries or more, none negative")
+            )
         if self.table and not math.isfinite(sum(self.table)):
-            raise UnusableInputError("the table of the desired distribution has no sum: give smaller numbers")
+            raise UnusableInputError(
+                Message("rtig.table_sum", "the table of the desired distribution has no sum: give smaller numbers")
+            )
         if self.table and self.distribution != "table":
-            raise UnusableInputError("a table of the desired distribution goes with distribution 'table'")
+            raise UnusableInputError(
+                Message("rtig.table_distribution", "a table of the desired distribution goes with distribution 'table'")
+            )
         return self
 
     @property
@@ -154,7 +201,7 @@ class Rtig(FeedbackKind):
         rate = self.sample_rate / every
         static = StaticMap(depth, force, self.gain_n_per_m, 1.0 / (self.forgetting * rate))
         local = LocalIdentification(depth, rate, self.memory, amplitude)
-        sweep = Sweep(histogram.edges, histogram.shares, 0.5 * self.cycle * self.sample_rate)
+        sweep = TargetSweep(histogram.edges, histogram.shares, 0.5 * self.cycle * self.sample_rate)
         density = amplitude**2 * StochasticStream.variance(self.stochastic) / (2.0 * self.cutoff_hz)
         controller = Scheduled(histogram, static, local, sweep, force, self.sample_rate, density)
         return Identified(Averages(every, self.sample_rate), static, local, controller, force[1] - force[0], rate)

@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 SECONDS = 4.5
@@ -23,15 +25,22 @@ class SlowRamp(Ranged):
     """
 
     name: ClassVar[str] = "slow_ramp"
+    title: ClassVar[str] = marked("Slow ramp")
     test_kind: ClassVar[str] = "slow_ramp"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description="Length of rise and fall together, s")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Length of rise and fall together, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
 
     @model_validator(mode="after")
     def _long_enough(self) -> SlowRamp:
         if round(self.seconds * self.sample_rate) < _LEAST_SAMPLES:
-            raise UnusableInputError(f"a ramp needs {_LEAST_SAMPLES} samples or more: give it more seconds")
+            raise UnusableInputError(
+                Message(
+                    "slow_ramp.short",
+                    "a ramp needs {least} samples or more: give it more seconds",
+                    least=_LEAST_SAMPLES,
+                )
+            )
         return self
 
     def build(self) -> Stimulus:

@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
 from tissueid.stimuli.base import Array, Ranged, Stimulus, crest_factor, stimulus
 
 SECONDS, RISE_S = 4.0, 0.01
@@ -24,22 +26,28 @@ class StepHold(Ranged):
     """
 
     name: ClassVar[str] = "step_hold"
+    title: ClassVar[str] = marked("Steps that are held")
     test_kind: ClassVar[str] = "step_hold"
 
-    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description="Length of the four holds together, s")
-    rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description="Time that each step takes, s")
-    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description="Samples a second")
+    seconds: float = Field(SECONDS, gt=0.0, le=600.0, description=marked("Length of the four holds together, s"))
+    rise_s: float = Field(RISE_S, ge=0.002, le=10.0, description=marked("Time that each step takes, s"))
+    sample_rate: float = Field(2000.0, gt=0.0, le=1e6, description=marked("Samples a second"))
 
     @model_validator(mode="after")
     def _steps_have_room(self) -> StepHold:
         hold_s = self.seconds / len(LEVELS)
         if self.rise_s > hold_s:
             raise UnusableInputError(
-                f"steps of {self.rise_s:g} s do not fit into holds of {hold_s:g} s: give more seconds or a shorter "
-                "rise_s"
+                Message(
+                    "step_hold.rise",
+                    "steps of {rise_s:g} s do not fit into holds of {hold_s:g} s: give more seconds or a "
+                    "shorter rise_s",
+                    rise_s=self.rise_s,
+                    hold_s=hold_s,
+                )
             )
         if hold_s * self.sample_rate < 1.0:
-            raise UnusableInputError("each hold needs a sample or more: give more seconds")
+            raise UnusableInputError(Message("step_hold.short", "each hold needs a sample or more: give more seconds"))
         return self
 
     def planned_samples(self) -> int:

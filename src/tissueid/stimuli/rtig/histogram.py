@@ -12,7 +12,7 @@ _BACK, _LEAST_BACK = 0.5, 0.1
 
 
 class DepthHistogram:
-    """Depths sorted into evenly spaced bins, beside the shares that are desired of them.
+    """Depths sorted into evenly spaced bins, and the desired share of each bin.
 
     ``edges`` (bins + 1,) are depths, m; ``shares`` (bins,) sum to one. ``counts`` (bins,) are the samples so far,
     ``below`` and ``above`` those outside the range, ``lost`` those that were not received. All depths of the test, at

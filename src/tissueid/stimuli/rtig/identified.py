@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from tissueid.language import marked
 from tissueid.stimuli.base import Array
-from tissueid.stimuli.rtig.local import LocalIdentification
-from tissueid.stimuli.rtig.measured import Averages
-from tissueid.stimuli.rtig.scheduled import Scheduled
+from tissueid.stimuli.rtig.averages import Averages
+from tissueid.stimuli.rtig.identified_control import Scheduled
+from tissueid.stimuli.rtig.local_identification import LocalIdentification
 from tissueid.stimuli.rtig.static_map import StaticMap
 
 _TRUST_S = 0.5
@@ -82,10 +83,10 @@ class Identified:
     def verdict(self) -> str:
         """One line: whether the input went by what was identified."""
         if not self.good:
-            return "the force was not predicted: made without identification"
+            return marked("the force was not predicted: made without identification")
         if self.local.diverged:
-            return "good, but the local responses ran away: no parameters by depth"
-        return "good, after a time without" if self.times_left else "good"
+            return marked("good, but the local responses ran away: no parameters by depth")
+        return marked("good, after a time without") if self.times_left else marked("good")
 
     def report(self) -> dict[str, Any]:
         """Parameters by depth (Fig. 6.12) and the static force, plain values."""

@@ -57,7 +57,7 @@ class StaticMap:
         self._solve()
 
     def forget(self, haste: float) -> None:
-        """Forget so many times as fast from now on."""
+        """Multiply the rate of forgetting by ``haste``, relative to the usual rate."""
         self._keep = self._usual_keep**haste
 
     def _rows(self, depth: Array, speed: Array, acceleration: Array) -> Array:

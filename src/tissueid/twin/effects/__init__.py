@@ -1,1 +1,1 @@
-"""Effects that a recording may contain and the baseline twin does not model: one file each."""
+"""Effects that a recording can contain and the baseline twin does not model: one file each."""

@@ -9,7 +9,7 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Mass that saturates with depth, with the force that a mass which changes with position exerts."""
+    """Add a mass that saturates with depth, with the force of a position-dependent mass."""
     depth = b[bus.DEPTH]
     if depth <= 0.0:
         return
@@ -26,12 +26,12 @@ EFFECT = Effect(
     stage="tissue",
     title="Mass recruited with depth",
     equation="m = M (1 - exp(-(d / D)^p)), force m a + m'(d) v^2 / 2; vanishes with M = 0",
-    signature="resonance lower the deeper the probe, at equal stiffness in the slow ramp; error at high frequency, "
-    "even distortion; nothing on the spring",
+    signature="resonance frequency falls with depth at equal stiffness in the slow ramp; error at high frequency, even "
+    "distortion; nothing on the spring",
     source="thesis 5.3.2 (mass by depth); Goldstein, Classical Mechanics (2002), ch. 1 (Lagrange)",
     parameters=(
-        Parameter("mass_kg", "kg", 0.0, 1e-4, 0.5, True, meaning="recruited in the end"),
-        Parameter("reach_m", "m", None, 5e-4, 0.02, True, prior=4e-3, prior_std=0.7, meaning="depth of two thirds"),
+        Parameter("mass_kg", "kg", 0.0, 1e-4, 0.5, True, meaning="mass recruited at large depth"),
+        Parameter("reach_m", "m", None, 5e-4, 0.02, True, prior=4e-3, prior_std=0.7, meaning="depth of 63 %"),
         Parameter("exponent", "1", None, 0.3, 8.0, True, prior=1.5, prior_std=0.7, meaning="power of depth at first"),
     ),
     starts=((0.01, 6e-3, 1.0), (0.05, 6e-3, 2.0), (0.05, 2e-3, 3.0)),

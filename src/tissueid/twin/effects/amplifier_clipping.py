@@ -9,13 +9,13 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A limiter with a slope left beyond the limit; the state holds what it was last asked and what it gave."""
+    """Limit the voltage, with a remaining slope beyond the limit; the state holds the last input and output."""
     limit, knee, beyond, ratio = p[0], p[1], p[2], p[3]
     mean = b[bus.VOLTAGE]
     end = mean + b[bus.VOLTAGE_RISE]
     for k in range(2):
         asked = mean if k == 0 else end
-        # A held command asks the same at every step of a sample, and at the end of a step as in its mean.
+        # A held command is the same at every step of a sample, and at the end of a step as in its mean.
         if k == 1 and asked == s[0]:
             s[1] = s[0]
             s[3] = s[2]
@@ -46,9 +46,11 @@ EFFECT = Effect(
     source="Pintelon and Schoukens, System Identification, 2nd ed. (2012) ch. 3; Rapp, 2nd European Conf. on Satellite "
     "Communications (1991) 179-184, whose limiter it follows within 0.1 % of what is clipped",
     parameters=(
-        Parameter("limit_v", "V", math.inf, 1.0, 1000.0, True, meaning="where the output is limited to"),
-        Parameter("knee", "1", None, 0.8, 80.0, True, prior=1.5, prior_std=2.0, meaning="1: a tanh, 50: a hard limit"),
-        Parameter("slope_beyond", "1", 1.0, 0.0, 1.0, prior=0.0, prior_std=0.3, meaning="gain left beyond the limit"),
+        Parameter("limit_v", "V", math.inf, 1.0, 1000.0, True, meaning="output limit"),
+        Parameter("knee", "1", None, 0.8, 80.0, True, prior=1.5, prior_std=2.0, meaning="sharpness: 1 tanh, 50 hard"),
+        Parameter(
+            "slope_beyond", "1", 1.0, 0.0, 1.0, prior=0.0, prior_std=0.3, meaning="remaining gain beyond the limit"
+        ),
         Parameter(
             "ratio_below",
             "1",
@@ -58,7 +60,7 @@ EFFECT = Effect(
             True,
             prior=1.0,
             prior_std=0.4,
-            meaning="the limit of negative voltages to it",
+            meaning="negative limit relative to it",
         ),
     ),
     starts=((30.0, 1.5, 0.02, 1.0), (20.0, 8.0, 0.02, 1.0)),
@@ -66,5 +68,6 @@ EFFECT = Effect(
     places=(bus.AMPLIFIER,),
     hook=hook,
     needs=frozenset({"command"}),
-    remedy="Check the supply under load and the amplifier's current limit; lower the amplitude until it is gone.",
+    remedy="Check the supply under load and the amplifier's current limit; lower the amplitude until the clipping "
+    "ends.",
 )

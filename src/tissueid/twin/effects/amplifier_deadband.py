@@ -1,4 +1,4 @@
-"""Crossover dead zone of the amplifier round zero."""
+"""Crossover dead zone of the amplifier around zero."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """What is lost round zero, and the part of it that stays lost; the state holds the last command and its answer."""
+    """Subtract the loss around zero and its remaining part; the state holds the last input and output."""
     width, kept, corner, missing = p[0], p[1], p[2], 1.0 - p[3]
     mean = b[bus.VOLTAGE]
     end = mean + b[bus.VOLTAGE_RISE]
@@ -39,18 +39,20 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="amplifier_deadband",
     stage="drive",
-    title="Dead zone of the amplifier round zero",
+    title="Amplifier dead zone around zero",
     equation="v = u (1 - (1 - g) (k (tanh(x^p) / x^p)^(1/p) + (1 - k) e^(-x^p))), x = |u|/w; vanishes with w = 0",
-    signature="voltage missing where the command is small, by up to the width; with k = 1 it stays behind by the width "
-    "at every command, towards zero; strongest in the spring test, whose command has no mean",
+    signature="voltage missing where the command is small, by up to the width; with k = 1 the voltage is closer to zero"
+    " by the width at every command; strongest in the spring test, whose command has no mean",
     source="Tao and Kokotovic, Adaptive Control of Systems with Actuator and Sensor Nonlinearities (1996) ch. 2",
     parameters=(
-        Parameter("width_v", "V", 0.0, 1e-3, 15.0, True, meaning="command up to which little or nothing comes out"),
-        Parameter("kept_share", "1", None, 0.0, 1.0, meaning="share of the loss that stays at larger commands"),
+        Parameter("width_v", "V", 0.0, 1e-3, 15.0, True, meaning="width of the zone with little or no output"),
+        Parameter("kept_share", "1", None, 0.0, 1.0, meaning="share of the loss that remains at larger commands"),
         Parameter(
             "corner", "1", None, 0.7, 100.0, True, prior=4.0, prior_std=2.0, meaning="sharpness of the zone's edge"
         ),
-        Parameter("gain_left", "1", None, 0.0, 0.95, prior=0.1, prior_std=0.3, meaning="share of the gain inside"),
+        Parameter(
+            "gain_left", "1", None, 0.0, 0.95, prior=0.1, prior_std=0.3, meaning="share of the gain inside the zone"
+        ),
     ),
     starts=((0.4, 0.9, 4.0, 0.1), (2.0, 0.9, 4.0, 0.1), (2.0, 0.1, 2.5, 0.1)),
     mistaken_for=("amplifier_drift", "amplifier_clipping", "dry_friction"),

@@ -1,4 +1,4 @@
-"""Amplifier gain or offset that moves during a test."""
+"""Amplifier gain or offset that drifts during a test."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Gain and offset on their way to new values, and a gain that goes on moving."""
+    """Apply an exponential drift of gain and offset and a linear drift of gain."""
     settling, gain, rate, offset = p[0], p[1], p[2], p[3]
     time = b[bus.TIME] + 0.5 * dt
     gone = -math.expm1(-time / settling)
@@ -24,8 +24,8 @@ EFFECT = Effect(
     stage="drive",
     title="Amplifier drifts",
     equation="v = u (1 + a (1 - e^(-t/T)) + b t) + c (1 - e^(-t/T)); vanishes with a = b = c = 0",
-    signature="voltage in proportion to the command at any one time, by a factor or with an offset that moves over "
-    "seconds; the offset shows in quiet records; current against voltage unchanged",
+    signature="voltage proportional to the command at each instant, with a gain or an offset that changes over seconds;"
+    " the offset shows in quiet records; current against voltage unchanged",
     source="Horowitz and Hill, The Art of Electronics, 3rd ed. (2015) ch. 5 (drift of gain and offset)",
     parameters=(
         Parameter(
@@ -39,9 +39,9 @@ EFFECT = Effect(
             prior_std=1.5,
             meaning="time constant of the slow curve",
         ),
-        Parameter("gain_change", "1", 0.0, -0.6, 0.6, meaning="relative change of gain that the curve leads to"),
+        Parameter("gain_change", "1", 0.0, -0.6, 0.6, meaning="final relative change of gain"),
         Parameter("gain_rate_per_s", "1/s", 0.0, -0.2, 0.2, prior=0.0, prior_std=0.1, meaning="steady drift of gain"),
-        Parameter("offset_change_v", "V", 0.0, -10.0, 10.0, meaning="offset that the curve leads to"),
+        Parameter("offset_change_v", "V", 0.0, -10.0, 10.0, meaning="final change of offset"),
     ),
     starts=((2.0, 0.02, 0.0, 0.0), (2.0, 0.0, 0.0, 0.2), (0.3, 0.02, 0.0, 0.0)),
     mistaken_for=("coil_heating", "amplifier_deadband", "preconditioning"),
@@ -49,5 +49,5 @@ EFFECT = Effect(
     hook=hook,
     jointly=True,
     needs=frozenset({"command"}),
-    remedy="Let the amplifier warm up; calibrate voltage gain and offset again after a test as well as before it.",
+    remedy="Let the amplifier warm up; calibrate voltage gain and offset both before and after a test.",
 )

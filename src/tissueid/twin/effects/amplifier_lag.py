@@ -7,18 +7,18 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-# State: output, its rate, the output held over this sample, its number, and the figures of a step and of a sample.
+# State: output, its rate, the output held over this sample, its number, and the coefficients of a step and of a sample.
 OUTPUT, RATE, HELD, SAMPLE, STEP, WHOLE = 0, 1, 2, 3, 4, 8
 STAYS, CARRIES, FADES, RETURNS = range(4)
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A second-order low-pass, solved exactly for a voltage that is constant over the step."""
+    """Apply a second-order low-pass, exact for a voltage that is constant over the step."""
     lag, shape, held = p[0], p[1], p[2]
     target = b[bus.VOLTAGE]
     n = b[bus.SAMPLE]
     if n == 0.0:
-        # What came before the test was the command that it starts with.
+        # Before the test the command is taken to be its first value.
         s[OUTPUT] = target
         return
     if s[SAMPLE] == 0.0:
@@ -68,8 +68,10 @@ EFFECT = Effect(
     source="Franklin, Powell and Workman, Digital Control of Dynamic Systems, 3rd ed. (1998), ch. 4 (hold, actuator)",
     parameters=(
         Parameter("lag_s", "s", 0.0, 2e-6, 0.01, True, meaning="delay of slow signals; 1/(2 pi T) is the bandwidth"),
-        Parameter("shape", "1", None, 0.01, 1.0, True, meaning="0: one pole, 1/4: two equal ones, more: it overshoots"),
-        Parameter("held_share", "1", None, 0.0, 1.0, meaning="share that a filter before the hold has of it"),
+        Parameter(
+            "shape", "1", None, 0.01, 1.0, True, meaning="shape: 0 one pole, 1/4 two equal poles, above 1/4 overshoot"
+        ),
+        Parameter("held_share", "1", None, 0.0, 1.0, meaning="share of the delay that lies before the sample-and-hold"),
     ),
     starts=((6e-5, 0.05, 0.2), (2.5e-4, 0.15, 0.2), (1.2e-3, 0.25, 0.2)),
     mistaken_for=("latency", "eddy_currents", "sensor_lag"),

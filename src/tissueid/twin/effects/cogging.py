@@ -1,4 +1,4 @@
-"""A force that repeats along the stroke."""
+"""A force that is periodic along the stroke."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REFERENCE_M = 0.0135
-"""Where phase is told: amid the positions of a test, so that period and phase are fitted apart."""
+"""Reference of the phase, m: in the middle of the positions of a test, so that period and phase are uncorrelated."""
 _PERIODS_M = tuple(5e-4 * 1.12**k for k in range(22))
-"""From 0.5 to 5.4 mm: a wave that is off by a quarter at the far end of what was travelled leads nowhere."""
+"""Periods of the scan, 0.5 to 5.4 mm, m: fine enough that one is within a quarter period over the travel."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Adds the periodic force at the present position; what shape it has beside a sine goes with its size."""
+    """Add the periodic force at the present position; its harmonics are relative to its amplitude."""
     angle = 2.0 * math.pi * (b[bus.POSITION] - REFERENCE_M) / p[2]
     sine, cosine = math.sin(angle), math.cos(angle)
     size = math.sqrt(p[0] * p[0] + p[1] * p[1])
@@ -30,21 +30,39 @@ EFFECT = Effect(
     title="Periodic force along the stroke",
     equation="F = a sin(p) + b cos(p) + sqrt(a^2 + b^2) (c sin(2 p) + d cos(2 p) + e sin(3 p) + f cos(3 p)), "
     "p = 2 pi (x - 13.5 mm) / l; vanishes with a = b = 0",
-    signature="a static force that waves with position, the same in every test, tissue or spring; in the ramp position "
-    "goes in steps; its stiffness changes sign along the stroke",
+    signature="a static force that is periodic in position, the same in every test, on tissue or spring; position moves"
+    " in steps in the ramp; the stiffness of this force changes sign along the stroke",
     source="Gieras, Piech & Tomczuk, Linear Synchronous Motors (2012) (detent force)",
     parameters=(
-        Parameter("sine_n", "N", 0.0, -5.0, 5.0, meaning="in phase with the distance from 13.5 mm"),
-        Parameter("cosine_n", "N", 0.0, -5.0, 5.0, meaning="a quarter of a period ahead"),
-        Parameter("period_m", "m", None, 4e-4, 1.5e-2, True, meaning="from one wave to the next"),
+        Parameter("sine_n", "N", 0.0, -5.0, 5.0, meaning="sine amplitude, with its zero at 13.5 mm"),
+        Parameter("cosine_n", "N", 0.0, -5.0, 5.0, meaning="cosine amplitude"),
+        Parameter("period_m", "m", None, 4e-4, 1.5e-2, True, meaning="period along the stroke"),
         Parameter(
-            "second_sine", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.3, meaning="second harmonic, by the first"
+            "second_sine", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.3, meaning="second harmonic, sine, by the first"
         ),
-        Parameter("second_cosine", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.3, meaning="the same, a quarter ahead"),
         Parameter(
-            "third_sine", "1", None, -0.5, 0.5, prior=0.0, prior_std=0.15, meaning="third harmonic, by the first"
+            "second_cosine",
+            "1",
+            None,
+            -1.0,
+            1.0,
+            prior=0.0,
+            prior_std=0.3,
+            meaning="second harmonic, cosine, by the first",
         ),
-        Parameter("third_cosine", "1", None, -0.5, 0.5, prior=0.0, prior_std=0.15, meaning="the same, a quarter ahead"),
+        Parameter(
+            "third_sine", "1", None, -0.5, 0.5, prior=0.0, prior_std=0.15, meaning="third harmonic, sine, by the first"
+        ),
+        Parameter(
+            "third_cosine",
+            "1",
+            None,
+            -0.5,
+            0.5,
+            prior=0.0,
+            prior_std=0.15,
+            meaning="third harmonic, cosine, by the first",
+        ),
     ),
     starts=(
         (0.02, 0.02, 8e-3, 0.0, 0.0, 0.0, 0.0),
@@ -58,5 +76,5 @@ EFFECT = Effect(
     hook=hook,
     jointly=True,
     exact=True,
-    remedy="Look for iron or magnetic dirt in the gap; map the force along the stroke in free air.",
+    remedy="Check the air gap for iron or magnetic dirt; map the force along the stroke in free air.",
 )

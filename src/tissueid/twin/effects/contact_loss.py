@@ -1,4 +1,4 @@
-"""The probe lifts off: tissue pushes and, unless it sticks, does not pull."""
+"""Loss of contact: tissue pushes and pulls only within its adhesion."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from tissueid.twin._kernel import grown
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REACH_M = 3e-5
-"""Gap at which what sticks pulls half as much as at the surface."""
+"""Gap at which the adhesion is half as strong as at the surface, m."""
 LEAST_DAMPING = 1e-3
-"""N s/m; a surface without any, or mass, would be back at once."""
+"""Least damping of the free surface, N s/m: without damping and mass it would return at once."""
 
-# What is kept from step to step.
+# Places in the state.
 OFF, SURFACE, SURFACE_VELOCITY, TIME_OFF, GAP, PULLED = range(6)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def pull(one: float, other: float) -> float:
-    """Share of the adhesion that pulls on average while the gap goes from one width to the other, m.
+    """Return the mean share of the adhesion while the gap changes from one width to the other, m.
 
-    Within a step it may go through all of what sticks, and close: nothing is left of it then.
+    Within one step the gap can pass the range of the adhesion, or close, where none is left.
     """
     near, far = min(one, other), max(one, other)
     if far <= 0.0:
@@ -34,10 +34,10 @@ def pull(one: float, other: float) -> float:
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """``p`` holds the time in which the return slows and the adhesion; ``s`` is as numbered above."""
+    """Apply loss of contact; ``p`` holds the slowing time and the adhesion, ``s`` is as numbered above."""
     mass, taken = b[bus.MASS], b[bus.TISSUE_MASS]
     middle = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
-    # What probe and tissue press on each other with while they move together.
+    # Contact force while probe and tissue move together.
     resisting = b[bus.TISSUE_FORCE] + b[bus.TISSUE_DAMPING] * middle
     pushing = b[bus.FORCE] - b[bus.DAMPING] * middle
     pressing = resisting + taken * (pushing - resisting) / (mass + taken)
@@ -47,7 +47,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
         s[SURFACE] = b[bus.DEPTH]
         s[SURFACE_VELOCITY] = middle
     else:
-        # The surface by itself, its law taken in the middle of what it goes on by.
+        # The free surface, with its law at the midpoint.
         before = s[SURFACE_VELOCITY]
         surface = s[SURFACE] + 0.5 * dt * before
         stiffness = grown(b[bus.STIFFNESS], b[bus.STIFFNESS_GROWTH], surface)
@@ -68,8 +68,8 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             b[bus.TISSUE_DAMPING] = 0.0
             b[bus.TISSUE_MASS] = 0.0
             return
-        # Met again, inelastically, some share of a step before its middle: what came of it since is made up for, so
-        # that the motion does not depend on where in a step it was.
+        # Inelastic contact at a fraction of a step: the motion since then is corrected, so that the result does not
+        # depend on the position of the contact within a step.
         since = -gap / (s[GAP] - gap) if s[GAP] > 0.0 else 0.0
         late = (since - 0.5) * dt
         if late > 0.0:
@@ -105,19 +105,23 @@ EFFECT = Effect(
     equation="contact ends where the tissue would pull with more than the adhesion; the surface then comes back by its "
     "own mass, stiffness and damping, the latter growing as 1 + t / T, pulls by 1 / (1 + (gap / 30 um)^2) of the "
     "adhesion, and is met again inelastically; vanishes with adhesion = infinity",
-    signature="where the command is lowest or falls fastest the probe flies further out than tissue would let it, and "
-    "comes back late; without a command it drifts off if the device hangs; nothing at depth, nothing on the spring",
+    signature="where the command is lowest or falls fastest the probe moves further out than attached tissue allows, "
+    "and returns late; without a command it drifts off if the device hangs; nothing at depth, nothing on the "
+    "spring",
     source="Johnson, Contact Mechanics (1985), ch. 5 (adhesion) and 6 (viscoelastic contact); Brogliato, Nonsmooth "
     "Mechanics (2016)",
     parameters=(
-        Parameter("slowing_s", "s", None, 1e-3, 10.0, True, meaning="time in which the surface's return slows to half"),
-        Parameter("adhesion_n", "N", math.inf, 1e-3, 20.0, True, meaning="pull that the tissue follows"),
+        Parameter("slowing_s", "s", None, 1e-3, 10.0, True, meaning="time until the surface returns half as fast"),
+        Parameter(
+            "adhesion_n", "N", math.inf, 1e-3, 20.0, True, meaning="adhesion: largest pull that the tissue follows"
+        ),
     ),
     starts=((0.1, 0.01), (0.1, 0.1), (0.5, 0.2)),
     mistaken_for=("directional_damping", "tissue_hysteresis", "tissue_stiffening", "reflex"),
     places=(bus.TISSUE,),
     hook=hook,
     switches=True,
+    models_lift_off=True,
     on_spring=False,
     remedy="Raise the mean of the command or lower its amplitude so that the probe stays on the surface.",
 )

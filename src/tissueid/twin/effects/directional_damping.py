@@ -1,4 +1,4 @@
-"""Pushing is damped otherwise than pulling."""
+"""Damping of the tissue that differs between pushing and pulling."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """The tissue's damping, more one way and less the other."""
+    """Increase the tissue's damping in one direction and reduce it in the other."""
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     b[bus.TISSUE_DAMPING] *= 1.0 + p[0] * math.tanh(velocity / p[1])
 
@@ -17,19 +17,19 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="directional_damping",
     stage="tissue",
-    title="Pushing damped otherwise than pulling",
+    title="Damping differs between pushing and pulling",
     equation="B (1 + a tanh(v / v0)) in place of B; vanishes with a = 0",
-    signature="even distortion that grows with speed: mean depth falls with amplitude, position faster one way than "
-    "the other; none in the slow ramp, nothing on the spring",
+    signature="even distortion that grows with speed: mean depth falls with amplitude, position moves faster in one "
+    "direction; none in the slow ramp, nothing on the spring",
     source="Worden & Tomlinson, Nonlinearity in Structural Dynamics (2001); thesis 5.4 (in and out)",
     parameters=(
-        Parameter("difference", "1", 0.0, -0.98, 0.98, meaning="half of in less out, by their mean"),
-        Parameter("speed_m_s", "m/s", None, 1e-4, 0.1, True, meaning="speed over which it turns"),
+        Parameter("difference", "1", 0.0, -0.98, 0.98, meaning="(in − out) / (in + out)"),
+        Parameter("speed_m_s", "m/s", None, 1e-4, 0.1, True, meaning="speed over which the damping changes"),
     ),
     starts=((0.3, 0.01), (-0.3, 0.01)),
     mistaken_for=("directional_friction", "quadratic_drag", "added_mass", "reflex"),
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
-    remedy="Report damping in and out apart.",
+    remedy="Report damping in and out separately.",
 )

@@ -5,19 +5,19 @@ from __future__ import annotations
 import math
 
 from tissueid.twin import bus
-from tissueid.twin._slip import held
+from tissueid.twin._iwan_friction import friction_share
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 STRIBECK_SPEED_M_S = 0.008
-"""Speed where the extra hold at standstill is gone; of little weight where a test sweeps through standstill quickly."""
+"""Speed at which the additional friction at standstill has vanished, m/s; of little influence in fast tests."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """What is held, more of it near standstill."""
+    """Add the friction force, larger near standstill."""
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     ratio = velocity / STRIBECK_SPEED_M_S
     level = p[0] * (1.0 + p[2] * math.exp(-min(ratio * ratio, 50.0)))
-    b[bus.FORCE] -= level * held(s, velocity, p[1], p[3], dt)
+    b[bus.FORCE] -= level * friction_share(s, velocity, p[1], p[3], dt)
 
 
 EFFECT = Effect(
@@ -26,15 +26,15 @@ EFFECT = Effect(
     title="Dry friction in the bearing",
     equation="F = -Fc g(v) ((1 - h) mean of z_k + h w), dz_k/dt = v / y_k within |z_k| <= 1, y_k spread evenly from 0 "
     "to 2 y, dw/dt = (v - |v| w) / y, g = 1 + a exp(-(v / 8 mm/s)^2); vanishes with Fc = 0",
-    signature="position lags and flattens at reversals, the more the smaller the amplitude; loops in the slow ramp; "
-    "in the spring test as well as on tissue; current untouched but for back-EMF",
+    signature="position lags and flattens at reversals, more at smaller amplitude; loops in the slow ramp; in the "
+    "spring test as well as on tissue; current unchanged except for back-EMF",
     source="Iwan, J. Applied Mechanics 33 (1966) 893-900 (parallel slip); Canudas de Wit et al., IEEE "
     "Trans. Automatic Control 40 (1995) 419-425; Armstrong-Helouvry et al. 1994",
     parameters=(
         Parameter("coulomb_n", "N", 0.0, 1e-3, 5.0, True, meaning="friction force at speed"),
         Parameter("presliding_m", "m", None, 1e-6, 3e-4, True, meaning="displacement before it slides"),
-        Parameter("stribeck_ratio", "1", None, -0.5, 3.0, prior=0.2, prior_std=0.5, meaning="extra hold at standstill"),
-        Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share whose loops creep"),
+        Parameter("stribeck_ratio", "1", None, -0.5, 3.0, prior=0.2, prior_std=0.5, meaning="extra friction at rest"),
+        Parameter("bristle_share", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share of creeping loops"),
     ),
     starts=((0.1, 2e-5, 0.2, 0.5), (0.5, 5e-5, 0.2, 0.5)),
     mistaken_for=("directional_friction", "tissue_hysteresis", "sensor_backlash"),

@@ -7,17 +7,17 @@ import math
 from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-# State: what the coil's current should be by now and the currents through the branches' inductances; resistance and
-# inductance that the step's matrix was made for; the matrix, and two more to make it in.
+# State: predicted coil current and the currents of the branches' inductances; resistance and inductance of the step's
+# matrix; the matrix, and two work matrices.
 CURRENTS, MADE_FOR, MATRIX, POWER, PRODUCT = 0, 3, 5, 14, 23
 SLOWER = 8.0
-"""By so much the second branch is slower than the first."""
+"""Ratio of the time constants of the second and the first branch."""
 TERMS = 9
-"""Of the series for the exponential of a matrix that has been halved until it is small."""
+"""Terms of the series of the matrix exponential after scaling."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Inductances with a resistance across each, in series with the coil: all three currents exact over a step."""
+    """Apply lossy inductances in series with the coil: all three currents are exact over a step."""
     inductance, loss, taken, second = p[0], p[1], p[2], p[3]
     slower = SLOWER * inductance
     own = b[bus.INDUCTANCE] / (1.0 + taken * inductance / b[bus.INDUCTANCE])
@@ -61,7 +61,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
                 s[MATRIX + k] = s[PRODUCT + k]
     off = now - s[CURRENTS]
     if abs(off) > 1e-9:
-        # The coil's current was measured, or another effect had a part in it: the difference came on steadily.
+        # The coil's current was measured or changed by another effect: distribute the difference over the step.
         ratio = dt * loss / inductance
         s[CURRENTS + 1] += off * (1.0 + math.expm1(-ratio) / ratio)
         s[CURRENTS + 2] += off * (1.0 + SLOWER * math.expm1(-ratio / SLOWER) / ratio)
@@ -71,7 +71,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     for k in range(3):
         row = MATRIX + 3 * k
         s[CURRENTS + k] = settled + s[row] * coil + s[row + 1] * first + s[row + 2] * slow
-    # For the chain: the mean voltage across the branches, and a ramp that takes its coil to the same current.
+    # For the chain: the mean voltage across the branches, and a ramp that leads to the same current.
     rise = s[CURRENTS + 1] - settled - first
     slow_rise = s[CURRENTS + 2] - settled - slow
     opposing = inductance * (rise + SLOWER * second * slow_rise) / dt
@@ -87,18 +87,18 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 EFFECT = Effect(
     name="eddy_currents",
     stage="coil",
-    title="Eddy currents make the inductance lossy",
+    title="Eddy currents: lossy inductance",
     equation="v = R i + L/(1 + h Le/L) i' + Re (i - j) + kf x', Le j' = Re (i - j), and a branch of 8 s Le and s Re; "
     "vanishes with Le = 0",
     signature="current against voltage at high frequencies: resistance rises and inductance falls with frequency, the "
     "same at every depth and amplitude; nothing in slow or quiet records; seen with the coil held still",
     source="Vanderkooy, J. Audio Eng. Soc. 37 (1989) 119-128; Leach, J. Audio Eng. Soc. 50 (2002) 442-450",
     parameters=(
-        Parameter("branch_inductance_h", "H", 0.0, 1e-6, 0.05, True, meaning="inductance that eddy currents act on"),
+        Parameter("branch_inductance_h", "H", 0.0, 1e-6, 0.05, True, meaning="inductance of the eddy-current branch"),
         Parameter(
             "branch_resistance_ohm", "ohm", None, 0.05, 200.0, True, prior=4.0, prior_std=2.0, meaning="loss across it"
         ),
-        Parameter("taken_share", "1", None, 0.0, 3.0, prior=0.3, prior_std=0.7, meaning="of it, from the coil's own"),
+        Parameter("taken_share", "1", None, 0.0, 3.0, prior=0.3, prior_std=0.7, meaning="share from the coil's own"),
         Parameter("second_share", "1", None, 0.0, 2.0, prior=0.0, prior_std=0.5, meaning="loss of a slower branch"),
     ),
     starts=((5e-4, 4.0, 0.3, 0.05), (2e-3, 2.0, 0.3, 0.05), (5e-4, 20.0, 0.8, 0.05)),
@@ -106,5 +106,5 @@ EFFECT = Effect(
     places=(bus.COIL,),
     hook=hook,
     needs=frozenset({"current"}),
-    remedy="Measure the blocked coil's impedance against frequency; put the lossy inductance into the calibration.",
+    remedy="Measure the blocked coil's impedance against frequency; include the lossy inductance in the calibration.",
 )

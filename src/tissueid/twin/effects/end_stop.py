@@ -10,19 +10,19 @@ from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 CORNER_M = 1e-5
-"""Half the width over which contact sets in: what a rubber or a burr has, and what keeps the fit smooth."""
+"""Half the width of the onset of contact, m, as of rubber or a burr; it keeps the fit smooth."""
 REFERENCE_M = 1e-4
 INNER, OUTER = 1.0, -1.0
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A stop that pushes back and dissipates; it never holds on, and a test may begin pressed against it."""
+    """Add a stop that pushes back and dissipates, and never pulls."""
     stop, force, exponent, loss = p[0], p[1], p[2], p[3]
     side = 1.0 if p[4] > 0.0 else -1.0
     past = (b[bus.POSITION] - stop) * side
     if past <= -CORNER_M:
         return
-    # The corner is a parabola: nothing before it, nothing lost after it.
+    # The onset is a parabola.
     into = past if past > CORNER_M else (past + CORNER_M) ** 2 / (4.0 * CORNER_M)
     into = min(into / REFERENCE_M, 50.0)
     velocity = side * (b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION])
@@ -30,7 +30,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 
 
 def ends_met(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """Starts at the ends of what was travelled, each for a hard stop and for a soft one further in."""
+    """Return starting points at both ends of the travel, for a hard stop and for a soft one further in."""
     found: list[tuple[float, ...]] = []
     travelled = [test["position"][np.isfinite(test["position"])] for test in tests if "position" in test]
     travelled = [position for position in travelled if position.size]
@@ -59,11 +59,22 @@ EFFECT = Effect(
     "current shows the impacts by back-EMF",
     source="Hunt & Crossley, J. Applied Mechanics 42 (1975) 440-445",
     parameters=(
-        Parameter("stop_m", "m", None, -0.004, 0.034, meaning="where the stop is, on the scale of position"),
-        Parameter("force_n", "N", 0.0, 1e-4, 100.0, True, meaning="force 0.1 mm past the stop, slowly"),
-        Parameter("exponent", "1", None, 1.0, 2.0, prior=1.25, prior_std=0.25, meaning="1 spring, 1.5 rounded contact"),
-        Parameter("loss_s_per_m", "s/m", None, 0.1, 300.0, True, meaning="force more by speed of penetration"),
-        Parameter("side", "1", None, -2.0, 2.0, fixed=True, meaning="1: the inner end of the stroke; -1: the outer"),
+        Parameter("stop_m", "m", None, -0.004, 0.034, meaning="position of the stop"),
+        Parameter("force_n", "N", 0.0, 1e-4, 100.0, True, meaning="static force 0.1 mm past the stop"),
+        Parameter(
+            "exponent",
+            "1",
+            None,
+            1.0,
+            2.0,
+            prior=1.25,
+            prior_std=0.25,
+            meaning="exponent: 1 a spring, 1.5 a round contact",
+        ),
+        Parameter(
+            "loss_s_per_m", "s/m", None, 0.1, 300.0, True, meaning="relative increase of force with penetration speed"
+        ),
+        Parameter("side", "1", None, -2.0, 2.0, fixed=True, meaning="end of the stroke: 1 the inner, −1 the outer"),
     ),
     starts=(
         (0.0115, 2.0, 1.2, 5.0, INNER),
@@ -75,5 +86,6 @@ EFFECT = Effect(
     places=(bus.MECHANICS,),
     hook=hook,
     starts_from=ends_met,
-    remedy="Bring the device nearer to the surface, or press less deep, so that the stroke does not end in the test.",
+    remedy="Bring the device nearer to the surface, or press less deep, so that the probe does not reach the end of "
+    "the stroke.",
 )

@@ -1,28 +1,29 @@
-"""The coil's inductance depends on where it stands in the magnet."""
+"""Inductance of the coil that changes along the stroke."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from tissueid.messages import Message
 from tissueid.twin import bus
-from tissueid.twin._table import along, reached
+from tissueid.twin._stroke_curve import along, travelled_range
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 KNOTS = 5
 _FIRST = 3
-_APART = 0.01
+_DISTANCE = 0.01
 """Share of the range over which the slope of the curve is taken."""
 RISES = (-0.3, 0.3)
 FORCE_SHARES = (0.02, 0.9)
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Inductance along the stroke, with the voltage and the force of its change; ``s[0]`` is its slope, H/m."""
+    """Apply the inductance along the stroke with its voltage and force; ``s[0]`` is its slope, H/m."""
     if where == bus.COIL:
         span = p[1] - p[0]
         place = (b[bus.POSITION] - p[0]) / span
-        rise = along(p, _FIRST, KNOTS, place + _APART) - along(p, _FIRST, KNOTS, place - _APART)
-        s[0] = b[bus.INDUCTANCE] * rise / (2.0 * _APART * span)
+        rise = along(p, _FIRST, KNOTS, place + _DISTANCE) - along(p, _FIRST, KNOTS, place - _DISTANCE)
+        s[0] = b[bus.INDUCTANCE] * rise / (2.0 * _DISTANCE * span)
         b[bus.INDUCTANCE] *= along(p, _FIRST, KNOTS, place)
         b[bus.OPPOSING_VOLTAGE] += s[0] * b[bus.VELOCITY] * b[bus.CURRENT]
     else:
@@ -39,9 +40,13 @@ def _sloping(low_m: float, high_m: float) -> tuple[tuple[float, ...], ...]:
 
 
 def over_the_range(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """Starts whose knots lie where the probe went."""
-    ends = reached(tests)
+    """Return starting points with knots over the range of the probe."""
+    ends = travelled_range(tests)
     return () if ends is None else _sloping(*ends)
+
+
+def _share_at(k: int) -> Message:
+    return Message("effect.share_at", "share of nominal at {place} of the curve", place=f"{k}/{KNOTS - 1}")
 
 
 EFFECT = Effect(
@@ -50,16 +55,16 @@ EFFECT = Effect(
     title="Inductance changes along the stroke",
     equation="v = R i + L i' + L' x' i, F = s L' i^2/2, L = L0 c(x), c a smooth curve through five shares over the "
     "range that the probe reached; vanishes with all of them 1",
-    signature="current against voltage at high frequencies, more at one end of the stroke than at the other: the lag "
-    "of current follows position; resistance unchanged; a force with the square "
-    "of current that energy demands, unless iron elsewhere makes up for it",
+    signature="current against voltage at high frequencies, more at one end of the stroke than at the other: the lag of"
+    " current follows position; resistance unchanged; a force with the square of current that follows from "
+    "conservation of energy, unless iron elsewhere compensates it",
     source="Klippel, J. Audio Eng. Soc. 54 (2006) 907; Woodson and Melcher, Electromechanical Dynamics I (1968) ch. 3",
     parameters=(
-        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="where the curve begins"),
-        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="where it ends"),
-        Parameter("force_share", "1", None, 0.0, 1.0, meaning="of the force that the change of inductance makes"),
+        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="position where the curve begins"),
+        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="position where the curve ends"),
+        Parameter("force_share", "1", None, 0.0, 1.0, meaning="share of the reluctance force that acts"),
         *(
-            Parameter(f"share_{k}", "1", 1.0, 0.05, 6.0, prior=1.0, prior_std=0.5, meaning=f"of nominal at {k}/4 of it")
+            Parameter(f"share_{k}", "1", 1.0, 0.05, 6.0, prior=1.0, prior_std=0.5, meaning=_share_at(k))
             for k in range(KNOTS)
         ),
     ),

@@ -1,4 +1,4 @@
-"""Extra pure delay between the host's command and the coil."""
+"""Additional pure delay between the host's command and the coil."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 SEEN, PERIOD, RING = 0, 1, 2
 LENGTH = 256
 EDGE = 0.1
-"""Share of a sample that an edge of the delayed command takes, so that the delay is a smooth figure."""
+"""Duration of an edge of the delayed command in samples, which makes the delay differentiable."""
 LEAST_SAMPLES = 0.02
-"""Shorter delays are not told from none before a fit."""
+"""Shortest delay that is proposed as a starting point, samples."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """The held command, late: held anew after a delay between two samples, or with its edges between samples."""
+    """Delay the held command: held again after a delay between samples, or with its edges between samples."""
     delay, held = p[0], p[1]
     n = int(b[bus.SAMPLE])
     if s[SEEN] < n + 1:
         if n == 0:
-            # What came before the test was the command that it starts with.
+            # Before the test the command is taken to be its first value.
             for k in range(LENGTH):
                 s[RING + k] = b[bus.VOLTAGE]
         else:
@@ -38,7 +38,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
     whole = min(math.floor(samples), LENGTH - 2)
     part = samples - whole
     again = (1.0 - part) * s[RING + (n - whole) % LENGTH] + part * s[RING + (n - whole - 1) % LENGTH]
-    # The edges as a moving average, at the end of the step and, with the step's own width besides, over it.
+    # The edges as a moving average at the end of the step and, over the step's own width, in its mean.
     edge = min(EDGE, samples)
     now, step = b[bus.TIME] / s[PERIOD] - samples, dt / s[PERIOD]
     mean = 0.0
@@ -49,7 +49,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             middle = now + 0.5 * (step - edge)
             wide = 0.5 * math.sqrt(edge * edge + step * step)
             low, high = middle - wide, middle + wide
-        # An edge at the very end of an interval is none of its own.
+        # An edge at the very end of an interval belongs to the next.
         final = min(max(math.ceil(high - 1e-9) - 1, n + 1 - LENGTH), n)
         first = min(max(math.floor(low + 1e-9), n + 1 - LENGTH), final)
         total = 0.0
@@ -63,7 +63,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
             mean = total / (high - low)
     b[bus.VOLTAGE] = held * again + (1.0 - held) * mean
     b[bus.VOLTAGE_RISE] = (1.0 - held) * (end - mean)
-    # An edge within the step tilts it as a ramp with the same first moment does.
+    # An edge within the step acts as a ramp with the same first moment.
     new = math.ceil(now - 0.5 * edge)
     share = (new - now + 0.5 * edge) / step
     if share < 1.0 and n + 2 - LENGTH <= new <= n:
@@ -72,7 +72,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 
 
 def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """The delay at which the recorded voltage, or else the current, follows the command best."""
+    """Return the delay at which the voltage, or else the current, follows the command best."""
     longest = min(int(0.02 * sample_rate_hz), LENGTH - 2)
     costs, parts = np.zeros(longest), np.zeros(longest)
     for signals in tests:
@@ -105,13 +105,13 @@ EFFECT = Effect(
     name="latency",
     stage="drive",
     title="Extra delay in the drive",
-    equation="u(t) = v(t - d); between samples held anew (h = 1) or with its own edges (h = 0); vanishes with d = 0",
+    equation="u(t) = v(t - d); between samples held again (h = 1) or with its own edges (h = 0); vanishes with d = 0",
     signature="voltage, current and position all late by the same time against the command, phase growing in "
     "proportion to frequency, no change of amplitude; nothing at constant command; current against voltage unchanged",
     source="Astrom and Wittenmark, Computer-Controlled Systems, 3rd ed. (1997), ch. 2 (sampling with a time delay)",
     parameters=(
-        Parameter("delay_s", "s", 0.0, 2e-7, 0.02, True, meaning="time by which the command comes late"),
-        Parameter("held_share", "1", None, 0.0, 1.0, meaning="share that is held anew at the sample's own edges"),
+        Parameter("delay_s", "s", 0.0, 2e-7, 0.02, True, meaning="delay of the command"),
+        Parameter("held_share", "1", None, 0.0, 1.0, meaning="share held again at the sample edges"),
     ),
     starts=((2e-4, 0.5), (2.5e-4, 0.02), (1.2e-3, 0.5), (3.5e-3, 0.5)),
     mistaken_for=("amplifier_lag", "clock_skew", "dropped_samples"),
@@ -119,5 +119,5 @@ EFFECT = Effect(
     hook=hook,
     needs=frozenset({"command"}),
     starts_from=starts_from,
-    remedy="Look for buffering between host and amplifier; measure the delay with a step into a resistor.",
+    remedy="Check for buffering between host and amplifier; measure the delay with a step into a resistor.",
 )

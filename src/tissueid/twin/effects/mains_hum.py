@@ -1,4 +1,4 @@
-"""Mains on the channels: 50 or 60 Hz and harmonics, picked up on the way to the recorder."""
+"""Mains hum in the channels: 50 or 60 Hz and harmonics."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from dataclasses import replace
 import numpy as np
 from scipy import fft, optimize
 
+from tissueid.messages import Message
 from tissueid.twin import _estimates
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
 HARMONICS = (1, 2, 3, 5)
 CHANNELS = (("voltage", "V", 2e-3, 5.0), ("current", "A", 1e-3, 0.5), ("position", "m", 2e-6, 2e-3))
-"""Name, unit, noise (by which they are weighed against each other) and the most that is looked for."""
+"""Name, unit, noise (the weight of the channel) and largest amplitude."""
 BANDS_HZ = ((49.0, 51.0), (59.0, 61.0))
 PER_TEST = 1 + len(HARMONICS)
 PADDING = 8
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
-    """Two quadratures a channel and harmonic, counted from the phase that the test's mains had at its start."""
+    """Add two quadratures for each channel and harmonic, relative to the phase of the test."""
     frequency, phases, heights = values[0], values[1:PER_TEST], values[PER_TEST:].reshape(len(CHANNELS), -1)
     angle = 2.0 * np.pi * frequency * readings.time
     turned = [h * angle + phase for h, phase in zip(HARMONICS, phases, strict=True)]
@@ -33,10 +34,10 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
     )
 
 
-def from_test(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
-    """Frequency and phases of the lines in what is unexplained, all channels by their noise together.
+def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
+    """Return frequency and phases of the lines in the unexplained part of all channels, weighted by their noise.
 
-    The sum over channels has the same phase to each of them in every test, whichever of them hum.
+    The sum over channels has a constant phase to each channel, whichever channels hum.
     """
     left = [_estimates.unexplained(signals, name, sample_rate_hz) / noise for name, _, noise, _ in CHANNELS]
     size = left[0].size
@@ -67,6 +68,17 @@ def from_test(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mappi
     return start
 
 
+def _phase(harmonic: int) -> Message:
+    return Message("effect.hum_phase", "phase of harmonic {number} at the start of the test", number=harmonic)
+
+
+def _amplitude(part: str, harmonic: int, channel: str) -> Message:
+    values = {"number": harmonic, "channel": channel}
+    if part == "cosine":
+        return Message("effect.hum_cosine", "cosine amplitude of harmonic {number} in the {channel}", **values)
+    return Message("effect.hum_sine", "sine amplitude of harmonic {number} in the {channel}", **values)
+
+
 EFFECT = Effect(
     name="mains_hum",
     stage="environment",
@@ -78,15 +90,15 @@ EFFECT = Effect(
     source="Pintelon & Schoukens, System Identification: A Frequency Domain Approach (2012), ch. 2; Horowitz & Hill, "
     "The Art of Electronics (2015), ch. 8",
     parameters=(
-        Parameter("frequency_hz", "Hz", None, 48.5, 61.5, per_test=True, fixed=True, meaning="read off the record"),
+        Parameter(
+            "frequency_hz", "Hz", None, 48.5, 61.5, per_test=True, fixed=True, meaning="estimated from the record"
+        ),
         *(
-            Parameter(
-                f"phase_{h}_rad", "rad", None, -4.0, 4.0, per_test=True, fixed=True, meaning="at the test's start"
-            )
+            Parameter(f"phase_{h}_rad", "rad", None, -4.0, 4.0, per_test=True, fixed=True, meaning=_phase(h))
             for h in HARMONICS
         ),
         *(
-            Parameter(f"{name}_{part}_{h}", unit, 0.0, -most, most, meaning=f"of harmonic {h} on the {name}")
+            Parameter(f"{name}_{part}_{h}", unit, 0.0, -most, most, meaning=_amplitude(part, h, name))
             for name, unit, _, most in CHANNELS
             for h in HARMONICS
             for part in ("cosine", "sine")
@@ -96,7 +108,7 @@ EFFECT = Effect(
     mistaken_for=("physiological_motion", "mount_resonance"),
     recording=recording,
     needs=frozenset({"voltage", "current", "position"}),
-    from_test=from_test,
+    estimate_from_record=estimate_from_record,
     jointly=True,
-    remedy="Break ground loops, twist and screen the leads, keep them from transformers.",
+    remedy="Break ground loops, twist and screen the leads, keep them away from transformers.",
 )

@@ -1,4 +1,4 @@
-"""Stiffness of the tissue drifts as it is worked."""
+"""Drift of the tissue's stiffness with time and work."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 POWER_W = 0.1
-"""Power into tissue, in and out, at which work counts as much as time: what a stochastic test gives."""
+"""Power at which work counts as much as time, W, as in a stochastic test."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """``s[0]`` is how far the drift has come, from 0 to 1; it starts anew in every test."""
+    """Scale the force by the drift; ``s[0]`` is its progress from 0 to 1, from 0 in every test."""
     force = b[bus.TISSUE_FORCE]
     power = abs(force * b[bus.VELOCITY]) / POWER_W
     rate = ((1.0 - p[2]) + p[2] * power) / p[1]
@@ -25,18 +25,20 @@ EFFECT = Effect(
     stage="tissue",
     title="Stiffness drifts as the tissue is worked",
     equation="Fe (1 + a s), ds/dt = (1 - s) (1 - h + h |Fe v| / 0.1 W) / T, s = 0 at the start; vanishes with a = 0",
-    signature="mean depth and resonance drift over the test, fast at first; error grows or falls with time; "
-    "nothing on the spring; a repeat begins again",
+    signature="mean depth and resonance drift over the test, fast at first; error grows or falls with time; nothing on "
+    "the spring; the drift restarts in each repeat",
     source="Fung, Biomechanics (1993), ch. 7 (preconditioning); thesis 7.1.1 (acclimation before a test)",
     parameters=(
-        Parameter("change", "1", 0.0, -0.95, 3.0, meaning="share by which stiffness changes in the end"),
-        Parameter("time_s", "s", None, 0.03, 60.0, True, meaning="time constant"),
-        Parameter("by_work", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share that goes with work"),
+        Parameter("change", "1", 0.0, -0.95, 3.0, meaning="final relative change of stiffness"),
+        Parameter("time_s", "s", None, 0.03, 60.0, True, meaning="time constant of the drift"),
+        Parameter(
+            "by_work", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share that follows work, not time"
+        ),
     ),
     starts=((-0.1, 1.0, 0.5), (0.1, 1.0, 0.5), (-0.3, 10.0, 0.5), (-0.1, 0.15, 0.5)),
     mistaken_for=("viscoelasticity", "coil_heating", "amplifier_drift", "physiological_motion"),
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
-    remedy="Work the tissue for some seconds before the test, or let it rest as long before every test.",
+    remedy="Move the tissue for some seconds before the test, or let it rest equally long before every test.",
 )

@@ -1,4 +1,4 @@
-"""Resistance that grows faster than speed."""
+"""Drag that grows faster than speed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from tissueid.twin import bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REFERENCE_M_S = 0.05
-"""Speed at which the force is told; within what a stochastic test reaches."""
+"""Reference speed of the force, m/s, in the range of a stochastic test."""
 
 _STANDSTILL = 1e-3
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A viscous coefficient that grows with a power of speed."""
+    """Add a viscous coefficient that grows with a power of speed."""
     ratio = (b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]) / REFERENCE_M_S
     square = min(ratio * ratio + _STANDSTILL * _STANDSTILL, 1e4)
     b[bus.DAMPING] += p[0] / REFERENCE_M_S * square ** (0.5 * (p[1] - 1.0))
@@ -23,8 +23,8 @@ EFFECT = Effect(
     stage="mechanics",
     title="Drag that grows faster than speed",
     equation="F = -F0 |v / v0|^n sgn v with v0 = 50 mm/s, n = 2 for turbulent flow; vanishes with F0 = 0",
-    signature="odd distortion where speed is highest, at frequencies round the resonance; less at lower amplitude; "
-    "none in the slow ramp; in the spring test as well; position alone, current by back-EMF",
+    signature="odd distortion where speed is highest, at frequencies around the resonance; less at lower amplitude; "
+    "none in the slow ramp; in the spring test as well; in position, and in current only by back-EMF",
     source="Batchelor, An Introduction to Fluid Dynamics (1967); Worden & Tomlinson, Nonlinearity in Structural "
     "Dynamics (2001)",
     parameters=(
@@ -35,5 +35,6 @@ EFFECT = Effect(
     mistaken_for=("directional_damping", "dry_friction", "viscoelasticity"),
     places=(bus.MECHANICS,),
     hook=hook,
-    remedy="Open the vents of the coil's housing, or keep speeds lower; tissue's figures stand once it is modelled.",
+    remedy="Open the vents of the coil's housing, or use lower speeds; the tissue parameters are valid once the drag"
+    " is modelled.",
 )

@@ -12,20 +12,20 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 GRID_S = 5e-4
 GRID = 480
-"""Stretch is remembered so many times, this far apart: 240 ms."""
+"""Entries of the memory of stretch, ``GRID_S`` apart: 240 ms."""
 STRETCH_M = 5e-4
 SPEED_M_S = 0.03
-"""What a stochastic test reaches by its standard deviation."""
+"""Reference speed, m/s: the standard deviation in a stochastic test."""
 DEPTH_M = 3e-3
-"""Depth from which stretch is told; the threshold makes of it what the tissue bears without an answer."""
+"""Reference depth of the stretch, m; the threshold shifts it."""
 RISE_S = 0.012
-"""Time of activation and of contraction, where a fit begins."""
+"""Starting value of the time constant of activation and contraction, s."""
 MOST_N = 1.0
-"""What a small muscle presses with at most, where a fit begins."""
+"""Starting value of the largest force, N, of a small muscle."""
 FELT_S = 4e-3
-"""Spindles feel speed through some milliseconds."""
+"""Starting value of the time constant of sensed speed, s: spindles average over milliseconds."""
 CORNER = 0.03
-"""The one-sided corner is rounded over so much of what is usual: sharp for the eye, smooth for a fit."""
+"""Width of the smoothed corner in reference units: sharp enough to be one-sided, smooth enough for a fit."""
 DELAYS_S = (0.03, 0.055, 0.085, 0.125)
 _LATEST = GRID
 _ACTIVITY = GRID + 1
@@ -36,7 +36,7 @@ _FELT = GRID + 5
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Remembers stretch and its speed in a ring; the muscle answers what it was one delay ago, as far as it can."""
+    """Store stretch and speed in a ring, and add the response to the value one delay ago, limited by the muscle."""
     depth = b[bus.DEPTH]
     velocity = b[bus.VELOCITY] + 0.5 * dt * b[bus.ACCELERATION]
     s[_FELT] += (velocity - s[_FELT]) * (1.0 - math.exp(-dt / p[6]))
@@ -63,7 +63,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 
 
 def usual_stretch(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """Starts whose threshold lies amid the stretch of the longest pushes: half of the time it answers."""
+    """Return starting points with a threshold in the middle of the stretch of the deepest test."""
     pushed = [test["position"] for test in tests if "position" in test and np.isfinite(test["position"]).any()]
     if not pushed:
         return ()
@@ -78,18 +78,22 @@ EFFECT = Effect(
     title="A reflex answers stretch",
     equation="F = G f / (1 + |G f| / M), (1 + T d/dt)^2 f = max(0, (1 - h) (d - 3 mm) / 0.5 mm + h w / 30 mm/s - c) "
     "one delay ago, (1 + S d/dt) w = v; vanishes with G = 0",
-    signature="position pushed out 20 to 150 ms after every fast push in, never the other way; ripples in the response "
-    "against frequency, spaced by the inverse of the delay; nothing on the spring",
+    signature="position pushed out 20 to 150 ms after every fast push in, never the reverse; ripples in the frequency "
+    "response, spaced by the inverse of the delay; nothing on the spring",
     source="Kearney, Stein & Parameswaran, IEEE Trans. Biomed. Eng. 44 (1997) 493-504 (delayed one-sided velocity, "
     "then a second-order low-pass)",
     parameters=(
-        Parameter("gain_n", "N", 0.0, -5.0, 5.0, meaning="force for a stretch of 0.5 mm, or 30 mm/s"),
-        Parameter("delay_s", "s", None, 0.01, 0.2, True, meaning="from stretch to the first answer"),
-        Parameter("threshold", "1", None, -5.0, 8.0, meaning="what must be passed, 1 being 0.5 mm or 30 mm/s"),
-        Parameter("by_speed", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share that speed triggers"),
-        Parameter("rise_s", "s", None, 2e-3, 0.2, True, prior=0.015, prior_std=1.0, meaning="of activation, twice"),
-        Parameter("most_n", "N", None, 0.02, 50.0, True, prior=1.0, prior_std=1.5, meaning="what the muscle can do"),
-        Parameter("felt_s", "s", None, 5e-4, 0.03, True, prior=FELT_S, prior_std=0.7, meaning="in which speed is felt"),
+        Parameter("gain_n", "N", 0.0, -5.0, 5.0, meaning="force at a stretch of 0.5 mm or 30 mm/s above the threshold"),
+        Parameter("delay_s", "s", None, 0.01, 0.2, True, meaning="delay from the stretch to the first response"),
+        Parameter("threshold", "1", None, -5.0, 8.0, meaning="threshold of the stretch, where 1 is 0.5 mm or 30 mm/s"),
+        Parameter("by_speed", "1", None, 0.0, 1.0, prior=0.5, prior_std=0.5, meaning="share of speed in the stretch"),
+        Parameter("rise_s", "s", None, 2e-3, 0.2, True, prior=0.015, prior_std=1.0, meaning="rise time constant"),
+        Parameter(
+            "most_n", "N", None, 0.02, 50.0, True, prior=1.0, prior_std=1.5, meaning="largest force of the muscle"
+        ),
+        Parameter(
+            "felt_s", "s", None, 5e-4, 0.03, True, prior=FELT_S, prior_std=0.7, meaning="time constant of sensed speed"
+        ),
     ),
     starts=tuple((0.05, delay, 1.2, 0.5, RISE_S, MOST_N, FELT_S) for delay in DELAYS_S),
     mistaken_for=("viscoelasticity", "physiological_motion", "mount_resonance", "contact_loss"),

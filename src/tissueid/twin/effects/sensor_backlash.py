@@ -10,12 +10,12 @@ from numba import njit
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
 SHARES = (-0.8, -0.4, 0.0, 0.4, 0.8)
-"""Plays that together round the corners of one, as far off its width as ``rounding`` says."""
+"""Relative widths of the plays whose mean has rounded corners, in units of ``rounding``."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def _follow(position, play, engaged, out):  # type: ignore[no-untyped-def]
-    """What follows a position through a play of half width ``play``; adds to ``out``."""
+    """Add the output of a play of half width ``play`` to ``out``."""
     follower = position[0] - engaged * play
     out[0] += follower
     for n in range(1, position.size):
@@ -24,7 +24,7 @@ def _follow(position, play, engaged, out):  # type: ignore[no-untyped-def]
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
-    """The mean of a few plays side by side (Prandtl and Ishlinskii), exact whatever the motion between samples."""
+    """Return the mean of several plays (Prandtl and Ishlinskii), exact for any motion between samples."""
     play, rounding, engaged = values
     position = np.ascontiguousarray(readings.position, np.float64)
     followers = np.zeros(position.size)
@@ -38,14 +38,17 @@ EFFECT = Effect(
     stage="sensing",
     title="Play between probe and position sensor",
     equation="y follows x as far as |x - y| <= w allows; corners rounded by a spread of w; vanishes with w = 0",
-    signature="position stands still after each reversal until the play is taken up, at any speed: loops of constant "
-    "width in the slow ramp, small motions swallowed; current shows by back-EMF that the probe did move",
+    signature="position stays constant after each reversal until the play is taken up, at any speed: loops of constant "
+    "width in the slow ramp, small motions not recorded; the back-EMF in the current shows that the probe did"
+    " move",
     source="Visintin, Differential Models of Hysteresis (1994), ch. III (play operator); Kuhnen, European J. Control 9 "
     "(2003) 407-418 (Prandtl-Ishlinskii)",
     parameters=(
-        Parameter("half_width_m", "m", 0.0, 1e-7, 1e-3, True, meaning="motion to either side that is not seen"),
+        Parameter("half_width_m", "m", 0.0, 1e-7, 1e-3, True, meaning="half width of the play"),
         Parameter("rounding", "1", None, 0.0, 1.2, prior=0.2, prior_std=0.5, meaning="spread of the play"),
-        Parameter("engaged", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.6, meaning="where in the play a test starts"),
+        Parameter(
+            "engaged", "1", None, -1.0, 1.0, prior=0.0, prior_std=0.6, meaning="place in the play where a test starts"
+        ),
     ),
     starts=((1e-5, 0.2, 0.0), (8e-5, 0.2, 0.5), (8e-5, 0.2, -0.5)),
     mistaken_for=("dry_friction", "tissue_hysteresis", "sensor_lag"),

@@ -1,4 +1,4 @@
-"""A position reading that is not linear along the stroke: bowed, or waving with the sensor's own pitch."""
+"""Nonlinear position reading: a smooth curve along the stroke, or a periodic error of the sensor."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tissueid.messages import Message
 from tissueid.twin import _estimates
-from tissueid.twin._table import curve, reached
+from tissueid.twin._stroke_curve import curve, travelled_range
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
 
 KNOTS = 13
 MIDDLE_M = 0.012
-"""Where waves are counted from, in the middle of what tests reach."""
+"""Reference position of the periodic error, m, in the middle of the range of tests."""
 SHORTEST_M, LONGEST_M = 2e-4, 2e-2
 FEWEST_READINGS = 200
 _FIRST = 2
@@ -23,7 +24,7 @@ _NO_WAVE = (0.0, 0.0, 0.0, 0.0, 2e-3)
 
 
 def recording(readings: Readings, values: FloatArray) -> Readings:
-    """A smooth curve along the stroke, and one wave with its second harmonic, added to the position."""
+    """Add a smooth curve along the stroke and one periodic error with its second harmonic to the position."""
     low, high = values[:_FIRST]
     cosine, sine, cosine_2, sine_2, period = values[_FIRST + KNOTS :]
     error = curve(values[_FIRST : _FIRST + KNOTS], (readings.position - low) / (high - low))
@@ -34,8 +35,8 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 
 
 def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> tuple[tuple[float, ...], ...]:
-    """A bow over the range that was reached; and the wave that takes most out of what is unexplained of all tests."""
-    ends = reached(tests)
+    """Return a bow over the range of the probe, and the periodic error that explains most of the unexplained part."""
+    ends = travelled_range(tests)
     if ends is None:
         return ()
     bowed = (*ends, *_BOWED, *_NO_WAVE)
@@ -53,28 +54,34 @@ def starts_from(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
     return (bowed, (*ends, *_FLAT, float(cosine), float(sine), 0.0, 0.0, 1.0 / waves_per_m))
 
 
+def _error_at(k: int) -> Message:
+    return Message("effect.error_at", "error at {place} of the curve", place=f"{k}/{KNOTS - 1}")
+
+
 EFFECT = Effect(
     name="sensor_nonlinearity",
     stage="sensing",
-    title="Position reading not linear along the stroke",
+    title="Position reading is nonlinear along the stroke",
     equation="y = x + e(x) + p cos(2 pi d/l) + q sin(2 pi d/l) + the same of l/2, d = x - 12 mm, e a smooth curve "
     "through thirteen errors over the range that the probe reached; vanishes with all of them and the waves 0",
-    signature="an error of position alone that is a function of position, the same in every test, at any speed and on "
-    "tissue as on the spring; back-EMF in current contradicts it",
+    signature="an error in position only that is a function of position, the same in every test, at any speed, on "
+    "tissue and on the spring; back-EMF in the current contradicts it",
     source="Nyce, Linear Position Sensors (2004), ch. 2 (linearity) and 11; Heydemann, Applied Optics 20 (1981) "
     "3382-3384 (cyclic error)",
     parameters=(
-        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="where the curve begins"),
-        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="where it ends"),
+        Parameter("low_m", "m", None, -0.05, 0.1, fixed=True, meaning="position where the curve begins"),
+        Parameter("high_m", "m", None, -0.05, 0.1, fixed=True, meaning="position where the curve ends"),
         *(
-            Parameter(f"error_{k}_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=3e-4, meaning=f"at {k}/12 of it")
+            Parameter(f"error_{k}_m", "m", 0.0, -3e-3, 3e-3, prior=0.0, prior_std=3e-4, meaning=_error_at(k))
             for k in range(KNOTS)
         ),
-        Parameter("cosine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, highest at 12 mm"),
-        Parameter("sine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave, rising at 12 mm"),
-        Parameter("cosine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="wave of half the period"),
-        Parameter("sine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="the same, rising at 12 mm"),
-        Parameter("period_m", "m", None, SHORTEST_M, LONGEST_M, True, meaning="from one wave to the next"),
+        Parameter(
+            "cosine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave with its maximum at 12 mm"
+        ),
+        Parameter("sine_m", "m", 0.0, -1e-3, 1e-3, prior=0.0, prior_std=1e-4, meaning="wave rising through 0 at 12 mm"),
+        Parameter("cosine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="same at half the period"),
+        Parameter("sine_2_m", "m", 0.0, -5e-4, 5e-4, prior=0.0, prior_std=5e-5, meaning="same, rising at 12 mm"),
+        Parameter("period_m", "m", None, SHORTEST_M, LONGEST_M, True, meaning="period along the stroke"),
     ),
     starts=((0.0, 0.032, *_FLAT, 1e-5, 1e-5, 0.0, 0.0, 2e-3),),
     mistaken_for=("force_constant_position", "tissue_stiffening", "cogging"),

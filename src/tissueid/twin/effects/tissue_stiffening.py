@@ -1,4 +1,4 @@
-"""A static law of the tissue other than the twin's: a layer engages, bone, a power law."""
+"""Static law of the tissue that differs from the twin's: an engaging layer, bone, a power law."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tissueid.twin.effect import Effect, FloatArray, Parameter
 
 REFERENCE_M = 1e-3
 CORNER_M = 1e-4
-"""Over which it sets in, where a search begins."""
+"""Starting value of the width of the onset, m."""
 SHARES = (0.3, 0.5, 0.7, 0.85, 0.95)
-"""Of all readings, how many lie above the depths at which further searches begin."""
+"""Quantiles of the depth at which further starting points lie."""
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """A spring with play and a power law, alike either side of the surface, beside the twin's own."""
+    """Add a spring with play and a power law, symmetric around the surface."""
     depth, play = b[bus.DEPTH], p[1]
-    # How far the depth is outside the play, with rounded corners: odd in depth, and 0 at 0 whatever the play.
+    # Depth outside the play, with rounded corners: odd in depth, and 0 at 0 for any play.
     beyond, short = depth - play, depth + play
     square = p[3] * p[3]
     into = depth - 0.5 * (math.sqrt(short * short + square) - math.sqrt(beyond * beyond + square))
@@ -32,7 +32,7 @@ def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> 
 def depths_that_were_reached(
     tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float
 ) -> tuple[tuple[float, ...], ...]:
-    """Starts at which the law bends amid the depths of the test that went deepest."""
+    """Return starting points with the onset within the depths of the deepest test."""
     depths = []
     for test in tests:
         known = test["position"][np.isfinite(test["position"])] if "position" in test else np.zeros(0)
@@ -48,8 +48,8 @@ def depths_that_were_reached(
 EFFECT = Effect(
     name="tissue_stiffening",
     stage="tissue",
-    title="Another static law: a layer engages",
-    equation="F = F1 sgn(d) (max(|d| - d1, 0) / 1 mm)^n beside the twin's K exp(g d) d, its corner rounded; "
+    title="Different static law, such as an engaging layer",
+    equation="F = F1 sgn(d) (max(|d| - d1, 0) / 1 mm)^n in addition to the twin's K exp(g d) d, its corner rounded; "
     "vanishes with F1 = 0",
     signature="position at large depth against current: stiffness rises (or falls) from one depth on, slow ramp and "
     "stochastic test alike; no loops, nothing on the spring",
@@ -57,11 +57,9 @@ EFFECT = Effect(
     "in Structural Dynamics (2001) (cubic and bilinear stiffness)",
     parameters=(
         Parameter("force_n", "N", 0.0, -10.0, 30.0, meaning="force at 1 mm beyond the play"),
-        Parameter("depth_m", "m", None, 0.0, 0.012, meaning="depth from which it acts"),
-        Parameter("exponent", "1", None, 1.0, 4.0, meaning="power by which it grows"),
-        Parameter(
-            "corner_m", "m", None, 1e-5, 1e-3, True, prior=CORNER_M, prior_std=1.0, meaning="over which it sets in"
-        ),
+        Parameter("depth_m", "m", None, 0.0, 0.012, meaning="depth at which it begins"),
+        Parameter("exponent", "1", None, 1.0, 4.0, meaning="exponent of its growth"),
+        Parameter("corner_m", "m", None, 1e-5, 1e-3, True, prior=CORNER_M, prior_std=1.0, meaning="width of the onset"),
     ),
     starts=(
         (0.2, 0.002, 1.5, CORNER_M),
@@ -74,5 +72,5 @@ EFFECT = Effect(
     places=(bus.TISSUE,),
     hook=hook,
     on_spring=False,
-    remedy="Take the depth from which it acts as a finding; test at a mean depth either side of it.",
+    remedy="Report the depth at which it begins; test at a mean depth on either side of it.",
 )

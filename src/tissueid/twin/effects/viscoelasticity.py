@@ -1,4 +1,4 @@
-"""Relaxation of the tissue: branches of springs and dashpots, as far as a power law."""
+"""Relaxation of the tissue: branches of springs and dashpots, up to a power law."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _BEGUN = _WHOLE + 1
 
 
 def hook(where: int, b: FloatArray, p: FloatArray, s: FloatArray, dt: float) -> None:
-    """Every branch follows changes of a force that grows with depth, and forgets them with a time of its own."""
+    """Add branches that follow changes of a depth-dependent force and relax with their own time constants."""
     depth = b[bus.DEPTH]
-    # As the static force (exponent 1: quasi-linear) or in proportion to depth (0), alike at the reference depth.
+    # In proportion to the static force (exponent 1, quasi-linear) or to depth (0), equal at the reference depth.
     exponent = b[bus.STIFFNESS_GROWTH] * (REFERENCE_M + p[3] * (depth - REFERENCE_M))
     force = b[bus.STIFFNESS] * math.exp(min(max(exponent, -12.0), 12.0)) * depth
     if s[_BEGUN] == 0.0:
@@ -47,16 +47,16 @@ EFFECT = Effect(
     title="Relaxation of the tissue",
     equation="F = Fe + r mean of q_k, dq_k/dt = df/dt - q_k / T_k, f = K exp(g (4 mm + h (d - 4 mm))) d, seven T_k "
     "spread evenly over D decades round T, weighed by T_k^-a; vanishes with r = 0",
-    signature="stiffness rises with frequency where damping alone would not do it, with phase over a wide band; creep "
+    signature="stiffness rises with frequency more than damping alone explains, with phase over a wide band; creep "
     "after the mean is switched on; linear in small motion; nothing on the spring",
     source="Fung, Biomechanics (1993), ch. 7 (quasi-linear viscoelasticity, continuous spectrum); thesis 3.3",
     parameters=(
-        Parameter("ratio", "1", 0.0, 3e-4, 20.0, True, meaning="stiffness of all branches by the static one"),
+        Parameter("ratio", "1", 0.0, 3e-4, 20.0, True, meaning="stiffness of all branches relative to the static one"),
         Parameter("time_s", "s", None, 2e-3, 5.0, True, meaning="middle of the relaxation times"),
-        Parameter("decades", "1", None, 0.0, 5.0, prior=2.0, prior_std=1.5, meaning="over which they are spread"),
-        Parameter("growth", "1", None, 0.0, 1.5, prior=0.7, prior_std=0.5, meaning="1: grows as the static force does"),
+        Parameter("decades", "1", None, 0.0, 5.0, prior=2.0, prior_std=1.5, meaning="spread of the relaxation times"),
+        Parameter("growth", "1", None, 0.0, 1.5, prior=0.7, prior_std=0.5, meaning="growth, 1 as the static force"),
         Parameter(
-            "tilt", "1", None, -0.5, 1.0, prior=0.1, prior_std=0.3, meaning="by which power slow ones are weaker"
+            "tilt", "1", None, -0.5, 1.0, prior=0.1, prior_std=0.3, meaning="exponent that weakens slow branches"
         ),
     ),
     starts=((0.3, 0.02, 0.5, 0.7, 0.1), (0.3, 0.1, 2.0, 0.7, 0.1), (0.3, 0.5, 0.5, 0.7, 0.1)),

@@ -1,1 +1,1 @@
-"""What a clinician has on the page of the guided test: body map, contact light, repeats, comparison."""
+"""Parts of the page Measure for clinicians: body map, contact light, repeats, comparison."""

@@ -81,11 +81,11 @@ class BodyMap(QDialog):
 
     @property
     def site(self) -> str:
-        """The site that is chosen, empty where none is."""
+        """The chosen site; empty if there is none."""
         return next((name for name, spot in self.spots.items() if spot.isChecked()), "")
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Return takes the point that has the focus; the rest is a dialog's."""
+        """Choose the point with the focus at the Return key; leave other keys to the dialog."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             focus = self.focusWidget()
             if isinstance(focus, _Point):
@@ -126,11 +126,11 @@ class _Point(QRadioButton):
         return QSize(_POINT, _POINT)
 
     def hitButton(self, _place: object) -> bool:  # noqa: N802
-        """All of it can be clicked."""
+        """Return whether ``position`` is inside: the whole square can be clicked."""
         return True
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:  # noqa: N802
-        """Tell that it was clicked."""
+        """Send ``picked``."""
         inside = self.rect().contains(event.position().toPoint())
         super().mouseReleaseEvent(event)
         if inside and event.button() is Qt.MouseButton.LeftButton:

@@ -1,4 +1,4 @@
-"""The same subject's other sites and earlier sittings, read out of the sessions folder. Nothing here knows Qt."""
+"""Other sites and earlier sittings of the same subject in the folder of sessions. Independent of Qt."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pathlib import Path
 from tissueid.app.plan import ANONYMOUS
 from tissueid.app.views.clinician.sitting import QUANTITIES, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.formatting import clean, local_minute
 from tissueid.language import _, marked, plural
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head
 from tissueid.sessions.quality import quality_of
-from tissueid.wording import clean, local_minute
 
 MOST_READ = 20
-"""Sessions of one subject that are identified, the newest ones."""
+"""Maximum number of sessions of a subject that are identified, newest first."""
 MOST_LOOKED_AT = 2000
-"""Files in the folder whose heads are read."""
+"""Maximum number of files whose headers are read."""
 LARGEST_BYTES = 50_000_000
 """A larger file is a long sitting of a researcher, and takes a while to read."""
 MOST_SHOWN = 8
@@ -73,7 +73,7 @@ class Comparison:
 
 @dataclass
 class Shelf:
-    """What was identified once in this window is not identified again while its file stays as it is."""
+    """Cache of identified sessions, by file; an entry is valid while its file is unchanged."""
 
     kept: dict[tuple[Path, int, int], tuple[Sighting, ...]] = field(default_factory=dict)
 
@@ -81,9 +81,9 @@ class Shelf:
 def compare_with(
     folder: Path, session: Session, path: Path, test: Test, shelf: Shelf, cancelled: threading.Event
 ) -> Comparison:
-    """Sittings of the subject of a session, from a folder; files that are no sessions are passed over.
+    """Return the sittings of the subject of a session in a folder; other files are ignored.
 
-    A subject without a pseudonym is compared with nobody: that would be with everybody.
+    A subject without a pseudonym is not compared: it could be anyone.
     """
     if session.subject.pseudonym == ANONYMOUS:
         return Comparison()
@@ -120,7 +120,7 @@ def compare_with(
 
 
 def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Event) -> tuple[list[Path], int]:
-    """Sessions of a subject in a folder but for one, newest first, and how many files are of no use."""
+    """Return the other sessions of a subject in a folder, newest first, and the number of unusable files."""
     try:
         files = [file for file in folder.glob("*.h5") if file.is_file() and file.resolve() != path.resolve()]
         files.sort(key=lambda file: file.stat().st_mtime, reverse=True)
@@ -148,13 +148,14 @@ def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Eve
 def _sightings(session: Session) -> Iterable[Sighting]:
     """One a test that can be identified and that the gate did not want repeated."""
     from tissueid.analysis import analyse_all
+    from tissueid.identification.engines.lms import Lms
 
     for test in session.tests:
         quality = quality_of(test)
         if test.kind != "stochastic" or test.status != "completed" or (quality and quality.verdict == "repeat"):
             continue
         try:
-            values = values_of(analyse_all(session, ("lms",), test=test))
+            values = values_of(analyse_all(session, (Lms.name,), test=test))
         except UnusableInputError:
             continue
         if values:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QLabel, QPushButton, QVBoxLayout, QWidget
@@ -12,8 +13,8 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
+from tissueid.formatting import display_unit, label_and_unit
 from tissueid.language import _, marked
-from tissueid.wording import named_unit, people_unit
 
 _ROW = 17
 _AROUND = 62
@@ -27,7 +28,7 @@ READING = marked("Reading the subject's other sittings…")
 
 
 class ComparisonCard(QFrame):
-    """Hidden until there is something to compare with. ``cancel`` ends the reading."""
+    """Hidden until there is something to compare with; its plots are built then. ``cancel`` ends the reading."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -46,28 +47,15 @@ class ComparisonCard(QFrame):
         top.addWidget(self.words, 1)
         top.addWidget(self.cancel)
         self.cards: list[PlotCard] = []
-        self._parts = []
-        row = FoldingBox(_ONE_ROW)
-        row.setSpacing(8)
-        for place, quantity in enumerate(QUANTITIES):
-            name, si_unit = named_unit(quantity)
-            key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
-            card = PlotCard(_(name), _("± one SD"), people_unit(si_unit)[0], key=key, unit_of="bottom")
-            bars = [card.line(role, width=2) for role in ("measured", "model")]
-            dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]
-            self._parts.append((bars, dots))
-            self.cards.append(card)
-            row.addWidget(card, 0 if place else 1)
-            row.setStretch(place, 30 if place else 47)
-        layout = QVBoxLayout(self)
+        self._parts: list[tuple[list[pg.PlotDataItem], list[pg.PlotDataItem]]] = []
+        self._layout = layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(3)
         layout.addLayout(top)
-        layout.addLayout(row)
         self.setToolTip(_(_LEGEND))
         self._ticks: list[tuple[float, str]] = []
         self._folded = False
-        self._label()
+        self._theme: Theme | None = None
         self.hide()
 
     def expect(self) -> None:
@@ -78,7 +66,7 @@ class ComparisonCard(QFrame):
             card.hide()
         self.show()
 
-    def rest(self) -> None:
+    def clear(self) -> None:
         """There is nothing to compare with."""
         self.hide()
 
@@ -89,11 +77,12 @@ class ComparisonCard(QFrame):
         if len(sightings) < 2:
             self.hide()
             return
+        self._build_plots()
         self.words.setText(" ".join(filter(None, [comparison.remark, comparison.left_out])))
         rows = range(len(sightings), 0, -1)
         self._ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
         for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):
-            scale = people_unit(named_unit(quantity)[1])[1]
+            scale = display_unit(label_and_unit(quantity)[1])[1]
             for which, (bar, dot) in enumerate(zip(bars, dots, strict=True)):
                 x, y, ends, heights = [], [], [], []
                 for row, one in zip(rows, sightings, strict=True):
@@ -116,6 +105,25 @@ class ComparisonCard(QFrame):
         self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
 
+    def _build_plots(self) -> None:
+        if self.cards:
+            return
+        row = FoldingBox(_ONE_ROW)
+        row.setSpacing(8)
+        for place, quantity in enumerate(QUANTITIES):
+            name, si_unit = label_and_unit(quantity)
+            key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
+            card = PlotCard(_(name), _("± one SD"), display_unit(si_unit)[0], key=key, unit_of="bottom")
+            bars = [card.line(role, width=2) for role in ("measured", "model")]
+            dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]
+            if self._theme is not None:
+                card.apply_theme(self._theme)
+            self._parts.append((bars, dots))
+            self.cards.append(card)
+            row.addWidget(card, 0 if place else 1)
+            row.setStretch(place, 30 if place else 47)
+        self._layout.addLayout(row)
+
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
         """Name the sittings at every plot where the plots stand below each other."""
         super().resizeEvent(event)
@@ -132,7 +140,8 @@ class ComparisonCard(QFrame):
             axis.setWidth((_NARROW_LABELS if self._folded else _LABELS) if named else 8)
             axis.setTicks([self._ticks if named else [(row, "") for row, _ in self._ticks], []])
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
+        self._theme = theme
         for card in self.cards:
-            card.paint_with(theme)
+            card.apply_theme(theme)

@@ -1,4 +1,4 @@
-"""Whether the probe stands on the skin, from what the instrument tells with its coil free or while it is placed."""
+"""Contact of the probe with the skin, from the samples before and during a test."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from tissueid.acquisition.playing import Phase
-from tissueid.app.live import Glance
+from tissueid.acquisition.playback import Phase
+from tissueid.app.live_signals import Snapshot
 from tissueid.device import GRAVITY_M_S2, DeviceDescription
 from tissueid.language import marked
 
 MARGIN_M = 1.0e-3
-"""So near an end of the stroke the probe counts as being there, as where a test places it."""
+"""Distance from an end of the stroke that counts as the end, m; as in the placement of a test."""
 MOVING_M = 0.5e-3
-"""A probe that goes further than this in a quarter of a second is on its way."""
+"""Motion within a quarter of a second above which the probe is moving, m."""
 RECENT_S = 0.25
 _LAID = 0.5 * GRAVITY_M_S2
-"""Less gravity along the stroke does not lay a free probe onto the skin."""
+"""Smallest component of gravity along the stroke that rests a released probe on the skin, m/s²."""
 
 
 class Contact(Enum):
-    """How the probe stands; the value is what a person reads, in English."""
+    """State of contact; the value is its English text."""
 
     UNWATCHED = marked("Contact is not watched")
     FINDING = marked("Finding the skin")
@@ -35,14 +35,14 @@ class Contact(Enum):
 
     @property
     def level(self) -> str:
-        """Of which colour it is: good, check, or none."""
+        """Level of its colour: "good", "check" or ""."""
         if self is Contact.ON:
             return "good"
         return "" if self in (Contact.UNWATCHED, Contact.FINDING, Contact.UNTOLD) else "check"
 
 
 def contact_of_free(samples: NDArray[np.void], device: DeviceDescription) -> Contact:
-    """How a probe stands whose coil is free, from the newest samples, shape (k,) of SAMPLE."""
+    """Return the contact with a released coil from the newest samples, shape (k,) of SAMPLE."""
     position = _known(samples["position"])
     along = _known(samples["acceleration_x"])
     if not position.size:
@@ -53,18 +53,18 @@ def contact_of_free(samples: NDArray[np.void], device: DeviceDescription) -> Con
     return where
 
 
-def contact_in_test(glance: Glance, device: DeviceDescription) -> Contact:
-    """How it stands while a test runs."""
-    if glance.phase is None:
+def contact_in_test(snapshot: Snapshot, device: DeviceDescription) -> Contact:
+    """Return the contact during a test."""
+    if snapshot.phase is None:
         return Contact.FINDING
-    if glance.phase is Phase.RELEASE:
+    if snapshot.phase is Phase.RELEASE:
         return Contact.UNWATCHED
-    newest = glance.time_s[-1:] - RECENT_S
-    position = _known(glance.position_m[glance.time_s >= newest]) if newest.size else np.zeros(0)
-    if glance.phase is Phase.PLACE:
+    newest = snapshot.time_s[-1:] - RECENT_S
+    position = _known(snapshot.position_m[snapshot.time_s >= newest]) if newest.size else np.zeros(0)
+    if snapshot.phase is Phase.PLACE:
         found = _at_an_end(position, device.stroke_m) if position.size else Contact.FINDING
         return Contact.FINDING if found is Contact.MOVING else found
-    safety = glance.safety
+    safety = snapshot.safety
     if safety is None or safety.contact is None:
         return Contact.FINDING
     if not safety.contact:

@@ -41,7 +41,7 @@ class ContactLamp(QWidget):
         self.show_contact(Contact.UNWATCHED)
 
     def quiet(self, on: bool) -> None:
-        """Say nothing where the instruction beside it says all: the test is over, and nobody asks for the contact."""
+        """Hide the text after a test: the instruction next to the lamp is sufficient."""
         self.light.setVisible(not on)
         self.words.setVisible(not on)
 

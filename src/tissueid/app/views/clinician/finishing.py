@@ -1,13 +1,13 @@
-"""Finishing a sitting and taking that back: audit log first, then the result file. Nothing here knows Qt."""
+"""Finishing a sitting and taking that back: audit log first, then the result file. Independent of Qt."""
 
 from __future__ import annotations
 
 from tissueid.app.views.clinician.sitting import Sitting
-from tissueid.audit import Trail
-from tissueid.sessions.accepted import AcceptedResult, withdraw_result, write_result
+from tissueid.audit import AuditTrail
+from tissueid.sessions.accepted_result import AcceptedResult, withdraw_result, write_result
 
 
-def finish(sitting: Sitting, result: AcceptedResult, trail: Trail) -> AcceptedResult:
+def finish(sitting: Sitting, result: AcceptedResult, trail: AuditTrail) -> AcceptedResult:
     """Log and store the accepted result of a sitting, in every folder that holds one of its tests; return it.
 
     Raises:
@@ -24,7 +24,7 @@ def finish(sitting: Sitting, result: AcceptedResult, trail: Trail) -> AcceptedRe
     return result
 
 
-def undo(sitting: Sitting, result: AcceptedResult, trail: Trail, why: str = "by hand") -> None:
+def undo(sitting: Sitting, result: AcceptedResult, trail: AuditTrail, why: str = "by hand") -> None:
     """Log that a finished sitting goes on, and remove its result files.
 
     Raises:

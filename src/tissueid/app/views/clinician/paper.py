@@ -1,4 +1,4 @@
-"""The shown result as a PDF next to its session: one test, and the result of its sitting. Nothing here knows Qt."""
+"""PDF report of the shown test and of its sitting, next to the session. Independent of Qt."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.app.place_to_save import free_place
+from tissueid.app.save_path import unused_path
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
+from tissueid.formatting import display_unit, label_and_unit, plus_minus
 from tissueid.language import _, marked
+from tissueid.messages import MISSING
 from tissueid.records import Estimate
-from tissueid.wording import MISSING, named_unit, people_unit, plus_minus
 
 THIS = marked("This:")
 """What stands before the label of the sitting of the shown test: what follows may be cut off, this not."""
@@ -19,7 +20,7 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
 def write_paper(findings: Findings, standing: Standing | None, comparison: Comparison) -> Path:
-    """Write the PDF of a shown test, never over an earlier one; return its path.
+    """Write the PDF of a test under an unused name; return its path.
 
     Raises:
         OSError: it cannot be written.
@@ -27,15 +28,15 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
     """
     from tissueid.reports.pdf import write_pdf
 
-    path = free_place(findings.path.with_name(f"{findings.path.stem}-report.pdf"))
+    path = unused_path(findings.path.with_name(f"{findings.path.stem}-report.pdf"))
     further: list[Table] = []
     if len(comparison.sightings) > 1:
-        names = [named_unit(name) for name in QUANTITIES]
-        columns = (_("Sitting"), *(f"{_(name)} ({people_unit(unit)[0]})" for name, unit in names))
+        names = [label_and_unit(name) for name in QUANTITIES]
+        columns = (_("Sitting"), *(f"{_(name)} ({display_unit(unit)[0]})" for name, unit in names))
         lines = []
         for one in comparison.sightings:
             texts = [
-                _text(one.values.get(name), people_unit(unit)[1])
+                _text(one.values.get(name), display_unit(unit)[1])
                 for name, (_, unit) in zip(QUANTITIES, names, strict=True)
             ]
             lines.append((f"{_(THIS)} {one.label}" if one.this else one.label, *texts))

@@ -1,4 +1,4 @@
-"""How far the repeats of a sitting have come: a dot for each, and what can be done next."""
+"""Progress of the repeats of a sitting: a dot for each, and buttons for the next step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ _WORDS = {
     None: marked("not judged"),
 }
 
-_ONE_ROW = 400
 _FINISH_ONE = marked("Finish: use this test")
 
 
@@ -54,7 +53,7 @@ class RepeatBar(QWidget):
         self.undo.setToolTip(
             _("Continue the sitting as if it had not been finished. Possible until the next test starts")
         )
-        row = FoldingBox(_ONE_ROW, self)
+        row = FoldingBox(0, self)
         row.setContentsMargins(0, 0, 0, 0)
         row.setSpacing(8)
         for part in (self.dots, self.repeat, self.accept, self.undo):
@@ -65,7 +64,7 @@ class RepeatBar(QWidget):
         self.hide()
 
     def show_sitting(self, sitting: Sitting | None) -> None:
-        """Show how far it has come; None hides it."""
+        """Show the progress of a sitting; None hides the bar."""
         self.setVisible(sitting is not None and bool(sitting.repeats))
         if sitting is None:
             return
@@ -88,16 +87,16 @@ class RepeatBar(QWidget):
 
     @property
     def offers_repeat(self) -> bool:
-        """Whether its own button measures again."""
+        """Whether the bar offers a button that measures again."""
         return not self.isHidden() and not self.repeat.isHidden()
 
-    def settle(self, *, busy: bool) -> None:
-        """Nothing begins beside something that goes on."""
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable the buttons while a job runs."""
         self.repeat.setEnabled(not busy)
         self.accept.setEnabled(not busy)
         self.undo.setEnabled(not busy)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         self._draw()

@@ -1,4 +1,4 @@
-"""The repeats of one sitting: what was run, what counts, and what they say together. Nothing here knows Qt."""
+"""The repeats of one sitting: tests, which of them count, and their mean. Independent of Qt."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissueid.app.plan import Plan
+from tissueid.formatting import display_unit, fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
+from tissueid.messages import MISSING
 from tissueid.records import Estimate
 from tissueid.sessions import Test
-from tissueid.sessions.accepted import AcceptedResult, AcceptedTest, AcceptedValue
+from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue
 from tissueid.sessions.quality import Verdict
-from tissueid.wording import MISSING, fixed, named_unit, number, people_unit, plus_minus
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis
     from tissueid.app.findings import Findings
 
 NORM = 5
-"""Repeats that are usual."""
+"""Usual number of repeats."""
 QUANTITIES = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
 VERDICTS: dict[str, Verdict] = {"good": "good", "check": "look", "poor": "repeat"}
 """Verdict on a repeat by the level of the verdict that its page shows."""
@@ -53,18 +54,18 @@ class Repeat:
 
     @property
     def session_id(self) -> str:
-        """The id of the session that it stands in."""
+        """The id of its session."""
         return self.findings.session.session_id if self.findings is not None else ""
 
     @property
     def counts(self) -> bool:
-        """Whether it goes into the mean: the gate let it pass, it came to its end, and there are numbers."""
+        """Whether it counts for the mean: it passed the quality gate, was completed, and has values."""
         return self.verdict in ("good", "look") and self.test.status == "completed" and bool(self.values)
 
 
 @dataclass(frozen=True)
 class Together:
-    """What repeats say of one quantity, SI: their mean, the deviation of one, and their repeatability.
+    """Mean, standard deviation of one test and repeatability of one quantity over the repeats, SI.
 
     ``repeatability`` is what the difference of two tests stays below in 95 % of cases (Bland and Altman 1999).
     """
@@ -103,7 +104,7 @@ def _two_tests(count: int) -> float:
 
 @dataclass
 class Sitting:
-    """Tests of one plan, one after another, until somebody accepts them or the plan changes."""
+    """Tests of one plan, one after another, until they are accepted or the plan changes."""
 
     plan: Plan
     key: str = field(default_factory=lambda: str(uuid.uuid4()))
@@ -112,7 +113,7 @@ class Sitting:
 
     @property
     def accepted(self) -> bool:
-        """Whether a person finished it."""
+        """Whether the sitting was accepted."""
         return self.result is not None
 
     def continues(self, plan: Plan) -> bool:
@@ -125,12 +126,12 @@ class Sitting:
 
     @property
     def counting(self) -> list[Repeat]:
-        """The repeats that count."""
+        """Return the repeats that count towards the result."""
         return [repeat for repeat in self.repeats if repeat.counts]
 
     @property
     def counted(self) -> int:
-        """How many they are."""
+        """Number of repeats that count."""
         return len(self.counting)
 
     @property
@@ -165,7 +166,7 @@ class Sitting:
 
     @property
     def together(self) -> dict[str, Together]:
-        """What they say, by quantity; nothing for fewer than two."""
+        """Mean and repeatability by quantity; empty for fewer than two repeats."""
         found = {
             name: together([repeat.values[name].value for repeat in self.counting if name in repeat.values])
             for name in QUANTITIES
@@ -191,15 +192,16 @@ class Standing:
     """What the tests of a sitting say together: so far, or as the accepted result. Page and paper show the same.
 
     ``values`` are SI, by quantity. ``tests`` names the tests that went into them; ``remark`` is empty, or says what
-    to bear in mind.
+    to bear in mind. ``accepted`` is whether a person finished the sitting.
     """
 
     heading: str
     values: Mapping[str, AcceptedValue]
     tests: str = ""
     remark: str = ""
+    accepted: bool = False
 
-    def rows(self, unit_for: Callable[[str], tuple[str, float]] = people_unit) -> dict[str, tuple[str, str, str, str]]:
+    def rows(self, unit_for: Callable[[str], tuple[str, float]] = display_unit) -> dict[str, tuple[str, str, str, str]]:
         """Return name, value with deviation, relative deviation and repeatability as people read them, by quantity.
 
         ``unit_for`` returns the unit in which a value of an SI unit is read, and how many of it make one of SI.
@@ -208,7 +210,7 @@ class Standing:
         for quantity in QUANTITIES:
             if (said := self.values.get(quantity)) is None:
                 continue
-            name, si_unit = named_unit(quantity)
+            name, si_unit = label_and_unit(quantity)
             unit, scale = unit_for(si_unit)
             relative = 100.0 * said.std / abs(said.mean) if said.std and said.mean else None
             rows[quantity] = (
@@ -234,7 +236,7 @@ def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Find
         remarks = [] if inside else [_("The test that is shown below does not belong to it.")]
         values = {name: value for name, value in result.values.items() if name in QUANTITIES}
         tests = _("Tests: {names}").format(names=", ".join(test.file for test in result.tests))
-        return Standing(heading, values, tests, " ".join([*remarks, *_identical(values)]))
+        return Standing(heading, values, tests, " ".join([*remarks, *_identical(values)]), accepted=True)
     if sitting is None or sitting.counted < 2:
         return None
     values = sitting.values

@@ -88,7 +88,7 @@ class SittingSummary(QFrame):
         self.setAccessibleName(" ".join(filter(None, [f"{standing.heading}: {said}", self.about.text()])))
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Wrap the heads of the columns where they have no room beside each other."""
+        """Wrap the column headers where they do not fit next to each other."""
         super().resizeEvent(event)
         for head in self._heads:
             head.setWordWrap(event.size().width() < _ONE_LINE)

@@ -1,4 +1,4 @@
-"""Watching a probe whose coil is free: is it on the skin, and is the button on the instrument pressed."""
+"""Contact watch before a test, with released coil: contact of the probe and button of the instrument."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tissueid.instrument import SAMPLE, Instrument
 from tissueid.wire import Flag
 
 LONGEST_S = 180.0
-"""A watch that is forgotten lets go of the port after this long."""
+"""Maximum duration of a watch, s; it then closes the port."""
 _POLL_S = 0.05
 
 
@@ -38,7 +38,7 @@ class Sight:
 
     @property
     def contact(self) -> Contact:
-        """How the probe stands now."""
+        """Current contact of the probe."""
         with self._lock:
             return self._contact
 
@@ -89,7 +89,7 @@ def watch(
             recent = np.concatenate([recent, samples])[-round(RECENT_S * device.sample_rate_hz) :]
             sight.contact = contact_of_free(recent, device)
             received = samples["flags"][np.isfinite(samples["position"])]
-            if button.told(received, armed=sight.armed.is_set()):
+            if button.pressed_in(received, armed=sight.armed.is_set()):
                 # Where the probe is off the skin a press is more likely a slip than a wish.
                 if sight.contact in (Contact.ON, Contact.UNTOLD):
                     return Watched(pressed=True)
@@ -108,7 +108,7 @@ class _Button:
         self._was_up = False
         self._down = False
 
-    def told(self, flags: NDArray[np.uint16], *, armed: bool) -> bool:
+    def pressed_in(self, flags: NDArray[np.uint16], *, armed: bool) -> bool:
         """Whether it was pressed and let go of; flags of the newest samples, shape (k,)."""
         if not armed:
             self._was_up = self._down = False

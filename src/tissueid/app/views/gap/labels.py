@@ -1,4 +1,4 @@
-"""Labels for texts that come from files."""
+"""Labels for untrusted texts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from PySide6.QtWidgets import QLabel
 
 
 def plain_label(role: str = "") -> QLabel:
-    """An empty label that wraps, shows what it is given as it is, and can be copied from."""
+    """Return an empty label that wraps plain text and allows copying."""
     label = QLabel()
     if role:
         label.setProperty("role", role)
@@ -19,7 +19,7 @@ def plain_label(role: str = "") -> QLabel:
 
 
 def show_level(widget: object, level: str) -> None:
-    """Colour a widget by how good a thing it says."""
+    """Set the colour level of a widget: good, check or poor."""
     widget.setProperty("level", level)  # type: ignore[attr-defined]
     widget.style().unpolish(widget)  # type: ignore[attr-defined]
     widget.style().polish(widget)  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""One diagnosis on a page: the verdict, the chain, and where, which, how far and what next."""
+"""Page of one diagnosis: verdict, signal chain, and tabs."""
 
 from __future__ import annotations
 
@@ -9,19 +9,26 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QScrollArea, QTa
 
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.views.gap.chain import Chain
-from tissueid.app.views.gap.far_tab import FarTab
+from tissueid.app.views.gap.candidates_tab import CandidatesTab
+from tissueid.app.views.gap.closure_tab import ClosureTab
+from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.views.gap.labels import plain_label, show_level
-from tissueid.app.views.gap.next_tab import NextTab
-from tissueid.app.views.gap.where_tab import WhereTab
-from tissueid.app.views.gap.which_tab import WhichTab
-from tissueid.app.views.gap.words import STAGE_TITLES
-from tissueid.language import _
+from tissueid.app.views.gap.localisation_tab import LocalisationTab
+from tissueid.app.views.gap.next_test_tab import NextTestTab
+from tissueid.app.views.gap.signal_chain import SignalChain
+from tissueid.language import _, marked
 
 if TYPE_CHECKING:
-    from tissueid.app.views.gap.story import Story
+    from tissueid.app.views.gap.diagnosis_result import State
+    from tissueid.app.views.gap.page_content import PageContent
     from tissueid.twin.effect import Stage
 
+_STALE = {
+    "changed": marked("The session file has changed since this diagnosis, which may not hold for it any more."),
+    "missing": marked(
+        "The session file is not where it was: what is shown here was kept, and no other effect can be fitted."
+    ),
+}
 _TABS_HEIGHT = 390
 _ONE_ROW = 680
 _LEAST_WIDTH = 540
@@ -29,15 +36,18 @@ _LEAST_WIDTH = 540
 
 
 class ResultPage(QScrollArea):
-    """Shows a story; the three buttons are for what is kept of it."""
+    """Shows the content of a diagnosis, with buttons to save its outputs or to repeat it."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._story: Story | None = None
+        self._story: PageContent | None = None
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setMinimumWidth(_LEAST_WIDTH)
+        self.stale = plain_label()
+        self.again = QPushButton(_("Diagnose again"))
+        self.again.setToolTip(_("Run the same diagnosis on the session as it is now"))
         self.headline = plain_label("headline")
         self.means = plain_label()
         self.todo = plain_label()
@@ -45,13 +55,13 @@ class ResultPage(QScrollArea):
         self.accept = QPushButton(_("Accept into twin…"))
         self.accept.setToolTip(_("Save a twin that has the named effect, for simulation and later diagnoses"))
         self.report = QPushButton(_("Report"))
-        self.report.setToolTip(_("Write this as one page beside the session, and open it"))
+        self.report.setToolTip(_("Write the report next to the session, and open it"))
         self.export = QPushButton(_("Export JSON…"))
         self.export.setToolTip(_("For scripts: the same answer as the command line gives"))
-        self.chain = Chain()
+        self.chain = SignalChain()
         self.stage = plain_label("heading")
         self.evidence = plain_label()
-        self.where, self.which, self.far, self.next = WhereTab(), WhichTab(), FarTab(), NextTab()
+        self.where, self.which, self.far, self.next = LocalisationTab(), CandidatesTab(), ClosureTab(), NextTestTab()
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
@@ -71,21 +81,33 @@ class ResultPage(QScrollArea):
         self._arrange()
 
     @property
+    def buttons(self) -> tuple[QPushButton, ...]:
+        """Buttons for the diagnosis."""
+        return self.again, self.accept, self.report, self.export
+
+    @property
     def fields(self) -> list[QWidget]:
-        """What the tab key visits, in order."""
-        first: list[QWidget] = [self.accept, self.report, self.export, *self.chain.stages.values(), self.tabs.tabBar()]
+        """Widgets in tab order."""
+        first: list[QWidget] = [
+            self.again,
+            self.accept,
+            self.report,
+            self.export,
+            *self.chain.stages.values(),
+            self.tabs.tabBar(),
+        ]
         return [*first, self.which.table, self.far.channel, *self.next.fields]
 
-    def show_story(self, story: Story) -> None:
-        """Show a diagnosis."""
+    def show_story(self, story: PageContent, state: State = "") -> None:
+        """Show a diagnosis and the state of its session file."""
         self._story = story
         for widget in (self._verdict, self.headline):
-            show_level(widget, story.level)
-        self.headline.setText(story.headline)
+            show_level(widget, "check" if state == "changed" else story.level)
+        self.headline.setText(as_title(story.headline))
         for label, lines in ((self.means, story.means), (self.remarks, story.remarks)):
-            label.setText(" ".join(lines))
+            label.setText(" ".join(map(as_sentence, lines)))
             label.setVisible(bool(lines))
-        self.todo.setText(_("What to do: {advice}").format(advice=" ".join(story.todo)))
+        self.todo.setText(_("What to do: {advice}").format(advice=" ".join(map(as_sentence, story.todo))))
         self.todo.setVisible(bool(story.todo))
         self.chain.show_shares([(item.stage, item.share, item.lit) for item in story.stages])
         first = story.at_fault[0] if story.at_fault else story.stages[0].stage
@@ -93,18 +115,25 @@ class ResultPage(QScrollArea):
         self._show_stage(first)
         for tab in (self.where, self.which, self.far, self.next):
             tab.show_story(story)
+        self._show_state(state)
         self.verticalScrollBar().setValue(0)
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Enable what makes sense."""
-        for button in (self.accept, self.report, self.export):
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls."""
+        for button in self.buttons:
             button.setEnabled(not busy)
         self.next.prepare.setEnabled(not testing)
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         for part in (self.chain, self.where, self.which, self.far, self.next):
-            part.paint_with(theme)
+            part.apply_theme(theme)
+
+    def _show_state(self, state: State) -> None:
+        self.stale.setText(_(_STALE[state]) if state else "")
+        self.stale.setVisible(bool(state))
+        self.again.setVisible(state == "changed")
+        self.accept.setVisible(state != "changed")
 
     def _show_stage(self, stage: Stage) -> None:
         if self._story is None:
@@ -115,7 +144,7 @@ class ResultPage(QScrollArea):
                 stage=_(STAGE_TITLES[stage])
             )
         )
-        self.evidence.setText("\n".join(found.evidence))
+        self.evidence.setText("\n".join(map(as_sentence, found.evidence)))
         self.evidence.setAccessibleName(f"{self.stage.text()}. {self.evidence.text()}")
 
     def _arrange(self) -> None:
@@ -124,7 +153,7 @@ class ResultPage(QScrollArea):
         offered = QHBoxLayout()
         offered.setSpacing(6)
         offered.addStretch(1)
-        for button in (self.accept, self.report, self.export):
+        for button in self.buttons:
             offered.addWidget(button, 0, Qt.AlignmentFlag.AlignTop)
         top = FoldingBox(_ONE_ROW)
         top.setSpacing(6)
@@ -134,7 +163,7 @@ class ResultPage(QScrollArea):
         verdict.setContentsMargins(12, 8, 10, 8)
         verdict.setSpacing(3)
         verdict.addLayout(top)
-        for label in (self.means, self.todo, self.remarks):
+        for label in (self.stale, self.means, self.todo, self.remarks):
             verdict.addWidget(label)
         card = QFrame()
         card.setProperty("role", "card")

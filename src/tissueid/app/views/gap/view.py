@@ -1,4 +1,4 @@
-"""The page ``gap``: where simulated and recorded differ, which effect causes it, and how far that closes it."""
+"""The page ``gap``: where simulation and recording differ, which effect causes it, and how far it closes the gap."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -20,26 +20,31 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.context import AppContext
+from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.theme import Theme
-from tissueid.app.views.gap.asking import Asking
-from tissueid.app.views.gap.choosing import EffectChoice
-from tissueid.app.views.gap.diagnosing import Result, run
-from tissueid.app.views.gap.history import History
-from tissueid.app.views.gap.keeping import (
+from tissueid.app.views.gap.background_reading import BackgroundReading
+from tissueid.app.views.gap.diagnosis_export import (
     accept_into_twin,
     export_json,
     proposed_twin,
-    report_beside,
     why_not_accepted,
+    write_report,
 )
+from tissueid.app.views.gap.diagnosis_list import DiagnosisList
+from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest, DiagnosisResult
+from tissueid.app.views.gap.diagnosis_run import run_diagnosis
+from tissueid.app.views.gap.diagnosis_store import KeptDiagnoses, default_folder, keep, remove
+from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.labels import plain_label
-from tissueid.app.views.gap.proposal import prepared_words, session_url
+from tissueid.app.views.gap.next_test import prepared_words, session_url
+from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
-from tissueid.app.views.view import Desk, View
-from tissueid.app.waiting import tell_why
+from tissueid.app.views.view import View
 from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
-from tissueid.language import _, marked
+from tissueid.language import _, marked, plural
+from tissueid.messages import translated
 
 _WELCOME = marked(
     "A simulation of the same test never equals the recording. Choose a session and run: this page says whether the "
@@ -51,20 +56,27 @@ _TAB = "gap/tab"
 
 
 class GapView(View):
-    """The page ``gap``. A diagnosis runs in processes of its own and can be cancelled at any moment."""
+    """The page ``gap``. A diagnosis runs in separate processes and can be cancelled at any time."""
 
     name = "gap"
     stepped = Signal(str, int, int)
-    """Where the diagnosis stands; sent from its thread."""
+    """Progress of the diagnosis, emitted from its thread."""
 
-    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
-        super().__init__(desk, parent)
-        self._written: tuple[Result, Path] | None = None
+    def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
+        super().__init__(context, parent)
+        self._written: tuple[DiagnosisResult, Path] | None = None
         self._cancelled = threading.Event()
-        self._running = False
+        self._running = self._over = False
+        self._next: DiagnosisRequest | None = None
+        self._kept_in = default_folder()
+        self.background = BackgroundReading(context.jobs, self._kept_in, self)
         self._busy = self._testing = False
-        self.asking = Asking(desk.around.folder)
-        self.history = History()
+        # Not from within a job's end: the other pages must have settled first.
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(0)
+        self.asking = RequestPanel(context.services.folder)
+        self.history = DiagnosisList()
         self.result = ResultPage()
         self.welcome = plain_label("muted")
         self.welcome.setText(_(_WELCOME))
@@ -75,103 +87,174 @@ class GapView(View):
         self._stack.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self._arrange()
         self._connect()
-        self.asking.restore(desk.settings)
-        self.result.tabs.setCurrentIndex(_whole_number(desk.settings.value(_TAB, 0)))
+        self.asking.restore(context.settings)
+        self.result.tabs.setCurrentIndex(_whole_number(context.settings.value(_TAB, 0)))
         self._show_chosen()
 
     # -- what the window tells ------------------------------------------------------------------------------------
 
     def enter(self) -> None:
-        """The page is about to be shown: look which files there are now."""
+        """List the files again when the page is shown."""
         self.asking.look()
+        self.history.look()
+        self._soon.start()
 
-    def heard_of(self, path: Path) -> None:
-        """A session was recorded: it can be chosen."""
-        self.asking.look()
+    def on_session_saved(self, path: Path) -> None:
+        """List a new session."""
+        self.asking.on_session_saved(path)
+        self._soon.start()
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Enable what makes sense now."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls."""
         self._busy, self._testing = busy, testing
-        self.asking.settle(busy=busy, testing=testing)
-        self.result.settle(busy=busy, testing=testing)
+        # While the page only reads, a diagnosis can be asked for all the same.
+        waits = self._running or testing or (busy and not self._only_reading)
+        self.asking.update_enabled(busy=waits, testing=testing)
+        self.result.update_enabled(busy=busy, testing=testing)
+        if not busy:
+            self._soon.start()
 
     def waiting(self) -> tuple[QWidget, ...]:
-        """Run, and what keeps a result."""
-        return self.asking.run, self.result.accept, self.result.report, self.result.export
+        """The buttons that are disabled while other work runs."""
+        return self.asking.run, *self.result.buttons
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
-        return self.asking.run, self.asking.stop, self.result.accept, self.result.report, self.result.export
+        return self.asking.run, self.asking.stop, *self.result.buttons
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.result.paint_with(theme)
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.result.apply_theme(theme)
 
     def cancel(self) -> None:
-        """End a diagnosis that runs: the window closes."""
+        """Cancel the running diagnosis and start no further work; the window closes."""
+        self._over, self._next = True, None
         self._cancelled.set()
+        self.background.cancel()
 
     def save_state(self) -> None:
-        """Keep what is chosen; diagnoses are not kept."""
-        self.asking.save(self.desk.settings)
-        self.desk.settings.setValue(_TAB, self.result.tabs.currentIndex())
+        """Save the selection; diagnoses are stored when they are made."""
+        self.asking.save(self.context.settings)
+        self.context.settings.setValue(_TAB, self.result.tabs.currentIndex())
 
     # -- a diagnosis ----------------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Diagnose what is chosen."""
-        if self.desk.busy or self._testing or self.asking.session.path is None:
+        """Diagnose the selected session as soon as background reading ends."""
+        if (self.context.busy and not self._only_reading) or self._testing or self.asking.session.path is None:
             return
         try:
-            asked = self.asking.asked()
+            self._next = self.asking.asked()
         except UnusableInputError as error:
-            self.desk.say(in_words(error), problem=True)
+            self.context.say(in_words(error), problem=True)
             return
         self._cancelled, self._running = threading.Event(), True
         self.asking.begin()
-        work = functools.partial(run, asked, self.stepped.emit, self._cancelled.is_set, apart=self.desk.around.apart)
-        why = _("A diagnosis is running on Gap: cancel it there, or wait.")
-        self.desk.jobs.do(work, self._ended, self._failed, why=why)
         self.asking.stop.setFocus()
+        self.background.cancel()
+        if self.context.busy:
+            self._resettle()
+        else:
+            self._go_on()
+
+    def begin_again(self) -> None:
+        """Repeat the shown diagnosis."""
+        if (result := self.history.result) is not None and not (self._running or self._testing):
+            self.asking.put(result.asked)
+            self.begin()
 
     def stop(self) -> None:
-        """Cancel the diagnosis that runs."""
+        """Cancel the running diagnosis."""
         if self._running:
             self._cancelled.set()
             self.asking.stop.setEnabled(False)
             self.asking.tell(_("Cancelling"), 0, 0)
 
+    @property
+    def _only_reading(self) -> bool:
+        return self.background.running and not self._running
+
+    def _go_on(self) -> None:
+        """Start the requested diagnosis, or else background reading."""
+        if self._over or self._testing or self.context.busy:
+            return
+        if self._next is not None:
+            asked, self._next = self._next, None
+            why = _("A diagnosis is running on Gap: cancel it there, or wait.")
+            self.context.jobs.do(functools.partial(self._diagnose, asked), self._ended, self._failed, why=why)
+        elif self.isVisible():
+            self.background.go_on(self.asking.session.untitled)
+
+    def _diagnose(self, asked: DiagnosisRequest) -> tuple[DiagnosisResult | None, str]:
+        """Diagnose and store the result; return the result and why it was not stored. Runs in a thread."""
+        result = run_diagnosis(
+            asked, self.stepped.emit, self._cancelled.is_set, separate_process=self.context.services.separate_process
+        )
+        return result, "" if result is None else self._kept(result)
+
+    def _kept(self, result: DiagnosisResult) -> str:
+        """Store a diagnosis; return why it was not stored, or ""."""
+        try:
+            keep(result, self._kept_in)
+        except (OSError, UnusableInputError) as error:
+            return in_words(error)
+        return ""
+
     def _step(self, what: str, done: int, total: int) -> None:
         if self._running and not self._cancelled.is_set():
             self.asking.tell(what, done, total)
 
-    def _ended(self, result: Result | None) -> None:
+    def _ended(self, ended: tuple[DiagnosisResult | None, str]) -> None:
         waited = self._rest()
+        result, unkept = ended
         if result is None:
-            self.desk.say(_(_CANCELLED))
+            self.context.say(_(_CANCELLED))
             return
         self.history.add(result)
         if waited:
             self.result.chain.chosen_box.setFocus()
+        self._say_unkept(unkept)
+
+    def _say_unkept(self, why: str) -> None:
+        if why:
+            self.context.say(_("The diagnosis is not there at the next start. {why}").format(why=why), problem=True)
 
     def _failed(self, words: str) -> None:
         self._rest()
-        self.desk.say(words, problem=True)
+        self.context.say(words, problem=True)
 
     def _rest(self) -> bool:
-        # Whether somebody waited here for the end, and the focus would be lost with the button that goes.
+        # The focus would be lost with the button that disappears.
         waited = self.asking.stop.hasFocus() or self.asking.stop.isHidden()
         self._running = False
         self.asking.session.choice.setFocus() if waited else None
-        self.asking.rest()
+        self.asking.clear()
         return waited
 
     def _show_chosen(self) -> None:
         result = self.history.result
         self._stack.setCurrentWidget(self.welcome if result is None else self.result)
         if result is not None:
-            self.result.show_story(result.story)
+            self.result.show_story(result.story, self.history.state)
         self.changed.emit()
+
+    # -- what the page reads by itself -------------------------------------------------------------------------------
+
+    def _restore(self, kept: KeptDiagnoses) -> None:
+        self.history.restore(kept.results)
+        if kept.bad:
+            words = plural(
+                "{count} kept diagnosis could not be read and is passed over.",
+                "{count} kept diagnoses could not be read and are passed over.",
+                kept.bad,
+            )
+            self.context.say(words.format(count=kept.bad), problem=True)
+
+    def _forget(self, result: DiagnosisResult) -> None:
+        remove(result.key, self._kept_in)
+
+    def _keep_again(self, result: DiagnosisResult) -> None:
+        self.context.jobs.do(functools.partial(self._kept, result), self._say_unkept, self._not_kept)
 
     # -- what is kept of it ---------------------------------------------------------------------------------------
 
@@ -180,13 +263,13 @@ class GapView(View):
         if result is None:
             return
         if why := why_not_accepted(result):
-            self.desk.say(why, problem=True)
+            self.context.say(translated(why), problem=True)
             return
         offered = result.story.offered
         if len(offered) < 2:
             self._ask_for_file([name for name, _title, _named in offered])
             return
-        dialog = EffectChoice(offered, self)
+        dialog = EffectDialog(offered, self)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         dialog.chosen.connect(self._ask_for_file)
         dialog.open()
@@ -215,9 +298,12 @@ class GapView(View):
         dialog.open()
 
     def _accept(self, effects: list[str], path: str) -> None:
-        trail, apart = self.desk.trail, self.desk.around.apart
+        trail, separate_process = self.context.trail, self.context.services.separate_process
         self._keep(
-            lambda result: accept_into_twin(result, Path(path), trail, effects, apart=apart),
+            lambda result: (
+                Path(path),
+                accept_into_twin(result, Path(path), trail, effects, separate_process=separate_process),
+            ),
             self._accepted,
         )
 
@@ -225,30 +311,31 @@ class GapView(View):
         self._keep(lambda result: export_json(result, Path(path)), self._exported)
 
     def _report(self) -> None:
-        result, written = self.history.result, self._written
-        if written is not None and written[0] is result and written[1].exists():
-            self.desk.show_file(written[1])  # of what is shown it is there already
+        written = self._written
+        if written is not None and written[0] is self.history.result and written[1].exists():
+            self.context.show_file(written[1])  # of what is shown it is there already
         else:
-            self._keep(lambda result: (result, report_beside(result)), self._reported)
+            self._keep(lambda result: (result, write_report(result)), self._reported)
 
-    def _reported(self, written: tuple[Result, Path]) -> None:
+    def _reported(self, written: tuple[DiagnosisResult, Path]) -> None:
         self._written = written
-        self.desk.show_file(written[1])
+        self.context.show_file(written[1])
 
-    def _keep(self, work: Callable[[Result], object], then: Callable[..., None]) -> None:
+    def _keep(self, work: Callable[[DiagnosisResult], object], then: Callable[..., None]) -> None:
         result = self.history.result
-        if result is not None and not self.desk.busy:
-            self.desk.jobs.do(functools.partial(work, result), then, self._not_kept)
+        if result is not None and not self.context.busy:
+            self.context.jobs.do(functools.partial(work, result), then, self._not_kept)
 
-    def _accepted(self, words: str) -> None:
-        self.asking.look()
-        self.desk.say(words)
+    def _accepted(self, accepted: tuple[Path, str]) -> None:
+        path, words = accepted
+        self.asking.on_session_saved(path)
+        self.context.say(words)
 
     def _exported(self, path: Path) -> None:
-        self.desk.say(_("The answer is saved in {path}.").format(path=path))
+        self.context.say(_("The answer is saved in {path}.").format(path=path))
 
     def _not_kept(self, words: str) -> None:
-        self.desk.say(words, problem=True)
+        self.context.say(words, problem=True)
 
     # -- what to measure next -------------------------------------------------------------------------------------
 
@@ -258,17 +345,17 @@ class GapView(View):
         if result is None or step is None or step.fields is None or self._testing:
             return
         fields = dict(step.fields)
-        device = result.diagnosis.observed.instrument
-        folders = [self.desk.around.folder, result.asked.session.parent]
+        device = result.instrument
+        folders = [self.context.services.folder, result.asked.session.parent]
         url = session_url(device, result.asked.twin, folders)
         if url:
             fields["url"] = url
-        self.desk.prepare_test(fields, prepared_words(step, device, url))
+        self.context.prepare_test(fields, prepared_words(step, device, url))
 
     # -- files that are dropped -----------------------------------------------------------------------------------
 
     def offer_files(self, paths: list[Path]) -> bool:
-        """Choose a session or a twin that was dropped here."""
+        """Select a dropped session or twin."""
         if len(paths) != 1 or not paths[0].is_file() or paths[0].suffix.lower() not in (".h5", ".toml"):
             return False
         self.asking.take(paths[0])
@@ -296,6 +383,13 @@ class GapView(View):
         self.asking.unwanted.connect(self.stop)
         self.asking.changed.connect(self._resettle)
         self.history.chosen.connect(self._show_chosen)
+        self.history.removed.connect(self._forget)
+        self.history.returned.connect(self._keep_again)
+        self.background.kept_read.connect(self._restore)
+        self.background.titles_read.connect(self.asking.session.entitle)
+        self.background.failed.connect(self._not_kept)
+        self._soon.timeout.connect(self._go_on)
+        self.result.again.clicked.connect(self.begin_again)
         self.result.accept.clicked.connect(self._ask_for_twin)
         self.result.report.clicked.connect(self._report)
         self.result.export.clicked.connect(self._ask_for_json)
@@ -305,10 +399,9 @@ class GapView(View):
         start.activated.connect(self.begin)
 
     def _resettle(self) -> None:
-        self.settle(busy=self._busy, testing=self._testing)
-        tell_why(self.waiting(), self.desk.jobs.why)
+        self.update_enabled(busy=self._busy, testing=self._testing)
+        show_disabled_reason(self.waiting(), self.context.jobs.why)
 
 
 def _whole_number(kept: object) -> int:
-    text = str(kept)
-    return int(text) if text.isdecimal() and len(text) < 3 else 0
+    return int(text) if (text := str(kept)).isdecimal() and len(text) < 3 else 0

@@ -1,4 +1,4 @@
-"""Analyses of the chosen tests: which engine with which options, what came of it, and what was run before."""
+"""Panel of analyses: engine form, results, population, recommendation and history."""
 
 from __future__ import annotations
 
@@ -13,59 +13,69 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QFileDialog,
+    QHBoxLayout,
     QProgressBar,
     QPushButton,
     QSplitter,
     QTabWidget,
+    QVBoxLayout,
     QWidget,
 )
 
-from tissueid.app.elided import ElidedLabel
+from tissueid.app.context import AppContext
+from tissueid.app.disabled_reason import show_disabled_reason
+from tissueid.app.elided_label import ElidedLabel
+from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.theme import Theme
-from tissueid.app.views.researcher.arranging import arrange
+from tissueid.app.views.researcher.analysis_history import AnalysisHistory
+from tissueid.app.views.researcher.analysis_progress import AnalysisProgress
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
-from tissueid.app.views.researcher.chosen import Chosen
 from tissueid.app.views.researcher.engine_form import EngineForm
-from tissueid.app.views.researcher.history import History
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.history_list import HistoryList
-from tissueid.app.views.researcher.kept_results import MOST_RESULTS, NAME, Kept, read_results, write_results
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.panel_state import STATE, restore_state, saved_state
 from tissueid.app.views.researcher.pictures import Pictures
 from tissueid.app.views.researcher.population_view import PopulationView
-from tissueid.app.views.researcher.progress import Progress
 from tissueid.app.views.researcher.recommendation_view import RecommendationView
+from tissueid.app.views.researcher.results_store import MOST_RESULTS, NAME, StoredResults, read_results, write_results
 from tissueid.app.views.researcher.results_table import SERIES, ResultsTable
-from tissueid.app.views.researcher.saver import Saver
-from tissueid.app.views.researcher.state import STATE, recall, remembered
-from tissueid.app.views.researcher.task import MOST_TESTS, Task, TestRef
-from tissueid.app.views.view import Desk
-from tissueid.app.waiting import tell_why
+from tissueid.app.views.researcher.save_dialog import SaveDialog
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError
 from tissueid.language import _, plural
-from tissueid.options import reason
+from tissueid.messages import translated
+from tissueid.option_errors import validation_reason
 
 _STEPS = 1000
 _LOOK_MS = 100
 _TOLD = 3
+_FORM_WIDTH = 232
+_FORM_HEIGHT = 170
+"""Height of the form above the results in a narrow window, pixels."""
+_HEIGHTS = (104, 400)
+"""Initial heights of the table and of the plots below it, pixels."""
 
 
 class AnalysisPanel(QWidget):
-    """Runs engines on tests, and shows and keeps what comes of it."""
+    """Runs engines on tests; shows and stores the results."""
 
-    def __init__(self, desk: Desk, parent: QWidget | None = None, *, history: History | None = None) -> None:
+    def __init__(
+        self, context: AppContext, parent: QWidget | None = None, *, history: AnalysisHistory | None = None
+    ) -> None:
         super().__init__(parent)
-        self.desk = desk
-        self._history = history or History()
-        self._chosen: tuple[Chosen, ...] = ()
-        self._work: Progress | None = None
+        self.context = context
+        self._history = history or AnalysisHistory()
+        self._chosen: tuple[SelectedTest, ...] = ()
+        self._work: AnalysisProgress | None = None
         self._doing = ""
         self._busy = self._testing = False
         self.form = EngineForm()
         self.run = QPushButton(_("R&un"))
         self.run.setToolTip(_("Fit the engine to every chosen test"))
         self.compare = QPushButton(_("Com&pare engines"))
-        self.compare.setToolTip(_("Fit every engine to every chosen test, and say which one it bears out"))
+        self.compare.setToolTip(_("Fit every engine to every chosen test, and recommend one"))
         self.folder = QPushButton(_("Run on folder…"))
         self.folder.setToolTip(_("Fit the engine to every stochastic test of every session below a folder"))
         self.cancelling = QPushButton(_("Cancel"))
@@ -76,7 +86,7 @@ class AnalysisPanel(QWidget):
         self.step = _line()
         self.results = ResultsTable()
         self.fits = QSplitter(Qt.Orientation.Vertical)
-        self._before_removal: tuple[Outcome, ...] = ()
+        self._before_removal: tuple[EngineOutcome, ...] = ()
         self._kept_in = self._history.path.with_name(NAME)
         self._read_kept = self._to_keep = False
         self.pictures = Pictures()
@@ -86,7 +96,7 @@ class AnalysisPanel(QWidget):
         self.save_figure = QPushButton(_("Figure…"))
         self.save_figure.setAccessibleName(_("Save the figure"))
         self.save_figure.setToolTip(_("Save the figure as PDF, SVG or PNG with 300 dpi"))
-        self._saver = Saver(desk, self)
+        self._saver = SaveDialog(context, self)
         self.refit = QPushButton(_("Refit"))
         self.refit.setToolTip(_("Fit the drawn results again whose curves were not kept"))
         self.undo = QPushButton(_("Undo"))
@@ -100,102 +110,149 @@ class AnalysisPanel(QWidget):
         self.tabs = QTabWidget()
         self.tabs.tabBar().setAccessibleName(_("Results, recommendation and history"))
         self._show_working()
-        arrange(self)
+        self._arrange()
         self._looking = QTimer(self)
         self._looking.setInterval(_LOOK_MS)
         self._looking.timeout.connect(self._look)
         self._connect()
         self._read_history()
-        recall(self.desk.settings.value(STATE), self.form, self.verdicts, self.pictures.choice, self.tabs)
+        restore_state(self.context.settings.value(STATE), self.form, self.verdicts, self.pictures.choice, self.tabs)
         self._rest()
 
-    def show_tests(self, chosen: Sequence[Chosen]) -> None:
-        """These tests are selected: what is run next is run on them."""
+    def _arrange(self) -> None:
+        """Arrange the form on the left, and buttons, progress and results on the right."""
+        self.form.setMinimumWidth(_FORM_WIDTH)
+        top = QHBoxLayout()
+        top.setSpacing(6)
+        for widget in (self.run, self.compare, self.folder):
+            top.addWidget(widget)
+        top.addStretch(1)
+        below = QHBoxLayout()
+        below.setSpacing(6)
+        below.addWidget(self.step, 2)
+        below.addWidget(self.bar, 1)
+        for button in (self.cancelling, self.refit, self.undo):
+            below.addWidget(button)
+        for widget in (self.save_figure, self.save_table, self.clear):
+            self.pictures.tools.addWidget(widget)
+        self.pictures.tools.addStretch(1)
+        results = self.fits
+        results.setChildrenCollapsible(False)
+        results.addWidget(self.results)
+        results.addWidget(self.pictures)
+        results.setSizes(list(_HEIGHTS))
+        results.setStretchFactor(0, 1)
+        results.setStretchFactor(1, 3)
+        self.tabs.setDocumentMode(True)
+        self.tabs.tabBar().setDrawBase(False)
+        self.tabs.addTab(results, _("Results"))
+        self.tabs.addTab(self.population, _("Population"))
+        self.tabs.addTab(self.verdicts, _("Recommendation"))
+        self.tabs.addTab(self.past, _("History"))
+        right = QWidget()
+        column = QVBoxLayout(right)
+        column.setContentsMargins(6, 0, 0, 0)
+        column.setSpacing(6)
+        column.addLayout(top)
+        column.addLayout(below)
+        column.addWidget(self.tabs, 1)
+        parts = FoldingSplitter(_FORM_HEIGHT)
+        parts.addWidget(self.form)
+        parts.addWidget(right)
+        parts.setChildrenCollapsible(False)
+        parts.setStretchFactor(1, 1)
+        parts.setSizes([_FORM_WIDTH, 4 * _FORM_WIDTH])
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 6, 0, 0)
+        layout.addWidget(parts)
+
+    def show_tests(self, chosen: Sequence[SelectedTest]) -> None:
+        """Select the tests for the next run."""
         self._chosen = tuple(chosen)[:MOST_TESTS]
         self._rest()
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Enable what makes sense now."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls."""
         self._busy, self._testing = busy, testing
         self._enable()
 
     @property
     def waiting(self) -> tuple[QWidget, ...]:
-        """What is grey while something goes on elsewhere."""
+        """The buttons that are disabled while other work runs."""
         saving = self.save_table, self.save_figure, self.population.save_figure
         return self.run, self.compare, self.folder, *saving
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.results.paint_with(theme)
-        self.pictures.paint_with(theme)
-        self.population.paint_with(theme)
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.results.apply_theme(theme)
+        self.pictures.apply_theme(theme)
+        self.population.apply_theme(theme)
 
     def cancel(self) -> None:
-        """End what goes on, as soon as the fit that runs is done."""
+        """Cancel the work after the current fit."""
         if self._work is not None:
             self._work.cancel()
             self.step.setText(_("Cancelling: what is being fitted is finished first."))
             self.cancelling.setEnabled(False)
 
     def go_on(self) -> bool:
-        """Read the results of the last start, once, if there are any; the page asks when nothing else goes on."""
+        """Start reading the stored results once; return whether a job was started."""
         if self._read_kept:
             return False
         self._read_kept = True
         if not self._kept_in.exists():
             return False
-        self.desk.jobs.do(functools.partial(read_results, self._kept_in), self._restore, self._failed)
+        self.context.jobs.do(functools.partial(read_results, self._kept_in), self._restore, self._failed)
         return True
 
-    def _restore(self, kept: Kept) -> None:
-        """Show the results of the last start before those that have come since."""
+    def _restore(self, kept: StoredResults) -> None:
+        """Show the stored results before the new ones."""
         there = {outcome.key: outcome for outcome in (*kept.outcomes, *self.results.outcomes)}
         self._show_results(list(there.values())[-MOST_RESULTS:])
         self._draw()
         if kept.bad:
-            self.desk.say(
+            self.context.say(
                 _("{count} results of the last start could not be read and are passed over.").format(count=kept.bad),
                 problem=True,
             )
 
     def save_state(self) -> None:
-        """Write engine, options, results and what is shown, for the next start."""
+        """Save engine, options, results and the selected tabs."""
         if self._to_keep and self._read_kept:
             try:
                 write_results(self._kept_in, self.results.outcomes)
             except OSError as error:
-                self.desk.say(in_words(error), problem=True)
-        self.desk.settings.setValue(STATE, remembered(self.form, self.verdicts, self.pictures.choice, self.tabs))
+                self.context.say(in_words(error), problem=True)
+        self.context.settings.setValue(STATE, saved_state(self.form, self.verdicts, self.pictures.choice, self.tabs))
 
     # -- running ------------------------------------------------------------------------------------------
 
-    def start(self, task: Task, folder: Path | None = None) -> None:
-        """Begin a task, on the tests of a folder if one is named."""
-        if self.desk.busy or self._testing:
+    def start(self, task: AnalysisTask, folder: Path | None = None) -> None:
+        """Start a task, on all sessions in ``folder`` if given."""
+        if self.context.busy or self._testing:
             return
         moment = datetime.now(UTC).isoformat(timespec="milliseconds")
 
-        def work(progress: Progress) -> Batch:
+        def work(progress: AnalysisProgress) -> Batch:
             if folder is None:
                 return run(task, progress, self._history, moment)
             return run_folder(folder, task, progress, self._history, moment)
 
         self._begin(work, _("Comparing") if task.kind == "compare" else _("Fitting"), self._done)
 
-    def _begin(self, work: Callable[[Progress], Batch], doing: str, done: Callable[[Batch], None]) -> None:
-        if self.desk.busy or self._testing:
+    def _begin(self, work: Callable[[AnalysisProgress], Batch], doing: str, done: Callable[[Batch], None]) -> None:
+        if self.context.busy or self._testing:
             return
-        progress = Progress()
+        progress = AnalysisProgress()
         self._work, self._doing = progress, doing
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
         why = _("An analysis is running on Research: cancel it there, or wait.")
-        self.desk.jobs.do(functools.partial(work, progress), done, self._failed, why=why)
+        self.context.jobs.do(functools.partial(work, progress), done, self._failed, why=why)
 
-    def _task(self, **changes: Any) -> Task | None:
-        """What the form asks for, or None where it cannot be, which is then said."""
+    def _task(self, **changes: Any) -> AnalysisTask | None:
+        """Return the task of the form; show the error and return None if it is invalid."""
         into, out = self.form.signals
         try:
             asked = {
@@ -206,11 +263,11 @@ class AnalysisPanel(QWidget):
                 "together": self.form.together.isChecked(),
                 "tests": tuple(TestRef.of(test) for test in self._chosen),
             }
-            return Task.model_validate(asked | changes)
+            return AnalysisTask.model_validate(asked | changes)
         except ValidationError as error:
-            self.desk.say(sentence(reason(error)), problem=True)
+            self.context.say(sentence(translated(validation_reason(error))), problem=True)
         except TissueIDError as error:
-            self.desk.say(in_words(error), problem=True)
+            self.context.say(in_words(error), problem=True)
         return None
 
     def _run(self) -> None:
@@ -220,14 +277,14 @@ class AnalysisPanel(QWidget):
     def _compare(self) -> None:
         engines = self.verdicts.compared
         if not engines:
-            self.desk.say(_("Choose at least one engine to compare."), problem=True)
+            self.context.say(_("Choose at least one engine to compare."), problem=True)
         elif self._chosen and (task := self._task(kind="compare", engines=engines)) is not None:
             self.start(task)
 
     def _choose_folder(self) -> None:
         if self._task(tests=()) is None:
             return
-        dialog = QFileDialog(self, _("Run on the sessions below a folder"), str(self.desk.around.folder))
+        dialog = QFileDialog(self, _("Run on the sessions below a folder"), str(self.context.services.folder))
         dialog.setFileMode(QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -254,14 +311,14 @@ class AnalysisPanel(QWidget):
             self.tabs.setCurrentWidget(self.verdicts if batch.verdicts else self.fits)
         if batch.problems:
             more = len(batch.problems) - _TOLD
-            told = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
-            self.desk.say(" ".join(told), problem=True)
+            shown = [*batch.problems[:_TOLD], *([_("And {count} more.").format(count=more)] if more > 0 else [])]
+            self.context.say(" ".join(shown), problem=True)
         elif batch.cancelled:
-            self.desk.say(_("Cancelled; what was done by then is shown."))
+            self.context.say(_("Cancelled; what was done by then is shown."))
 
     def _failed(self, words: str) -> None:
         self._end()
-        self.desk.say(words, problem=True)
+        self.context.say(words, problem=True)
 
     def _end(self) -> None:
         self._looking.stop()
@@ -269,8 +326,8 @@ class AnalysisPanel(QWidget):
         self._show_working()
         self._rest()
 
-    def _keep(self, new: Sequence[Outcome]) -> None:
-        """Add results; one of the same engine, options and tests takes the old one's place."""
+    def _keep(self, new: Sequence[EngineOutcome]) -> None:
+        """Add results; a result of the same engine, options and tests replaces the old one."""
         self._to_keep = True
         kept = {outcome.key: outcome for outcome in self.results.outcomes}
         fresh = {outcome.key: outcome for outcome in new}
@@ -280,7 +337,7 @@ class AnalysisPanel(QWidget):
         self.results.bring_up(list(fresh.values()))
         self._draw()
 
-    def _show_results(self, outcomes: Sequence[Outcome]) -> None:
+    def _show_results(self, outcomes: Sequence[EngineOutcome]) -> None:
         self.results.show_outcomes(outcomes)
         self.population.show_outcomes(self.results.outcomes)
 
@@ -289,7 +346,7 @@ class AnalysisPanel(QWidget):
         self.results.colour(self.pictures.show_outcomes(self.results.chosen, fitted))
         self._enable()
 
-    def _remove(self, some: list[Outcome]) -> None:
+    def _remove(self, some: list[EngineOutcome]) -> None:
         self._to_keep = True
         self._before_removal = tuple(self.results.outcomes)
         gone = {id(outcome) for outcome in some}
@@ -297,7 +354,7 @@ class AnalysisPanel(QWidget):
         self._draw()
 
     def _undo_removal(self) -> None:
-        """What was taken out last stands in the table again, before what has come since."""
+        """Restore the results that were removed last."""
         before, self._before_removal = self._before_removal, ()
         self._to_keep = True
         if before:
@@ -306,11 +363,11 @@ class AnalysisPanel(QWidget):
             self._draw()
 
     @property
-    def _without_curves(self) -> list[Outcome]:
+    def _without_curves(self) -> list[EngineOutcome]:
         return [outcome for outcome in self.pictures.outcomes if outcome.without_curves]
 
     def _refit(self) -> None:
-        """Fit what is to be drawn and has no curves."""
+        """Refit the drawn results that have no curves."""
         wanted = self._without_curves
         if wanted:
             self._begin(functools.partial(refit, wanted), _("Fitting"), self._refitted)
@@ -321,8 +378,8 @@ class AnalysisPanel(QWidget):
         self.results.select([outcome for outcome in self.results.outcomes if outcome.key in chosen])
         self._draw()
 
-    def _show_in_table(self, outcomes: list[Outcome]) -> None:
-        """Select fits in the table, so that they are drawn."""
+    def _show_in_table(self, outcomes: list[EngineOutcome]) -> None:
+        """Select fits in the table and draw them."""
         self.results.select(outcomes)
         self.tabs.setCurrentWidget(self.fits)
         self._draw()
@@ -338,8 +395,8 @@ class AnalysisPanel(QWidget):
         except OSError as error:
             self.past.remark.setText(_("The history cannot be read: {problem}").format(problem=in_words(error)))
 
-    def _take_task(self, task: Task) -> None:
-        """Put the settings of an earlier run back into the form; which tests are chosen stays."""
+    def _take_task(self, task: AnalysisTask) -> None:
+        """Put the settings of an earlier run into the form; the selected tests stay."""
         try:
             if task.kind == "compare":
                 self.verdicts.take_compared(task.engines)
@@ -347,10 +404,10 @@ class AnalysisPanel(QWidget):
             else:
                 self.form.choose(task.engines[0], task.options)
         except TissueIDError as error:
-            self.desk.say(in_words(error), problem=True)
+            self.context.say(in_words(error), problem=True)
             return
         self.form.take_signals(task.input_name, task.output_name, task.together)
-        self.desk.say(_("The settings of that run are in the form; the chosen tests are as they were."))
+        self.context.say(_("The settings of that run are in the form; the chosen tests are as they were."))
 
     def _save_table(self) -> None:
         self._saver.save_table(self.results.rows())
@@ -366,7 +423,7 @@ class AnalysisPanel(QWidget):
     # -- how it stands ------------------------------------------------------------------------------------
 
     def _rest(self) -> None:
-        """Nothing of ours goes on."""
+        """Show the number of selected tests if no work runs."""
         if self._work is None:
             count = len(self._chosen)
             self.step.setText(
@@ -398,8 +455,8 @@ class AnalysisPanel(QWidget):
         self.undo.setEnabled(self._work is None)
         self.refit.setVisible(bool(self._without_curves))
         self.refit.setEnabled(free)
-        self.past.settle(busy=not free)
-        tell_why(self.waiting, self.desk.jobs.why)
+        self.past.update_enabled(busy=not free)
+        show_disabled_reason(self.waiting, self.context.jobs.why)
 
     def _connect(self) -> None:
         self.run.clicked.connect(self._run)
@@ -423,7 +480,7 @@ class AnalysisPanel(QWidget):
 
 
 def _line() -> ElidedLabel:
-    """Words that change as work goes on, and are cut in their middle where there is no room."""
+    """Return an elided label for the progress of the work."""
     label = ElidedLabel()
     label.setProperty("role", "muted")
     return label

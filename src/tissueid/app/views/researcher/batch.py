@@ -1,4 +1,4 @@
-"""The work itself, off the window's thread: engines on one test after another, each failure costing only itself."""
+"""Run engines on tests in a worker thread. A failure is recorded and the next test is run."""
 
 from __future__ import annotations
 
@@ -8,45 +8,49 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, compare, known_ceiling, specifications, split
-from tissueid.app.views.researcher.chosen import Chosen, time_of
-from tissueid.app.views.researcher.history import Entry, History
-from tissueid.app.views.researcher.outcome import Outcome, stamp_of
-from tissueid.app.views.researcher.progress import Progress
-from tissueid.app.views.researcher.task import MOST_TESTS, Task, TestRef
-from tissueid.app.views.researcher.verdict import Verdict, verdict_of
+from tissueid.app.file_stamp import stamp_of
+from tissueid.app.views.researcher.analysis_history import AnalysisHistory, HistoryEntry
+from tissueid.app.views.researcher.analysis_progress import AnalysisProgress
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
+from tissueid.app.views.researcher.comparison_summary import ComparisonSummary, summary_of
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
+from tissueid.formatting import clean, fixed
+from tissueid.identification import engine_label
+from tissueid.language import _, marked
+from tissueid.messages import Listing, Message, translated
 from tissueid.sessions import Session, read_session
-from tissueid.wording import clean, engine_label, fixed
 
 _SUFFIX = ".h5"
 _MOST_DRAWN = 300
-"""Results that keep their curves; of further ones only the figures are kept."""
+"""Maximum number of results with curves; further results are stored without."""
 _STEPS = 8.0
-"""How many further engines' worth of work a comparison does after its last engine."""
+"""Work of a comparison after its last engine, in units of one engine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What a task came to. ``problems`` are in words; ``entry`` is its line in the history."""
+    """Result of a task. ``problems`` are texts; ``entry`` is its entry in the history."""
 
-    task: Task
-    outcomes: tuple[Outcome, ...]
-    verdicts: tuple[Verdict, ...]
+    task: AnalysisTask
+    outcomes: tuple[EngineOutcome, ...]
+    verdicts: tuple[ComparisonSummary, ...]
     problems: tuple[str, ...]
     cancelled: bool
-    entry: Entry | None
+    entry: HistoryEntry | None
 
 
-def run(task: Task, progress: Progress, history: History, moment: str) -> Batch:
-    """Do a task, and write its line into the history; ``moment`` is when it began, in ISO 8601.
+def run(task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory, moment: str) -> Batch:
+    """Run a task and add it to the history; ``moment`` is its start in ISO 8601.
 
     Raises:
         UnusableInputError: an option is refused, which costs all tests alike.
     """
     if task.kind == "run":
         task.specification()
-    groups, done, verdicts, problems = task.groups, list[Outcome](), list[Verdict](), list[str]()
+    groups, done, verdicts, problems = task.groups, list[EngineOutcome](), list[ComparisonSummary](), list[str]()
     read = functools.lru_cache(maxsize=2)(read_session)
     cancelled = False
     try:
@@ -67,17 +71,17 @@ def run(task: Task, progress: Progress, history: History, moment: str) -> Batch:
             verdicts += verdict
     except CancelledError:
         cancelled = True
-    entry = Entry(time=moment, task=task, headline=_headline(done, cancelled))
+    entry = HistoryEntry(time=moment, task=task, headline=_headline(done, cancelled))
     try:
         history.add(entry)
     except OSError as error:
-        problems.append(f"The history could not be written: {in_words(error)}")
+        problems.append(_("The history could not be written: {problem}").format(problem=in_words(error)))
     return Batch(task, tuple(done), tuple(verdicts), tuple(problems), cancelled, entry)
 
 
-def refit(outcomes: Sequence[Outcome], progress: Progress) -> Batch:
-    """Fit results again whose curves were not kept; one that fails is left out and said in ``problems``."""
-    done, problems, cancelled = list[Outcome](), list[str](), False
+def refit(outcomes: Sequence[EngineOutcome], progress: AnalysisProgress) -> Batch:
+    """Refit results that were stored without curves; failures are added to ``problems``."""
+    done, problems, cancelled = list[EngineOutcome](), list[str](), False
     read = functools.lru_cache(maxsize=2)(read_session)
     tasks = [_task_of(outcome) for outcome in outcomes]
     for place, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
@@ -95,13 +99,15 @@ def refit(outcomes: Sequence[Outcome], progress: Progress) -> Batch:
     return Batch(tasks[0], tuple(done), (), tuple(problems), cancelled, None)
 
 
-def _task_of(outcome: Outcome) -> Task:
+def _task_of(outcome: EngineOutcome) -> AnalysisTask:
     into, out = outcome.signals
-    return Task(engines=(outcome.engine,), options=outcome.options, input_name=into, output_name=out)
+    return AnalysisTask(engines=(outcome.engine,), options=outcome.options, input_name=into, output_name=out)
 
 
-def run_folder(folder: Path, task: Task, progress: Progress, history: History, moment: str) -> Batch:
-    """Do a task on the tests of all sessions below a folder; files that are of no use are told.
+def run_folder(
+    folder: Path, task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory, moment: str
+) -> Batch:
+    """Run a task on the tests of all sessions in a folder and its subfolders.
 
     Raises:
         UnusableInputError: the folder holds no test, or an option is refused.
@@ -112,15 +118,17 @@ def run_folder(folder: Path, task: Task, progress: Progress, history: History, m
         tests, problems = find_tests(folder, progress)
     except CancelledError:
         return Batch(task, (), (), (), True, None)
+    if not tests and problems:
+        raise UnusableInputError(problems[0])
     if not tests:
-        raise UnusableInputError(problems[0] if problems else f"there is no session below {folder}")
+        raise UnusableInputError(Message("research.no_session", "there is no session in {folder}", folder=str(folder)))
     named = task.model_copy(update={"tests": tuple(TestRef.of(test) for test in tests)})
     found = run(named, progress, history, moment)
     return replace(found, problems=(*problems, *found.problems))
 
 
-def _part(progress: Progress, place: int, count: int, label: str) -> Callable[[str, float], None]:
-    which = f"{place + 1} of {count}: {label}" if count > 1 else label
+def _part(progress: AnalysisProgress, place: int, count: int, label: str) -> Callable[[str, float], None]:
+    which = _("{place} of {count}: {label}").format(place=place + 1, count=count, label=label) if count > 1 else label
 
     def tell(what: str, share: float) -> None:
         progress.tell(f"{which}, {what}" if what else which, (place + share) / count)
@@ -129,8 +137,11 @@ def _part(progress: Progress, place: int, count: int, label: str) -> Callable[[s
 
 
 def _run_one(
-    task: Task, group: tuple[Chosen, ...], read: Callable[[Path], Session], tell: Callable[[str, float], None]
-) -> tuple[list[Outcome], list[Verdict]]:
+    task: AnalysisTask,
+    group: tuple[SelectedTest, ...],
+    read: Callable[[Path], Session],
+    tell: Callable[[str, float], None],
+) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     first, *others = group
     signals = task.input_name, task.output_name
     analysis = analyse(
@@ -142,13 +153,16 @@ def _run_one(
         input_name=signals[0],
         output_name=signals[1],
     )
-    tell("drawing", 0.8)
-    return [Outcome.of(analysis, dict(task.options), group, signals)], []
+    tell(_("drawing"), 0.8)
+    return [EngineOutcome.of(analysis, dict(task.options), group, signals)], []
 
 
 def _compare_one(
-    task: Task, group: tuple[Chosen, ...], read: Callable[[Path], Session], tell: Callable[[str, float], None]
-) -> tuple[list[Outcome], list[Verdict]]:
+    task: AnalysisTask,
+    group: tuple[SelectedTest, ...],
+    read: Callable[[Path], Session],
+    tell: Callable[[str, float], None],
+) -> tuple[list[EngineOutcome], list[ComparisonSummary]]:
     first, *others = group
     engines = specifications(task.engines)
     session = read(first.path)
@@ -160,69 +174,82 @@ def _compare_one(
     except UnusableInputError:
         ceiling = None
     heard: list[str] = []
+    names = {engine.name for engine in engines}
     total = len(engines) + _STEPS
 
     def advance(what: str, share: float) -> None:
         if what not in heard:
             heard.append(what)
         within = min(len(heard) - 1.0, len(engines)) + (share if len(heard) <= len(engines) else 0.5 * _STEPS * share)
-        tell(engine_label(what), min(0.95, within / total))
+        tell(engine_label(what) if what in names else sentence(translated(what)), min(0.95, within / total))
 
     found = compare(engines, parts, ceiling=ceiling, progress=advance)
-    tell("drawing", 0.96)
-    return list(_outcomes(found, group, signals)), [verdict_of(found, group)]
+    tell(_("drawing"), 0.96)
+    return list(_outcomes(found, group, signals)), [summary_of(found, group)]
 
 
-def _outcomes(found: EngineComparison, group: tuple[Chosen, ...], signals: tuple[str, str]) -> Iterator[Outcome]:
+def _outcomes(
+    found: EngineComparison, group: tuple[SelectedTest, ...], signals: tuple[str, str]
+) -> Iterator[EngineOutcome]:
     for entry in found.entries:
         if entry.scored is None:
-            yield Outcome(entry.engine, {}, group, signals, refused=sentence(entry.refused or "refused"))
+            yield EngineOutcome(entry.engine, {}, group, signals, refused=entry.refused or marked("refused"))
         else:
             best = entry.engine == found.recommendation.engine
-            yield replace(Outcome.of(entry.scored.analysis, {}, group, signals), recommended=best)
+            yield replace(EngineOutcome.of(entry.scored.analysis, {}, group, signals), recommended=best)
 
 
-def _refused(task: Task, engine: str, group: tuple[Chosen, ...], words: str) -> Outcome:
+def _refused(task: AnalysisTask, engine: str, group: tuple[SelectedTest, ...], words: str) -> EngineOutcome:
     signals = task.input_name, task.output_name
-    return Outcome(engine, dict(task.options), group, signals, refused=words)
+    return EngineOutcome(engine, dict(task.options), group, signals, refused=words)
 
 
-def _headline(done: list[Outcome], cancelled: bool) -> str:
-    """The figures of a run in a line: the one that there is, or how many, and how well."""
+def _headline(done: list[EngineOutcome], cancelled: bool) -> str:
+    """Return the result of a run in a line: number of fits, and their scores on held-out data."""
     reports = [outcome.report for outcome in done if outcome.report is not None]
     held_out = sorted(r.vaf_validation_percent for r in reports if r.vaf_validation_percent is not None)
-    words = []
+    words: list[str] = []
     if len(done) > 1 or not reports:
-        words.append(f"{len(reports)} of {len(done)} fitted")
+        words.append(Message("research.fitted", "{count} of {total} fitted", count=len(reports), total=len(done)))
     if held_out:
-        low, high = fixed(held_out[0], 1), fixed(held_out[-1], 1)
-        words.append(f"VAF held out {low} %" if low == high else f"VAF held out {low} to {high} %")
+        low, high = held_out[0], held_out[-1]
+        if fixed(low, 1) == fixed(high, 1):
+            words.append(Message("research.vaf", "VAF held out {percent:.1f} %", percent=low))
+        else:
+            words.append(Message("research.vaf_range", "VAF held out {low:.1f} to {high:.1f} %", low=low, high=high))
     if cancelled:
-        words.append("cancelled")
-    return ", ".join(words)
+        words.append(marked("cancelled"))
+    return Message("research.headline", "{names}", names=Listing(tuple(words))) if words else ""
 
 
-def find_tests(folder: Path, progress: Progress) -> tuple[list[Chosen], list[str]]:
-    """The stochastic tests of all sessions below a folder, and in words which files are of no use.
+def find_tests(folder: Path, progress: AnalysisProgress) -> tuple[list[SelectedTest], list[str]]:
+    """Return the stochastic tests of all sessions in a folder and its subfolders, and a text for each unusable file.
 
     A session without a stochastic test gives its first one.
 
     Raises:
-        CancelledError: nobody wants them any more.
+        CancelledError: the search was cancelled.
         UnusableInputError: the folder cannot be searched.
     """
     try:
         paths: list[Path] = []
         for path in folder.rglob(f"*{_SUFFIX}"):
-            progress.tell(f"{len(paths)} files found", 0.0)
+            progress.tell(_("{count} files found").format(count=len(paths)), 0.0)
             if path.is_file():
                 paths.append(path)
     except OSError as error:
-        raise UnusableInputError(f"{folder}: {error.strerror}") from error
-    tests: list[Chosen] = []
+        raise UnusableInputError(
+            Message(
+                "research.folder_unreadable",
+                "{folder} cannot be searched: {reason}",
+                folder=str(folder),
+                reason=error.strerror or "",
+            )
+        ) from error
+    tests: list[SelectedTest] = []
     problems: list[str] = []
     for place, path in enumerate(sorted(paths)):
-        progress.tell(f"reading {clean(path.name)}", place / len(paths))
+        progress.tell(_("reading {name}").format(name=clean(path.name)), place / len(paths))
         try:
             session = read_session(path)
             taken = [test for test in session.tests if test.kind == "stochastic"] or [session.test()]
@@ -231,8 +258,10 @@ def find_tests(folder: Path, progress: Progress) -> tuple[list[Chosen], list[str
             continue
         for test in taken:
             label = f"{clean(session.subject.pseudonym)[:20]}, {clean(path.stem)[:30]} #{test.number}"
-            when = time_of(session.created)
-            tests.append(Chosen(path, test.number, test.site, session.subject.pseudonym, label, when))
+            when = timestamp_of(session.created)
+            tests.append(SelectedTest(path, test.number, test.site, session.subject.pseudonym, label, when))
     if len(tests) > MOST_TESTS:
-        problems.append(f"The folder holds {len(tests)} tests; the first {MOST_TESTS} are taken.")
+        problems.append(
+            _("The folder holds {count} tests; the first {most} are used.").format(count=len(tests), most=MOST_TESTS)
+        )
     return tests[:MOST_TESTS], problems

@@ -1,4 +1,4 @@
-"""The sessions of a year: where they are looked for, what is listed, and which tests are selected."""
+"""Session browser: folders, list of sessions, and selected tests."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, 
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
 from tissueid.app.theme import Theme
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.errand import ErrandStrip
+from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.filter_bar import FilterBar
-from tissueid.app.views.researcher.folders import FolderButton
-from tissueid.app.views.researcher.index import Entry, Search, TestEntry
-from tissueid.app.views.researcher.kept import keep_texts, kept_texts
+from tissueid.app.views.researcher.folder_button import FolderButton
+from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.session_filter import SessionFilter
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
+from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionTree
-from tissueid.app.views.view import Desk
+from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.formatting import clean, grouped
 from tissueid.language import _, plural
-from tissueid.wording import clean, grouped
 
 _FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
 _SETTLED_MS = 120
@@ -35,7 +35,7 @@ _WIDTHS = (134, 72, 108, 72, 46, 84, 70, 100, 180)
 
 
 class Browser(QWidget):
-    """``selected`` is sent when other tests are chosen, ``opened`` with the file that is to be opened.
+    """Session browser. ``selected``: the selection changed; ``opened``: the file to open.
 
     ``work_waits`` says that :meth:`go_on` has something to begin.
     """
@@ -44,22 +44,23 @@ class Browser(QWidget):
     opened = Signal(object)
     work_waits = Signal()
 
-    def __init__(self, desk: Desk, strip: ErrandStrip, parent: QWidget | None = None) -> None:
+    def __init__(self, context: AppContext, strip: ProgressStrip, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._desk = desk
+        self._context = context
         self._strip = strip
-        self._search: Search | None = None
+        self._search: SessionSearch | None = None
         self._all_wanted = True
         self._heard: list[Path] = []
         self._single: list[Path] = []
+        self._to_choose: Path | None = None
         self.model = SessionModel(self)
         self.shown = SessionFilter(self.model, self)
         self.bar = FilterBar()
         self.tree = SessionTree(self.shown)
         self.count = QLabel()
         self.picked = QLabel()
-        folders = [Path(text) for text in kept_texts(desk.settings, _FOLDERS)]
-        self.folders = FolderButton(folders or [desk.around.folder], self)
+        folders = [Path(text) for text in load_texts(context.settings, _FOLDERS)]
+        self.folders = FolderButton(folders or [context.services.folder], self)
         self.again = QPushButton(_("Look again"))
         self.again.setToolTip(_("Look for new sessions in the folders (F5)"))
         self._restore()
@@ -71,8 +72,8 @@ class Browser(QWidget):
 
     # -- for the page ---------------------------------------------------------------------------------------
 
-    def chosen(self) -> list[Chosen]:
-        """The selected tests in the order in which they are shown; a session stands for its tests that are shown."""
+    def chosen(self) -> list[SelectedTest]:
+        """Return the selected tests in the order of the list; a session stands for its listed tests."""
         tops: dict[int, set[int]] = {}
         for index in self.tree.selectionModel().selectedRows(DATE):
             below = index.parent().isValid()
@@ -89,7 +90,7 @@ class Browser(QWidget):
         return chosen
 
     def go_on(self) -> bool:
-        """Begin what waits, if anything; the page asks when nothing else goes on."""
+        """Start waiting work; return whether a job was started."""
         if not (self._all_wanted or self._heard):
             return False
         whole = self._all_wanted
@@ -97,18 +98,18 @@ class Browser(QWidget):
         files = self._single if whole else self._heard
         self._all_wanted, self._heard = False, []
         # Before the first test the folder of new sessions is not there yet: that is no problem.
-        folders = [path for path in self.folders.paths if path != self._desk.around.folder or path.is_dir()]
-        self._search = Search(folders if whole else (), files, self.model.by_path if whole else {})
+        folders = [path for path in self.folders.paths if path != self._context.services.folder or path.is_dir()]
+        self._search = SessionSearch(folders if whole else (), files, self.model.by_path if whole else {})
         self._whole = whole
         self._seen: set[Path] = set()
         self._strip.watch(self._search)
         self._drain.start()
         why = _("Sessions are being read on Research: cancel it there, or wait.")
-        self._desk.jobs.do(self._search.run, self._ended, self._failed, why=why)
+        self._context.jobs.do(self._search.run, self._ended, self._failed, why=why)
         return True
 
-    def heard_of(self, path: Path) -> None:
-        """A new session: it is listed as soon as nothing else goes on."""
+    def on_session_saved(self, path: Path) -> None:
+        """List a new session as soon as no other job runs."""
         self._heard.append(path)
         self.work_waits.emit()
 
@@ -118,34 +119,49 @@ class Browser(QWidget):
             if path.is_dir():
                 self.folders.add(str(path))
             else:
-                self.heard_of(path)
+                self.on_session_saved(path)
+
+    def choose(self, path: Path) -> None:
+        """List a new session, then select it alone."""
+        self._to_choose = path
+        self.on_session_saved(path)
+
+    def _choose_listed(self) -> None:
+        path, self._to_choose = self._to_choose, None
+        if all(entry.path != path for _index, entry in self.shown.shown()):
+            self.bar.ask("", "", "", "")
+            self._ask()
+        for index, entry in self.shown.shown():
+            if entry.path == path:
+                self.tree.setCurrentIndex(index)
+                self.tree.scrollTo(index)
 
     def look_again(self) -> None:
-        """Look through all folders, as soon as nothing else goes on."""
+        """Search all folders as soon as no other job runs."""
         self._all_wanted = True
         self.work_waits.emit()
 
-    def settle(self, *, testing: bool) -> None:
-        """Nothing here works beside a running test."""
+    def update_enabled(self, *, testing: bool) -> None:
+        """Disable the controls during a test."""
         self.setEnabled(not testing)
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.model.paint_with(theme)
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
-        """Keep folders, filters and columns."""
-        keep_texts(self._desk.settings, _FOLDERS, [str(path) for path in self.folders.paths])
-        keep_texts(self._desk.settings, _ASKED, list(self.bar.asked))
-        self._desk.settings.setValue(_HEADER, self.tree.header().saveState())
+        """Save folders, filters and columns."""
+        save_texts(self._context.settings, _FOLDERS, [str(path) for path in self.folders.paths])
+        save_texts(self._context.settings, _ASKED, list(self.bar.asked))
+        self._context.settings.setValue(_HEADER, self.tree.header().saveState())
 
     # -- searching ------------------------------------------------------------------------------------------
 
     def _take_found(self) -> None:
-        """List what was found since last time, a handful at once so that the window stays quick."""
+        """List the new files, a limited number at a time."""
         if self._search is None:
             return
-        entries: list[Entry] = []
+        entries: list[SessionEntry] = []
         try:
             while len(entries) < _AT_ONCE:
                 entries.append(self._search.found.get_nowait())
@@ -158,7 +174,7 @@ class Browser(QWidget):
             self.bar.offer(self.model.entries)
             self._tell_count()
 
-    def _ended(self, search: Search) -> None:
+    def _ended(self, search: SessionSearch) -> None:
         self._close()
         while not search.found.empty():
             self._take_found()
@@ -168,17 +184,19 @@ class Browser(QWidget):
             self.bar.offer(self.model.entries)
         self._search = None
         self._tell_count()
+        if self._to_choose in self.model.by_path:
+            self._choose_listed()
         if search.remarks:
-            self._desk.say(" ".join(search.remarks), problem=not search.cancelled)
+            self._context.say(" ".join(search.remarks), problem=not search.cancelled)
 
     def _failed(self, words: str) -> None:
         self._close()
         self._search = None
-        self._desk.say(words, problem=True)
+        self._context.say(words, problem=True)
 
     def _close(self) -> None:
         self._drain.stop()
-        self._strip.rest()
+        self._strip.clear()
 
     # -- what is shown --------------------------------------------------------------------------------------
 
@@ -214,12 +232,12 @@ class Browser(QWidget):
         self.picked.setText(_("{tests} selected").format(tests=f"{tests}{of}") if chosen else _("Nothing selected"))
         self.selected.emit()
 
-    def _chosen(self, entry: Entry, test: TestEntry) -> Chosen:
+    def _chosen(self, entry: SessionEntry, test: TestEntry) -> SelectedTest:
         parts = [clean(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
         label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
         label = f"{label} ({clean(entry.path.stem)[:40]})"
         when = entry.when if math.isfinite(entry.when) else None
-        return Chosen(entry.path, test.number, test.site, entry.pseudonym, label, when)
+        return SelectedTest(entry.path, test.number, test.site, entry.pseudonym, label, when)
 
     # -- building -------------------------------------------------------------------------------------------
 
@@ -227,10 +245,10 @@ class Browser(QWidget):
         header = self.tree.header()
         for column, width in enumerate(_WIDTHS):
             header.resizeSection(column, width)
-        state = self._desk.settings.value(_HEADER)
+        state = self._context.settings.value(_HEADER)
         if isinstance(state, QByteArray):
             header.restoreState(state)
-        asked = kept_texts(self._desk.settings, _ASKED)
+        asked = load_texts(self._context.settings, _ASKED)
         if len(asked) == 4:
             self.bar.ask(*asked)
             self.shown.ask(*self.bar.asked)
@@ -255,11 +273,11 @@ class Browser(QWidget):
         rows.addWidget(self.tree, 1)
         self.foot = QHBoxLayout()
         self.foot.setSpacing(6)
-        told = QVBoxLayout()
-        told.setSpacing(0)
-        told.addWidget(self.count)
-        told.addWidget(self.picked)
-        self.foot.addLayout(told, 1)
+        counts = QVBoxLayout()
+        counts.setSpacing(0)
+        counts.addWidget(self.count)
+        counts.addWidget(self.picked)
+        self.foot.addLayout(counts, 1)
         rows.addLayout(self.foot)
 
     def _connect(self) -> None:
@@ -283,7 +301,7 @@ class Browser(QWidget):
     def _open(self, index: QModelIndex) -> None:
         top = index.parent() if index.parent().isValid() else index
         entry = self.shown.data(top.siblingAtColumn(DATE), ITEM)
-        if isinstance(entry, Entry) and not entry.problem:
+        if isinstance(entry, SessionEntry) and not entry.problem:
             self.opened.emit(entry.path)
 
     def _timer(self, milliseconds: int, what: Callable[[], None], *, single: bool) -> QTimer:

@@ -1,4 +1,4 @@
-"""Which signals are drawn."""
+"""Button that selects the drawn signals."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QMenu, QPushButton, QWidget
 
 from tissueid.app.views.researcher.plot_stack import MOST_PLOTS
-from tissueid.app.views.researcher.reading import Channel
+from tissueid.app.views.researcher.signal_loading import Channel
 from tissueid.language import _
 
 _FIRST = ("force", "position", "voltage", "input", "output", "current")
-"""What is drawn before anybody chose, the first three of them that are there."""
+"""Signals drawn by default: the first three of these that exist."""
 _AT_FIRST = 3
 
 
 class ChannelButton(QPushButton):
-    """A button with a menu of all signals, each with a check mark. ``changed`` is sent when another set is drawn."""
+    """Button with a checkable menu of all signals; ``changed`` is emitted on each change."""
 
     changed = Signal()
 
     def __init__(self, wanted: Sequence[str], parent: QWidget | None = None) -> None:
         super().__init__(_("Signals"), parent)
         self.wanted = list(wanted)
-        """Names that a person chose; none where nobody chose."""
+        """Names of the selected signals; none before a selection."""
         self._channels: list[Channel] = []
         self.setMenu(QMenu(self))
         self.setToolTip(_("Which signals are drawn"))
         self.offer([])
 
     def offer(self, channels: Sequence[Channel]) -> None:
-        """These are there, in this order."""
+        """Offer signals in this order."""
         self._channels = list(channels)
         menu = self.menu()
         menu.clear()
@@ -52,7 +52,7 @@ class ChannelButton(QPushButton):
 
     @property
     def drawn(self) -> list[Channel]:
-        """What is to be drawn, from top to bottom."""
+        """Signals to draw, from top to bottom."""
         names = {channel.name for channel in self._channels}
         wanted = [name for name in self.wanted if name in names]
         if not wanted:

@@ -1,4 +1,4 @@
-"""Colours of tests that are drawn over one another."""
+"""Colours of overlaid tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _DARK_SERIES = ("#62b3e4", "#f2a155", "#58c491", "#c39bea", "#e0cf4a", "#f07ab0"
 
 
 def series(theme: Theme) -> tuple[str, ...]:
-    """As many colours as tests are overlaid."""
+    """Return the colours of overlaid tests for a theme."""
     return _DARK_SERIES if theme is DARK else _LIGHT_SERIES
 
 

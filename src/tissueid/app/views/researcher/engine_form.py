@@ -1,4 +1,4 @@
-"""The form of an analysis: engine, its options made from its declaration, signals; what was changed can be undone."""
+"""Form of an analysis: engine, options made from its declaration, and signals; changes can be undone."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.views.researcher.fields import OptionField
-from tissueid.app.words import sentence
-from tissueid.core_words import said_by_core
+from tissueid.app.option_field import OptionField
+from tissueid.app.views.researcher.labels_of_tests import signal_title
+from tissueid.app.words import in_words
 from tissueid.errors import UnusableInputError
-from tissueid.identification import engine_names, get_engine
+from tissueid.identification import engine_label, engine_names, get_engine, report_engines
 from tissueid.language import _
-from tissueid.wording import engine_label
 
 INPUTS = ("force", "current", "voltage", "command")
 OUTPUTS = ("position", "force", "current", "acceleration_x")
@@ -35,7 +34,7 @@ _UNDOABLE = 200
 
 
 class EngineForm(QWidget):
-    """Engine, options and signals. ``changed`` is sent whenever one of them is another than before."""
+    """Engine, options and signals; ``changed`` is emitted on each change."""
 
     changed = Signal()
 
@@ -91,12 +90,12 @@ class EngineForm(QWidget):
             shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             shortcut.activated.connect(act)
         self._shown = str(self.engine.currentData())
-        self.choose("lms")
+        self.choose(report_engines()[0])
         self._stack.clear()
 
     @property
     def name(self) -> str:
-        """The engine that is shown."""
+        """Name of the shown engine."""
         return str(self.engine.currentData())
 
     @property
@@ -105,7 +104,7 @@ class EngineForm(QWidget):
         return str(self.input.currentData()), str(self.output.currentData())
 
     def options(self) -> dict[str, Any]:
-        """The options of the engine that is shown.
+        """Return the options of the shown engine.
 
         Raises:
             UnusableInputError: one cannot be read, or they do not go together.
@@ -115,7 +114,7 @@ class EngineForm(QWidget):
         return found
 
     def field(self, name: str) -> OptionField:
-        """The control of an option of the engine that is shown.
+        """Return the control of an option of the shown engine.
 
         Raises:
             KeyError: it has none of that name.
@@ -123,7 +122,7 @@ class EngineForm(QWidget):
         return self._fields[name]
 
     def choose(self, engine: str, options: Mapping[str, Any] | None = None) -> None:
-        """Show an engine, with options where they are given; what an engine does not know is left out.
+        """Show an engine, with options if given; unknown options are ignored.
 
         Raises:
             UnusableInputError: there is no such engine, or it takes no such value.
@@ -141,15 +140,15 @@ class EngineForm(QWidget):
             self._show_engine(engine)
 
     def take_signals(self, input_name: str, output_name: str, together: bool) -> None:
-        """Show which signals are identified; ones that are not on offer are added."""
+        """Select the signals; add those that are not listed."""
         for combo, name in ((self.input, input_name), (self.output, output_name)):
             if combo.findData(name) < 0:
-                combo.addItem(name[:40], name)
+                combo.addItem(signal_title(name), name)
             combo.setCurrentIndex(combo.findData(name))
         self.together.setChecked(together)
 
     def restore(self, values: Mapping[str, Mapping[str, Any]]) -> None:
-        """Take the options of several engines from the last start; what does not fit any more is left out."""
+        """Restore the options of several engines; invalid ones are ignored."""
         for engine in engine_names():
             try:
                 given = {n: v for n, v in values.get(engine, {}).items() if n in get_engine(engine).model_fields}
@@ -160,11 +159,11 @@ class EngineForm(QWidget):
         self._stack.clear()
 
     def all_options(self) -> dict[str, dict[str, Any]]:
-        """The options of every engine that was changed, for the next start."""
+        """Return the options of every changed engine."""
         return {engine: dict(values) for engine, values in self._values.items()}
 
     def apply(self, engine: str, values: Mapping[str, Any]) -> None:
-        """Put values where they belong, for a change that is made, undone or redone."""
+        """Show the options of an engine after a change, undo or redo."""
         self._values[engine] = dict(values)
         if self.name != engine:
             self.engine.blockSignals(True)
@@ -193,7 +192,7 @@ class EngineForm(QWidget):
         self.changed.emit()
 
     def _edited(self) -> None:
-        """A control was changed by hand: that is one step that can be undone."""
+        """Record a change by the user as one undoable step."""
         try:
             found = {name: field.value() for name, field in self._fields.items()}
         except UnusableInputError:
@@ -213,7 +212,7 @@ class EngineForm(QWidget):
         try:
             self.options()
         except UnusableInputError as error:
-            self.problem.setText(sentence(str(error)))
+            self.problem.setText(in_words(error))
         else:
             self.problem.clear()
         self.problem.setVisible(bool(self.problem.text()))
@@ -221,7 +220,7 @@ class EngineForm(QWidget):
     # -- building -----------------------------------------------------------------------------------------
 
     def changeEvent(self, event: QEvent) -> None:  # noqa: N802
-        """Other colours are for every field too."""
+        """Apply a new palette to every field."""
         super().changeEvent(event)
         if event.type() == QEvent.Type.PaletteChange:
             for field in self._fields.values():
@@ -245,7 +244,7 @@ class EngineForm(QWidget):
             label = QLabel(field.label)
             label.setProperty("role", "field")
             label.setTextFormat(Qt.TextFormat.PlainText)
-            label.setToolTip(f"<qt>{html.escape(said_by_core(info.description))}</qt>" if info.description else "")
+            label.setToolTip(f"<qt>{html.escape(_(info.description))}</qt>" if info.description else "")
             self._grid.addWidget(label, 2 * row, 0)
             self._grid.addWidget(field, 2 * row + 1, 0)
             field.edited.connect(self._edited)
@@ -300,7 +299,7 @@ class EngineForm(QWidget):
 
 
 class _Change(QUndoCommand):
-    """Options of an engine before and after."""
+    """Undoable change of options."""
 
     def __init__(
         self, form: EngineForm, engine: str, before: Mapping[str, Any], after: Mapping[str, Any], what: str
@@ -310,16 +309,16 @@ class _Change(QUndoCommand):
         self._before, self._after = dict(before), dict(after)
 
     def undo(self) -> None:
-        """As it was."""
+        """Restore the options before the change."""
         self._form.apply(self._engine, self._before)
 
     def redo(self) -> None:
-        """As it became."""
+        """Apply the change."""
         self._form.apply(self._engine, self._after)
 
 
 def _about(engine: str) -> str:
-    return said_by_core(" ".join((get_engine(engine).__doc__ or "").split("\n\n")[0].split()))
+    return _(get_engine(engine).title)
 
 
 def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
@@ -328,5 +327,5 @@ def _signals(name: str, offered: tuple[str, ...]) -> QComboBox:
     combo.setMinimumContentsLength(5)
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     for signal in offered:
-        combo.addItem(signal.replace("_", " ").capitalize(), signal)
+        combo.addItem(signal_title(signal), signal)
     return combo

@@ -1,4 +1,4 @@
-"""Exports the selected tests: a button with a menu of formats, a dialog for the folder, and the work in a thread."""
+"""Button that exports the selected tests, with a menu of formats and a folder dialog."""
 
 from __future__ import annotations
 
@@ -9,21 +9,25 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog, QMenu, QPushButton, QWidget
 
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.errand import ErrandStrip
-from tissueid.app.views.researcher.exporting import EXPORTS, Export
-from tissueid.app.views.view import Desk
+from tissueid.app.context import AppContext
+from tissueid.app.views.researcher.background_work import ProgressStrip
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.session_export import EXPORTS, SessionExport
 from tissueid.language import _
 
 
 class ExportButton(QPushButton):
-    """``chosen`` answers which tests are selected when it is pressed."""
+    """Export button; ``chosen`` returns the selected tests."""
 
     def __init__(
-        self, desk: Desk, strip: ErrandStrip, chosen: Callable[[], Sequence[Chosen]], parent: QWidget | None = None
+        self,
+        context: AppContext,
+        strip: ProgressStrip,
+        chosen: Callable[[], Sequence[SelectedTest]],
+        parent: QWidget | None = None,
     ) -> None:
         super().__init__(_("Export data"), parent)
-        self._desk = desk
+        self._context = context
         self._strip = strip
         self._chosen = chosen
         self._busy = False
@@ -31,16 +35,16 @@ class ExportButton(QPushButton):
         self.setMenu(QMenu(self))
         for kind, words in EXPORTS.items():
             self.menu().addAction(f"{_(words)}…", partial(self._choose, kind))
-        self.settle(busy=False)
+        self.update_enabled(busy=False)
 
-    def settle(self, *, busy: bool) -> None:
-        """There must be something to export, and nothing else going on."""
+    def update_enabled(self, *, busy: bool) -> None:
+        """Enable the button if tests are selected and no job runs."""
         self._busy = busy
         self.setEnabled(not busy and bool(self._chosen()))
 
     def selection_changed(self) -> None:
-        """Others are selected."""
-        self.settle(busy=self._busy)
+        """Update the button after a change of the selection."""
+        self.update_enabled(busy=self._busy)
 
     def _choose(self, kind: str) -> None:
         chosen = list(self._chosen())
@@ -53,21 +57,21 @@ class ExportButton(QPushButton):
         dialog.fileSelected.connect(partial(self._export, chosen, kind))
         dialog.open()
 
-    def _export(self, chosen: Sequence[Chosen], kind: str, folder: str) -> None:
-        if self._desk.busy:
-            self._desk.say(_("Nothing is exported: something else goes on. Try again."), problem=True)
+    def _export(self, chosen: Sequence[SelectedTest], kind: str, folder: str) -> None:
+        if self._context.busy:
+            self._context.say(_("Not exported: other work is running. Try again."), problem=True)
             return
-        export = Export(chosen, Path(folder), kind, self._desk.trail)
+        export = SessionExport(chosen, Path(folder), kind, self._context.trail)
         self._strip.watch(export)
-        self._desk.jobs.do(export.run, self._exported, self._failed)
+        self._context.jobs.do(export.run, self._exported, self._failed)
 
-    def _exported(self, export: Export) -> None:
-        self._strip.rest()
-        self._desk.say(export.words_after, problem=bool(export.problems))
+    def _exported(self, export: SessionExport) -> None:
+        self._strip.clear()
+        self._context.say(export.words_after, problem=bool(export.problems))
 
     def _failed(self, words: str) -> None:
-        self._strip.rest()
-        self._desk.say(words, problem=True)
+        self._strip.clear()
+        self._context.say(words, problem=True)
 
 
 __all__ = ["ExportButton"]

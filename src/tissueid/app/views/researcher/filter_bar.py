@@ -1,4 +1,4 @@
-"""What narrows the list of sessions down: words in any column, and a subject, a site, a kind of test."""
+"""Search field and filters of the list of sessions."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from collections.abc import Iterable
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.views.researcher.index import Entry
-from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.app.views.researcher.session_search import SessionEntry
+from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.wording import clean
 
 _NAMES = (marked("Subject"), marked("Site"), marked("Kind"))
-_ANY = (marked("All subjects"), marked("All sites"), marked("All kinds"))
+_ALL = (marked("All subjects"), marked("All sites"), marked("All kinds"))
 _LONGEST = 200
 _MOST_OFFERED = 2000
 
 
 class FilterBar(QWidget):
-    """``changed`` is sent with every letter and every choice."""
+    """Search and filters; ``changed`` is emitted on each change."""
 
     changed = Signal()
 
@@ -37,12 +37,13 @@ class FilterBar(QWidget):
         self.clear.setAccessibleName(_("Clear search and filters"))
         choices = QHBoxLayout()
         choices.setSpacing(6)
-        for choice, name, anything in zip(self.choices, _NAMES, _ANY, strict=True):
+        for choice, name, anything in zip(self.choices, _NAMES, _ALL, strict=True):
             choice.setAccessibleName(_("Filter by {column}").format(column=_(name)))
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(4)
             choice.view().setTextElideMode(Qt.TextElideMode.ElideRight)
-            choice.addItem(_(anything), "")
+            choice.addItem(_(name), "")
+            choice.setItemData(0, _(anything), Qt.ItemDataRole.ToolTipRole)
             choice.currentIndexChanged.connect(self._chosen)
             choices.addWidget(choice, 1)
         first = QHBoxLayout()
@@ -60,20 +61,20 @@ class FilterBar(QWidget):
 
     @property
     def asked(self) -> tuple[str, str, str, str]:
-        """Words, subject, site and kind; "" where nothing is asked for."""
+        """Search words, subject, site and kind; "" for no filter."""
         subject, site, kind = (str(choice.currentData() or "") for choice in self.choices)
         return self.words.text(), subject, site, kind
 
     def ask(self, words: str, subject: str, site: str, kind: str) -> None:
-        """Ask for these, whether or not the list has them yet."""
+        """Set the search words and filters."""
         for choice, value in zip(self.choices, (subject, site, kind), strict=True):
             if value and choice.findData(value) < 0:
-                choice.addItem(clean(value), value)
+                choice.addItem(_(clean(value)) if choice is self.kind else clean(value), value)
             choice.setCurrentIndex(choice.findData(value))
         self.words.setText(words)
 
-    def offer(self, entries: Iterable[Entry]) -> None:
-        """Offer what these files hold; what is asked for stays."""
+    def offer(self, entries: Iterable[SessionEntry]) -> None:
+        """Offer the values found in these files; the selection stays."""
         found: tuple[set[str], ...] = (set(), set(), set())
         for entry in entries:
             if not entry.problem:
@@ -90,17 +91,18 @@ class FilterBar(QWidget):
         if [choice.itemData(place) for place in range(choice.count())] == wanted:
             return
         choice.blockSignals(True)
-        anything = choice.itemText(0)
-        choice.clear()
-        for value in wanted:
-            choice.addItem(clean(value) or anything, value)
+        for place in range(choice.count() - 1, 0, -1):
+            choice.removeItem(place)
+        for value in wanted[1:]:
+            choice.addItem(_(clean(value)) if choice is self.kind else clean(value), value)
         choice.setCurrentIndex(max(0, choice.findData(asked)))
         choice.blockSignals(False)
 
     def _chosen(self) -> None:
         self.clear.setEnabled(any(self.asked))
         for choice in self.choices:
-            choice.setToolTip(plain_tip(choice.currentText()))
+            shown = choice.currentText() if choice.currentIndex() else choice.itemData(0, Qt.ItemDataRole.ToolTipRole)
+            choice.setToolTip(plain_tip(str(shown)))
         self.changed.emit()
 
     def _clear(self) -> None:

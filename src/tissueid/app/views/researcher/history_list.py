@@ -1,4 +1,4 @@
-"""The analyses that were run, newest first: run one again, or put its settings back into the form."""
+"""Table of earlier analyses, newest first: repeat one, or put its settings into the form."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.views.researcher.history import MOST_ENTRIES, Entry
-from tissueid.app.views.researcher.task import Task
-from tissueid.identification import engine_names, get_engine
+from tissueid.app.views.researcher.analysis_history import MOST_ENTRIES, HistoryEntry
+from tissueid.app.views.researcher.analysis_task import AnalysisTask
+from tissueid.app.views.researcher.engine_variants import changed_options
+from tissueid.formatting import clean, plain_text
+from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.wording import clean, engine_label, plain_text
+from tissueid.messages import translated
 
 _COLUMNS = (
     marked("When"),
@@ -35,14 +37,14 @@ _LONGEST = 200
 
 
 class HistoryList(QWidget):
-    """``again`` and ``wanted`` carry a task: to be run anew, or to be put into the form."""
+    """Earlier analyses. ``again`` carries a task to repeat, ``wanted`` one to put into the form."""
 
     again = Signal(object)
     wanted = Signal(object)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._entries: list[Entry] = []
+        self._entries: list[HistoryEntry] = []
         self._busy = False
         self.run = QPushButton(_("Run again"))
         self.fill = QPushButton(_("Put into the form"))
@@ -82,8 +84,8 @@ class HistoryList(QWidget):
         self.fill.clicked.connect(self._fill)
         self._settle()
 
-    def show_entries(self, entries: Sequence[Entry], bad: int = 0) -> None:
-        """Show lines, newest first; ``bad`` is how many of the file could not be read."""
+    def show_entries(self, entries: Sequence[HistoryEntry], bad: int = 0) -> None:
+        """Show entries, newest first; ``bad`` is the number of unreadable lines."""
         self._entries = list(entries)[:MOST_ENTRIES]
         self.remark.setText(
             _("{count} lines of the history could not be read and are passed over.").format(count=bad) if bad else ""
@@ -99,16 +101,16 @@ class HistoryList(QWidget):
             self.table.setColumnWidth(column, min(240, self.table.columnWidth(column) + 6))
         self._settle()
 
-    def add(self, entry: Entry) -> None:
-        """A further run, the newest."""
+    def add(self, entry: HistoryEntry) -> None:
+        """Add the newest run."""
         self.show_entries([entry, *self._entries])
 
-    def settle(self, *, busy: bool) -> None:
-        """Nothing is run again beside other work."""
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable "Run again" while other work runs."""
         self._busy = busy
         self._settle()
 
-    def _chosen(self) -> Task | None:
+    def _chosen(self) -> AnalysisTask | None:
         rows = self.table.selectionModel().selectedRows()
         return self._entries[rows[0].row()].task if rows else None
 
@@ -129,26 +131,23 @@ class HistoryList(QWidget):
         self._fill()
 
 
-def _texts(entry: Entry) -> tuple[str, str, str, str, str]:
+def _texts(entry: HistoryEntry) -> tuple[str, str, str, str, str]:
     task = entry.task
     when = entry.time.astimezone().strftime("%Y-%m-%d %H:%M:%S")
     names = ", ".join(engine_label(clean(name)) for name in task.engines)
     what = _("{count} compared").format(count=len(task.engines)) if task.kind == "compare" else names
-    first = clean(task.tests[0].label or task.tests[0].path) if task.tests else "none"
+    first = clean(task.tests[0].label or task.tests[0].path) if task.tests else _("none")
     tests = first if len(task.tests) < 2 else f"{len(task.tests)}: {first} …"
-    return when, what, tests, clean(entry.headline), names if task.kind == "compare" else _changed(task)
+    return when, what, tests, clean(translated(entry.headline)), names if task.kind == "compare" else _changed(task)
 
 
-def _changed(task: Task) -> str:
-    """What was chosen otherwise than the defaults are; all of it, where the engine is not installed any more."""
+def _changed(task: AnalysisTask) -> str:
+    """Return the settings that differ from the defaults; all of them if the engine is not installed."""
     name = task.engines[0]
-    options: dict[str, object] = dict(task.options)
-    if name in engine_names():
-        defaults = get_engine(name)().options()
-        options = {option: value for option, value in options.items() if value != defaults.get(option, object())}
+    options = changed_options(name, task.options)
     words = [plain_text(options)] if options else []
     if (task.input_name, task.output_name) != ("force", "position"):
         words.append(_("{input} to {output}").format(input=clean(task.input_name), output=clean(task.output_name)))
     if task.together:
         words.append(_("tests of a file together"))
-    return "; ".join(words) or "defaults"
+    return "; ".join(words) or _("default options")

@@ -1,4 +1,4 @@
-"""Plots of several results laid over each other: one picture at a time, of one to three panels."""
+"""Overlaid plots of several results: one picture at a time, of one to three panels."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedWidget, QV
 
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
-from tissueid.app.views.researcher.drawn import Line, Panel
-from tissueid.app.views.researcher.kernels import KernelImage
-from tissueid.app.views.researcher.looks import KERNELS, OUTPUT, PANELS, PICTURES
-from tissueid.app.views.researcher.outcome import Outcome, keys_of
-from tissueid.app.views.researcher.paper import KernelFigure, PictureFigure
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome, keys_of
+from tissueid.app.views.researcher.kernel_plot import KernelPlot
+from tissueid.app.views.researcher.plot_data import Line, Panel
+from tissueid.app.views.researcher.plot_panels import KERNELS, OUTPUT, PANELS, PICTURES
+from tissueid.app.views.researcher.result_figures import KernelFigure, PictureFigure
 from tissueid.app.views.researcher.results_table import SERIES
+from tissueid.formatting import fixed
 from tissueid.language import _
-from tissueid.wording import fixed
 
 _NOTHING = np.zeros(0)
 _CHOICE = 80
-"""Pixels to which the choice of a picture may shrink beside the buttons."""
+"""Minimum width of the choice of a picture, pixels."""
 _LEAST, _AROUND = 48, 8
 """Characters of a name in the legend that are shown at least, and those that the square and the margins take."""
-_PLAIN, _LABELLED = 76, 104
-"""Heights, in pixels, below which a panel tells nothing; one with a label below its axis needs more."""
+_PLAIN, _LABELLED = 90, 104
+"""Minimum heights of a panel without and with a label below its axis, pixels."""
 
 
 class Pictures(QWidget):
-    """Shows results. ``show_outcomes`` returns which of them are drawn, in the order of their colours."""
+    """Plots of results. ``show_outcomes`` returns the drawn ones in the order of their colours."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -45,9 +45,9 @@ class Pictures(QWidget):
         self._measured: pg.PlotDataItem | None = None
         self._slots: dict[Panel, list[_Slot]] = {}
         self._theme: Theme | None = None
-        self._drawn: list[Outcome] = []
+        self._drawn: list[EngineOutcome] = []
         self._total = 0
-        self.kernel = KernelImage()
+        self.kernel = KernelPlot()
         for name, panels in PICTURES.items():
             self.choice.addItem(_(name), name)
             self._pages.addWidget(QWidget() if panels else self.kernel)
@@ -74,40 +74,40 @@ class Pictures(QWidget):
         self._make(0)
         self.show_outcomes(())
 
-    def show_outcomes(self, outcomes: Sequence[Outcome], total: int = 0) -> list[Outcome]:
-        """Draw what can be told apart: the first seven of the same signals that were not refused.
+    def show_outcomes(self, outcomes: Sequence[EngineOutcome], total: int = 0) -> list[EngineOutcome]:
+        """Draw the first seven results with the same signals that were not refused.
 
         ``total`` counts all fits of the table, which the legend says where only some are drawn.
         """
         there = [outcome for outcome in outcomes if outcome.report is not None]
-        self._drawn = [outcome for outcome in there if outcome.drawn.units == there[0].drawn.units][: len(SERIES)]
+        self._drawn = [outcome for outcome in there if outcome.plots.units == there[0].plots.units][: len(SERIES)]
         self._total = max(total, len(there))
         for panel in self._cards:
             self._fill(panel)
-        self.kernel.offer([o for o in there if o.drawn.images])
+        self.kernel.offer([o for o in there if o.plots.images])
         self._show_legend()
         return self._drawn
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
         for panel in self._cards:
             self._paint(panel)
-        self.kernel.paint_with(theme)
+        self.kernel.apply_theme(theme)
         self._show_legend()
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
-        """The results that are drawn, in the order of their colours."""
+    def outcomes(self) -> tuple[EngineOutcome, ...]:
+        """The drawn results in the order of their colours."""
         return tuple(self._drawn)
 
     @property
     def keys(self) -> tuple[str, list[str]]:
-        """What the drawn results have in common, and the name of each in the legend of the picture that is shown."""
+        """The common part of the labels of the drawn results, and the label of each in the legend."""
         return self._keys()
 
     def _keys(self, room: int | None = None) -> tuple[str, list[str]]:
-        """As ``keys``; with ``room`` the names are cut in their middle to so many characters, and never the scores."""
+        """Return ``keys``; with ``room`` names are elided to that number of characters, but not the scores."""
         common, labels = keys_of(self._drawn)
         scores = [""] * len(labels)
         if self._pages.currentIndex() == list(PICTURES).index(OUTPUT):
@@ -120,13 +120,13 @@ class Pictures(QWidget):
         return common, [label + score for label, score in zip(labels, scores, strict=True)]
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Cut the names in the legend to the room that there is now."""
+        """Elide the names in the legend to the available width."""
         super().resizeEvent(event)
         self._show_legend()
 
     @property
     def figure(self) -> PictureFigure | KernelFigure | None:
-        """What is shown, to be drawn on paper; None while there is nothing."""
+        """The shown plot as a figure for files; None if nothing is shown."""
         name = list(PICTURES)[self._pages.currentIndex()]
         image = self.kernel.image
         if name == KERNELS:
@@ -136,7 +136,7 @@ class Pictures(QWidget):
     # -- inside -------------------------------------------------------------------------------------------
 
     def _make(self, place: int) -> None:
-        """Make a page when it is first looked at: ten plots would hold up the start of the window."""
+        """Create a page on first use, so that the window starts faster."""
         panels = list(PICTURES.values())[place]
         page = self._pages.widget(place)
         if not panels or page is None or panels[0] in self._cards:
@@ -170,7 +170,7 @@ class Pictures(QWidget):
 
     def _fill(self, panel: Panel) -> None:
         card = self._cards[panel]
-        lines = [outcome.drawn.lines.get(panel) for outcome in self._drawn]
+        lines = [outcome.plots.lines.get(panel) for outcome in self._drawn]
         slots = self._slots[panel]
         for role in SERIES[len(slots) : len(lines)]:  # made when they are needed: a plot's items take their time
             slots.append(_Slot(card, role, 1 if panel in PICTURES[OUTPUT] else 2))
@@ -178,7 +178,7 @@ class Pictures(QWidget):
         for place, slot in enumerate(slots):
             slot.show(lines[place] if place < len(lines) else None)
         self._lay_under(panel)
-        unit = self._drawn[0].drawn.units.get(panel, "") if self._drawn else ""
+        unit = self._drawn[0].plots.units.get(panel, "") if self._drawn else ""
         card.retitle(_(PANELS[panel].title), unit)
         if any(line is not None for line in lines):
             card.say_missing("")
@@ -189,12 +189,12 @@ class Pictures(QWidget):
                 _("{without} of {count} have none").format(without=without, count=len(lines)) if without else ""
             )
             return
-        reasons = dict.fromkeys(o.drawn.missing.get(panel, "") for o in self._drawn)
+        reasons = dict.fromkeys(o.plots.missing.get(panel, "") for o in self._drawn)
         card.say_missing(" ".join(filter(None, reasons)) or _("Nothing to show yet: choose tests and run an engine."))
 
     def _lay_under(self, panel: Panel) -> None:
-        """Draw the measurement below the curves: once where all are of the same data, otherwise one for each."""
-        measured = [outcome.drawn.measured.get(panel) for outcome in self._drawn]
+        """Draw the measurement below the curves: once if all results share it, otherwise once each."""
+        measured = [outcome.plots.measured.get(panel) for outcome in self._drawn]
         if panel == "output" and self._measured is not None:
             one = next((line for line in measured if line is not None), None) if self._same_data else None
             self._measured.setData(*((one.x, one.y) if one is not None else (_NOTHING, _NOTHING)))
@@ -214,9 +214,9 @@ class Pictures(QWidget):
 
     def _paint(self, panel: Panel) -> None:
         if self._theme is not None:
-            self._cards[panel].paint_with(self._theme)
+            self._cards[panel].apply_theme(self._theme)
             for slot in self._slots[panel]:
-                slot.paint_with(self._theme)
+                slot.apply_theme(self._theme)
 
     def _turn(self, place: int) -> None:
         self._make(place)
@@ -236,10 +236,10 @@ class Pictures(QWidget):
         words = []
         if self._pages.currentIndex() == list(PICTURES).index(OUTPUT) and self._drawn:
             words.append(_("broad and pale: measured"))
-            if any(o.drawn.lines[p].out_x is not None for o in self._drawn for p in ("output",) if p in o.drawn.lines):
+            if any(o.plots.lines[p].out_x is not None for o in self._drawn for p in ("output",) if p in o.plots.lines):
                 words.append(_("faint: scheduled by the measured output"))
         if self._pages.currentIndex() == list(PICTURES).index("Against depth") and any(
-            line.out_x is not None for o in self._drawn for line in o.drawn.lines.values()
+            line.out_x is not None for o in self._drawn for line in o.plots.lines.values()
         ):
             words.append(_("faint: on the way out"))
         if len(self._drawn) < self._total:
@@ -250,17 +250,20 @@ class Pictures(QWidget):
             )
         entries += [f'<span style="color:{theme.muted}">{word}</span>' for word in words]
         self.legend.setText(" &nbsp;&nbsp; ".join(entries))
+        self.legend.setMinimumHeight(0)  # what the text needs must be asked without the former minimum
+        needed = max(0, self.legend.heightForWidth(self.width()))  # -1 without a text
+        self.legend.setMinimumHeight(needed)  # a splitter does not know heights of wrapped texts
         self.legend.setVisible(bool(entries) and self.choice.currentText() != _(KERNELS))
 
 
 def in_the_middle(text: str, longest: int) -> str:
-    """Cut a text in its middle: its beginning and its end tell it from others."""
+    """Return a text that is elided in the middle."""
     half = (longest - 1) // 2
     return text if len(text) <= longest else f"{text[:half]}…{text[-half:]}"
 
 
-def _scores(outcome: Outcome) -> str:
-    """Return the variance accounted for on held-out data, and that by the measured schedule where there is one."""
+def _scores(outcome: EngineOutcome) -> str:
+    """Return the VAF on held-out data, and that of the simulation scheduled by measured depth if there is one."""
     report = outcome.report
     assert report is not None
     words = _("VAF {vaf} %").format(vaf=fixed(report.vaf_validation_percent, 1))
@@ -273,7 +276,7 @@ def _scores(outcome: Outcome) -> str:
 
 
 def _hold_bands(card: PlotCard, lines: Sequence[Line]) -> None:
-    """Make room for the bands too, unless they are wider than what they are about."""
+    """Extend the range to the bands, unless they are much wider than the curves."""
     values = np.concatenate([part for line in lines for part in (line.y, line.out_y) if part is not None])
     edges = [part for line in lines for part in (line.low, line.high) if part is not None]
     values = values[np.isfinite(values)]
@@ -303,12 +306,12 @@ class _Slot:
         self._role, self._width = role, width
 
     def show(self, line: Line | None) -> None:
-        """Draw a line, or nothing."""
+        """Draw a line; clear the plot for None."""
         nothing = Line(_NOTHING, _NOTHING)
         line = line or nothing
-        joined, apart = (nothing, line) if line.dots else (line, nothing)
+        joined, separate = (nothing, line) if line.dots else (line, nothing)
         self._line.setData(joined.x, joined.y)
-        self._dots.setData(apart.x, apart.y)
+        self._dots.setData(separate.x, separate.y)
         banded = line.low is not None and line.high is not None
         for edge, values in ((self._low, line.low), (self._high, line.high)):
             edge.setData(line.x if banded else _NOTHING, values if banded else _NOTHING)
@@ -316,7 +319,7 @@ class _Slot:
         self._out.setData(line.out_x if there else _NOTHING, line.out_y if there else _NOTHING)
 
     def lay_under(self, line: Line | None) -> None:
-        """Draw a measurement below, broad and pale, or none."""
+        """Draw a measurement below the curves; None clears it."""
         if self._under is None and line is not None:
             self._under = self._card.line(self._role, width=4, alpha=70)
             self._under.setZValue(-1)
@@ -325,7 +328,7 @@ class _Slot:
         if self._under is not None:
             self._under.setData(*((line.x, line.y) if line is not None else (_NOTHING, _NOTHING)))
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme; lines as wide as can be followed among others."""
         self._theme = theme
         self._line.setPen(pg.mkPen(getattr(theme, self._role), width=self._width))

@@ -1,4 +1,4 @@
-"""Plots of several signals over time, linked by a brush: drag over one of them, and the others show that stretch."""
+"""Stack of plots over time, linked by a brushed interval."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.colours import series
-from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded
+from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest
+from tissueid.formatting import display_unit, fixed
 from tissueid.language import _
-from tissueid.wording import fixed, people_unit
 
 MOST_PLOTS = 6
 SHORTEST_S = 0.005
@@ -29,14 +29,14 @@ _NOTHING = np.zeros(0)
 
 
 class PlotStack(QWidget):
-    """``brushed`` carries where the brushed stretch begins and ends, s. Without a brush that is the whole test."""
+    """Stack of plots; ``brushed`` carries start and end of the interval (s), the whole test without a brush."""
 
     brushed = Signal(float, float)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._plots: list[_Plot] = []
-        self._loaded: Sequence[Loaded] = ()
+        self._loaded: Sequence[LoadedTest] = ()
         self._channels: Sequence[Channel] = ()
         self._theme: Theme | None = None
         self._whole = (0.0, 1.0)
@@ -59,21 +59,21 @@ class PlotStack(QWidget):
 
     @property
     def cards(self) -> list[PlotCard]:
-        """The plots that are shown, from top to bottom."""
+        """The shown plots, from top to bottom."""
         return [plot.card for plot in self._plots[: len(self._channels)]]
 
     @property
     def stretch(self) -> tuple[float, float]:
-        """What is brushed, or the whole."""
+        """The brushed interval, or the whole test."""
         return self.brush or self._whole
 
     @property
     def whole(self) -> tuple[float, float]:
-        """From the start to the end of the longest test."""
+        """Interval of the longest test."""
         return self._whole
 
-    def show_tests(self, loaded: Sequence[Loaded], channels: Sequence[Channel]) -> None:
-        """Draw these signals of these tests, and keep the brush while it lies within."""
+    def show_tests(self, loaded: Sequence[LoadedTest], channels: Sequence[Channel]) -> None:
+        """Draw signals of tests; keep the brush if it lies within them."""
         self._loaded, self._channels = loaded[:MOST_TESTS], channels[:MOST_PLOTS]
         self._whole = 0.0, max((test.seconds for test in self._loaded), default=1.0)
         while len(self._plots) < len(self._channels):
@@ -91,14 +91,14 @@ class PlotStack(QWidget):
             self.show_whole()
 
     def show_whole(self) -> None:
-        """No brush: every plot shows everything."""
+        """Clear the brush."""
         self.brush = self._source = None
         for plot in self._plots:
             plot.view = self._whole
         self._tell()
 
     def set_brush(self, low_s: float, high_s: float) -> None:
-        """Brush a stretch; the plot that was brushed last, or else the first, keeps the view around it."""
+        """Brush an interval; the plot that was brushed last keeps its view."""
         low, high = max(self._whole[0], low_s), min(self._whole[1], high_s)
         if not self._channels or high - low < SHORTEST_S:
             return
@@ -108,29 +108,29 @@ class PlotStack(QWidget):
         self._place_views(self.brush)
         self._tell()
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
         for plot in self._plots:
-            plot.paint_with(theme)
+            plot.apply_theme(theme)
 
     def bring_forward(self, place: int) -> None:
-        """Draw this test over the others."""
+        """Draw a test over the others."""
         for plot in self._plots:
             plot.bring_forward(place)
 
     def draw(self) -> None:
-        """Draw what the views show now."""
+        """Draw the current views."""
         for plot in self._plots[: len(self._channels)]:
             plot.draw(self._loaded, self.brush if plot is self._source else None)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Another width has another number of pixels to fill."""
+        """Redraw for the new width."""
         super().resizeEvent(event)
         self._frame.start()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
-        """Mouse over a plot: drag to brush, drag the brush or an end of it, double-click for the whole."""
+        """Brush by dragging; move the brush or its ends; clear it by a double click."""
         plot = next((plot for plot in self._plots if plot.card.plot.viewport() is watched), None)
         if plot is None or not isinstance(event, QMouseEvent) or not self._loaded:
             return super().eventFilter(watched, event)
@@ -193,7 +193,7 @@ class PlotStack(QWidget):
     def _add(self) -> None:
         plot = _Plot(self)
         if self._theme is not None:
-            plot.paint_with(self._theme)
+            plot.apply_theme(self._theme)
         plot.card.plot.viewport().installEventFilter(self)
         plot.card.plot.viewport().setCursor(Qt.CursorShape.CrossCursor)
         self._column.insertWidget(len(self._plots), plot.card, 1)
@@ -201,7 +201,7 @@ class PlotStack(QWidget):
 
 
 class _Plot:
-    """One signal of every test, over the times in ``view``."""
+    """Plot of one signal of every test over the times in ``view``."""
 
     def __init__(self, parent: QWidget) -> None:
         self.card = PlotCard(_("Signal"), "", "", parent=parent)
@@ -218,23 +218,23 @@ class _Plot:
         self._preload = self.card.mark()
         self._theme: Theme | None = None
         self._drawn: tuple[tuple[float, float], int] | None = None
-        """What the curves show: as long as that is what is wanted, they need not be drawn anew."""
+        """Key of the drawn curves; they are redrawn when it changes."""
 
     @property
     def seconds_per_pixel(self) -> float:
-        """How much time a pixel stands for."""
+        """Time per pixel, s."""
         return (self.view[1] - self.view[0]) / max(1.0, float(self.card.plot.getViewBox().width()))
 
     def time_at(self, where: QPoint) -> float:
-        """The time under a place in the plot, within its view."""
+        """Return the time at a position in the plot, limited to its view."""
         box = self.card.plot.getViewBox()
         time = float(box.mapSceneToView(self.card.plot.mapToScene(where)).x())
         return min(max(time, self.view[0]), self.view[1])
 
-    def show_channel(self, channel: Channel, loaded: Sequence[Loaded]) -> None:
-        """This one from now on."""
+    def show_channel(self, channel: Channel, loaded: Sequence[LoadedTest]) -> None:
+        """Show another signal."""
         self._channel = channel
-        self.card.retitle(channel.title, people_unit(channel.unit)[0])
+        self.card.retitle(channel.title, display_unit(channel.unit)[0])
         while len(self._curves) < len(loaded):
             self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite", skipFiniteCheck=False))
             self._colour()
@@ -246,12 +246,12 @@ class _Plot:
         self._drawn = None
 
     def bring_forward(self, place: int) -> None:
-        """Draw this test over the others."""
+        """Draw a test over the others."""
         for number, curve in enumerate(self._curves):
             curve.setZValue(1 if number == place else 0)
 
-    def draw(self, loaded: Sequence[Loaded], brush: tuple[float, float] | None) -> None:
-        """Draw what the view shows; ``brush`` is what is shaded, None for nothing."""
+    def draw(self, loaded: Sequence[LoadedTest], brush: tuple[float, float] | None) -> None:
+        """Draw the view; ``brush`` is the shaded interval or None."""
         self._region.setVisible(brush is not None)
         if brush is not None:
             self._region.setRegion(brush)
@@ -260,7 +260,7 @@ class _Plot:
         if self._drawn == (self.view, columns):
             return
         self._drawn = self.view, columns
-        scale = people_unit(self._channel.unit)[1]
+        scale = display_unit(self._channel.unit)[1]
         low, high = math.inf, -math.inf
         for place, curve in enumerate(self._curves):
             track = loaded[place].tracks.get(self._channel) if place < len(loaded) else None
@@ -279,10 +279,10 @@ class _Plot:
         box.setRange(xRange=self.view, yRange=across, padding=0.0)
         self.card.remark(_("{low} to {high} s").format(low=fixed(self.view[0], 3), high=fixed(self.view[1], 3)))
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
-        self.card.paint_with(theme)
+        self.card.apply_theme(theme)
         # Each plot may show other times than its neighbours.
         self.card.plot.getAxis("bottom").setStyle(showValues=True)
         self.card.plot.getAxis("bottom").setHeight(_AXIS_HEIGHT)

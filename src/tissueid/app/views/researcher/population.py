@@ -7,15 +7,18 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 from scipy.stats import t as student
 
-from tissueid.app.views.researcher.drawn import Array
-from tissueid.app.views.researcher.outcome import Outcome
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.plot_data import Array
+from tissueid.formatting import axis_label, clean, display_unit, label_and_unit
+from tissueid.identification import engine_label
 from tissueid.language import _, marked
+from tissueid.messages import MISSING
 from tissueid.records import Estimate
-from tissueid.wording import MISSING, axis_label, clean, engine_label, named_unit, people_unit
 
 DISTRIBUTION, SUBJECT, SITE, DATE, REPEAT = "distribution", "subject", "site", "date", "repeat"
 ACROSS: Mapping[str, str] = {
@@ -60,13 +63,13 @@ class Mean:
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Fits as points. Arrays have shape (n,), in the units that people read.
+    """Fits as points. Arrays have shape (n,), in display units.
 
     ``group`` numbers ``groups``; the last of them takes all that are too many for a colour of their own. ``places``
     names the whole numbers of ``x`` where that is a category. ``left_out`` counts the other fits by the reason.
     """
 
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[EngineOutcome, ...]
     x: Array
     y: Array
     group: np.ndarray
@@ -79,6 +82,17 @@ class Population:
     unit: str
 
     @property
+    def tests(self) -> int:
+        """Number of tests of the drawn fits."""
+        return len({test for outcome in self.outcomes for test in _tests(outcome)})
+
+    @property
+    def counted(self) -> str:
+        """Y label of the histogram: tests if no group has two fits of a test, otherwise fits."""
+        fits = [(group, _tests(outcome)) for group, outcome in zip(self.group.tolist(), self.outcomes, strict=True)]
+        return _("Number of tests") if len(set(fits)) == len(fits) else _("Number of fits")
+
+    @property
     def edges(self) -> Array:
         """Edges of the bins of a histogram, (bins + 1,)."""
         if not self.y.size:
@@ -87,16 +101,20 @@ class Population:
         return edges if edges.size <= _MOST_BINS + 1 else np.histogram_bin_edges(self.y, _MOST_BINS)
 
 
-def parameters_of(outcomes: Sequence[Outcome]) -> dict[str, str]:
-    """Return the parameters that fits have and their labels, those of most fits first, then the scores."""
+def _tests(outcome: EngineOutcome) -> tuple[tuple[Path, int], ...]:
+    return tuple((test.path, test.number) for test in outcome.tests)
+
+
+def parameters_of(outcomes: Sequence[EngineOutcome]) -> dict[str, str]:
+    """Return the parameters of the fits and their labels, most frequent first, then the scores."""
     reports = [outcome.report for outcome in outcomes if outcome.report is not None]
     counts = Counter(name for report in reports for name in report.reportable_parameters)
-    named = {name: axis_label(name, people_unit(named_unit(name)[1])[0]) for name, _count in counts.most_common()}
+    named = {name: axis_label(name, display_unit(label_and_unit(name)[1])[0]) for name, _count in counts.most_common()}
     return named | ({name: _(label) for name, label in SCORES.items()} if reports else {})
 
 
-def estimate_of(outcome: Outcome, name: str) -> Estimate | None:
-    """Return a parameter or score of a fit in SI; None where the fit has none that counts as a result."""
+def estimate_of(outcome: EngineOutcome, name: str) -> Estimate | None:
+    """Return a parameter or score of a fit in SI; None if it is not reportable."""
     report = outcome.report
     if report is None:
         return None
@@ -107,12 +125,12 @@ def estimate_of(outcome: Outcome, name: str) -> Estimate | None:
 
 
 def population(
-    outcomes: Sequence[Outcome], parameter: str, across: str, by: str = "", most_groups: int = 7
+    outcomes: Sequence[EngineOutcome], parameter: str, across: str, by: str = "", most_groups: int = 7
 ) -> Population:
     """Arrange fits as points: ``parameter`` against ``across``, grouped by one of ``GROUPS``."""
     left_out: Counter[str] = Counter()
     repeats = _repeats(outcomes) if across == REPEAT else {}
-    kept: list[Outcome] = []
+    kept: list[EngineOutcome] = []
     ys: list[float] = []
     xs: list[float] = []
     names: list[str] = []
@@ -153,27 +171,27 @@ def population(
         dict(left_out),
         _(ACROSS[across]) if across in ACROSS else _labelled(across),
         title,
-        people_unit(si_unit)[0],
+        display_unit(si_unit)[0],
     )
 
 
 def _titled(parameter: str) -> tuple[str, str]:
-    return (_(SCORES[parameter]), "") if parameter in SCORES else named_unit(parameter)
+    return (_(SCORES[parameter]), "") if parameter in SCORES else label_and_unit(parameter)
 
 
 def _labelled(parameter: str) -> str:
     if parameter in SCORES:
         return _(SCORES[parameter])
-    return axis_label(parameter, people_unit(named_unit(parameter)[1])[0])
+    return axis_label(parameter, display_unit(label_and_unit(parameter)[1])[0])
 
 
-def _value(outcome: Outcome, parameter: str) -> float:
+def _value(outcome: EngineOutcome, parameter: str) -> float:
     found = estimate_of(outcome, parameter)
-    return math.nan if found is None else found.value * people_unit(_titled(parameter)[1])[1]
+    return math.nan if found is None else found.value * display_unit(_titled(parameter)[1])[1]
 
 
-def _why_not(outcome: Outcome, y: float, x: float) -> str:
-    """Why a fit is not drawn, or an empty text."""
+def _why_not(outcome: EngineOutcome, y: float, x: float) -> str:
+    """Return why a fit is not drawn; "" if it is drawn."""
     if outcome.report is None:
         return _("refused")
     if outcome.report.predicts_nothing and not math.isfinite(y):
@@ -183,7 +201,7 @@ def _why_not(outcome: Outcome, y: float, x: float) -> str:
     return "" if math.isfinite(x) else _("without a value across")
 
 
-def _place(outcome: Outcome, across: str, repeats: Mapping[tuple[object, int], int]) -> tuple[float, str]:
+def _place(outcome: EngineOutcome, across: str, repeats: Mapping[tuple[object, int], int]) -> tuple[float, str]:
     first = outcome.tests[0]
     if across == DISTRIBUTION:
         return 0.0, ""
@@ -196,7 +214,7 @@ def _place(outcome: Outcome, across: str, repeats: Mapping[tuple[object, int], i
     return _value(outcome, across), ""
 
 
-def _member(outcome: Outcome, by: str) -> str:
+def _member(outcome: EngineOutcome, by: str) -> str:
     first = outcome.tests[0]
     names: dict[str, Callable[[], str]] = {
         "": lambda: "",
@@ -220,7 +238,7 @@ def _groups(names: Sequence[str], most: int) -> tuple[tuple[str, ...], np.ndarra
     return tuple(every), np.array([rank[name] for name in names], dtype=np.intp)
 
 
-def _repeats(outcomes: Sequence[Outcome]) -> dict[tuple[object, int], int]:
+def _repeats(outcomes: Sequence[EngineOutcome]) -> dict[tuple[object, int], int]:
     """Number the tests of one subject, site and day from 1, in the order of time, file and number."""
     sittings: dict[tuple[str, str, object], set[tuple[float, str, int, object]]] = defaultdict(set)
     for outcome in outcomes:
@@ -260,7 +278,7 @@ def _means(x: Array, y: Array, group: np.ndarray, across: str) -> tuple[Mean, ..
 
 
 def _spread(x: Array, group: np.ndarray, means: Sequence[Mean], count: int) -> tuple[Array, tuple[Mean, ...]]:
-    """Put the groups of a category side by side, and spread the points of each evenly, the same way every time."""
+    """Place the groups of a category side by side, and spread the points of each evenly and deterministically."""
     lane = 2.0 * _SPREAD / max(1, count)
     middle = -_SPREAD + lane * (np.arange(max(1, count)) + 0.5)
     within = (np.arange(x.size) * _GOLDEN % 1.0 - 0.5) * 0.8 * lane

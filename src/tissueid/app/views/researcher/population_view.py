@@ -1,4 +1,4 @@
-"""The tab of the population: many fits as points, with the means of groups. A click on a point names its test."""
+"""Tab "Population": many fits as points, with the means of groups."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from PySide6.QtCore import QPointF, Qt, Signal
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.elided import ElidedLabel
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.units import shown, shown_si
-from tissueid.app.views.researcher.outcome import Outcome
-from tissueid.app.views.researcher.paper import PopulationFigure
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.engine_variants import variant_of
 from tissueid.app.views.researcher.population import (
     ACROSS,
     DATE,
@@ -32,11 +32,12 @@ from tissueid.app.views.researcher.population import (
     parameters_of,
     population,
 )
+from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
-from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.formatting import axis_label, display_unit, grouped, label_and_unit, plus_minus, with_unit
 from tissueid.language import _, marked, plural
 from tissueid.records import Estimate
-from tissueid.wording import axis_label, grouped, named_unit, people_unit, plus_minus, with_unit
 
 SPREADS: Mapping[str, str] = {
     "std": marked("Mean ± standard deviation"),
@@ -54,17 +55,18 @@ _LONGEST = 16
 
 
 class PopulationView(QWidget):
-    """``wanted`` carries the fits that are to be selected in the table."""
+    """Plot of the population; ``wanted`` carries the fits to select in the table."""
 
     wanted = Signal(list)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._outcomes: tuple[Outcome, ...] = ()
+        self._outcomes: tuple[EngineOutcome, ...] = ()
         self._stale = False
         self._theme: Theme | None = None
         self._wanted = ""
         self.shown: Population | None = None
+        self.engine = _choice(_("Fits that are drawn: engine and options"))
         self.parameter = _choice(_("Parameter"))
         self.across = _choice(_("Drawn against"))
         self.group = _choice(_("Groups"))
@@ -100,6 +102,7 @@ class PopulationView(QWidget):
         top.setSpacing(4)
         for place, part in enumerate((self.parameter, self.across, self.group, self.spread)):
             top.addWidget(part, place // 2, place % 2)
+        top.addWidget(self.engine, 2, 0, 1, 2)
         top.addWidget(self.save_figure, 0, 2)
         top.setColumnStretch(0, 1)
         top.setColumnStretch(1, 1)
@@ -111,32 +114,32 @@ class PopulationView(QWidget):
         rows.addWidget(self.card, 1)
         rows.addWidget(self.count)
         rows.addWidget(self.named)
-        for choice in (self.parameter, self.across, self.group, self.spread):
+        for choice in (self.engine, self.parameter, self.across, self.group, self.spread):
             choice.activated.connect(self._choose)
         self.show_outcomes(())
 
-    def show_outcomes(self, outcomes: Sequence[Outcome]) -> None:
-        """Show fits, as soon as the tab is looked at."""
+    def show_outcomes(self, outcomes: Sequence[EngineOutcome]) -> None:
+        """Show fits when the tab becomes visible."""
         self._outcomes = tuple(outcomes)
         self._stale = True
         if self.isVisible():
             self._refresh()
 
     def showEvent(self, event: object) -> None:  # noqa: N802
-        """Draw what has come since the tab was last looked at."""
+        """Draw pending changes."""
         if self._stale:
             self._refresh()
 
     def take_units(self) -> None:
-        """Show everything in the units in force."""
+        """Show all values in the active unit system."""
         self._stale = True
         if self.isVisible():
             self._refresh()
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
-        self.card.paint_with(theme)
+        self.card.apply_theme(theme)
         for role, points, steps, bar in zip(SERIES, self._points, self._steps, self._bars, strict=True):
             colour = getattr(theme, role)
             points.setBrush(faint(colour, 150))
@@ -147,7 +150,7 @@ class PopulationView(QWidget):
 
     @property
     def figure(self) -> PopulationFigure | None:
-        """What is shown, to be drawn on paper; None while there is nothing."""
+        """The shown plot as a figure for files; None if nothing is shown."""
         found = self.shown
         if found is None or not found.outcomes:
             return None
@@ -164,8 +167,15 @@ class PopulationView(QWidget):
         self._show()
 
     def _refresh(self) -> None:
-        """Offer the parameters that the fits have; what was chosen stays, where it is there."""
+        """Offer the parameters of the fits; the selection stays if possible."""
         self._stale = False
+        variants = dict.fromkeys(variant_of(outcome) for outcome in self._outcomes)
+        shown_variant = self.engine.currentData()
+        self.engine.clear()
+        self.engine.addItem(_("Fits of all engines"), "")
+        for variant in variants:
+            self.engine.addItem(variant, variant)
+        self.engine.setCurrentIndex(max(0, self.engine.findData(shown_variant)))
         parameters = parameters_of(self._outcomes)
         names = [(name, _heading(name)) for name in parameters]
         across = self.across.currentData()
@@ -193,12 +203,12 @@ class PopulationView(QWidget):
             self.key.setText("")
             self.count.setText("")
             return
-        found = population(self._outcomes, parameter, across, str(self.group.currentData()), len(SERIES))
+        found = population(self._wanted_fits(), parameter, across, str(self.group.currentData()), len(SERIES))
         self.shown = found
         self.card.say_missing("" if found.outcomes else _("No fit has this parameter."))
         histogram = across == DISTRIBUTION
         if histogram:
-            self.card.retitle(_("Number of fits"), "")
+            self.card.retitle(found.counted, "")
             self.card.relabel(_heading(parameter, clinical=True))
         else:
             self.card.retitle(found.title, found.unit)
@@ -208,6 +218,11 @@ class PopulationView(QWidget):
         self._label_ticks(found, across)
         self.card.plot.enableAutoRange()
         self._say(found)
+
+    def _wanted_fits(self) -> list[EngineOutcome]:
+        """Return the fits of the selected engine and options."""
+        wanted = self.engine.currentData()
+        return [outcome for outcome in self._outcomes if not wanted or variant_of(outcome) == wanted]
 
     def _draw_points(self, found: Population, *, histogram: bool) -> None:
         edges = found.edges
@@ -252,12 +267,14 @@ class PopulationView(QWidget):
             axis.setTicks(None)
 
     def _say(self, found: Population) -> None:
-        total = len(self._outcomes)
+        total = len(self._wanted_fits())
         words = plural("{drawn} of {count} fit drawn", "{drawn} of {count} fits drawn", total).format(
             drawn=grouped(len(found.outcomes)), count=grouped(total)
         )
+        of_tests = plural("of {count} test", "of {count} tests", found.tests).format(count=grouped(found.tests))
         reasons = [f"{grouped(count)} {why}" for why, count in found.left_out.items()]
-        self.count.setText("; ".join([words, *reasons]))
+        variants = list(dict.fromkeys(variant_of(outcome) for outcome in found.outcomes))
+        self.count.setText("; ".join([f"{words} {of_tests}", *reasons, *variants]))
         theme = self._theme
         if theme is None:
             return
@@ -279,8 +296,8 @@ class PopulationView(QWidget):
         if click.double():
             self.wanted.emit(found)
 
-    def _at(self, scene: QPointF) -> list[Outcome]:
-        """The fit under a place of the plot, or all those of a bar of the histogram."""
+    def _at(self, scene: QPointF) -> list[EngineOutcome]:
+        """Return the fit at a position in the plot, or all fits of a bar of the histogram."""
         found = self.shown
         if found is None:
             return []
@@ -297,14 +314,14 @@ class PopulationView(QWidget):
                 return [found.outcomes[int(spot.data())]]
         return []
 
-    def name(self, outcomes: Sequence[Outcome]) -> None:
-        """Say which fit it is, and its figure; of several how many."""
+    def name(self, outcomes: Sequence[EngineOutcome]) -> None:
+        """Show the label and value of a fit, or the number of fits."""
         if len(outcomes) == 1:
             self.named.setText(self._words(outcomes[0]))
         else:
             self.named.setText(_("{count} fits; a double click selects them in the table").format(count=len(outcomes)))
 
-    def _words(self, outcome: Outcome) -> str:
+    def _words(self, outcome: EngineOutcome) -> str:
         parameter = str(self.parameter.currentData())
         estimate = estimate_of(outcome, parameter)
         return f"{outcome.label}: {_figure(parameter, estimate)}" if estimate is not None else outcome.label
@@ -338,10 +355,10 @@ def _choice(name: str) -> QComboBox:
 
 
 def _heading(parameter: str, *, clinical: bool = False) -> str:
-    """A parameter with its unit: that in force, or the one in which it is drawn."""
+    """Return a parameter with its unit: the active one, or the one in which it is drawn."""
     if parameter in SCORES:
         return _(SCORES[parameter])
-    unit = people_unit(named_unit(parameter)[1])[0]
+    unit = display_unit(label_and_unit(parameter)[1])[0]
     return axis_label(parameter, unit if clinical else shown(unit)[0])
 
 
@@ -364,7 +381,7 @@ def _overall(found: Population) -> list[str]:
 def _figure(parameter: str, estimate: Estimate) -> str:
     if parameter in SCORES:
         return f"{estimate.value:.2f} %"
-    unit, scale = shown_si(named_unit(parameter)[1])
+    unit, scale = shown_si(label_and_unit(parameter)[1])
     return with_unit(plus_minus(estimate, scale), unit)
 
 

@@ -1,4 +1,4 @@
-"""What comparing engines recommends, in words and as a table; and which engines are compared."""
+"""Tab "Recommendation": the result of a comparison of engines, and the choice of engines."""
 
 from __future__ import annotations
 
@@ -21,24 +21,21 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from tissueid.app.views.researcher.comparison_summary import COLUMNS, ComparisonSummary
 from tissueid.app.views.researcher.results_table import in_two_lines
-from tissueid.app.views.researcher.verdict import COLUMNS, Verdict
-from tissueid.identification import engine_names
+from tissueid.identification import engine_label, engine_names
 from tissueid.language import _, marked
-from tissueid.wording import engine_label
 
 _ROW = 22
-_NOTHING = marked(
-    "No comparison yet. “Compare engines” fits every engine to the chosen tests and says which one they bear out."
-)
+_NOTHING = marked("No comparison yet. “Compare engines” fits every engine to the chosen tests and recommends one.")
 
 
 class RecommendationView(QWidget):
-    """Shows verdicts, one at a time."""
+    """Shows one comparison at a time."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._verdicts: dict[str, Verdict] = {}
+        self._verdicts: dict[str, ComparisonSummary] = {}
         self.choice = QComboBox()
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setAccessibleName(_("Test whose comparison is shown"))
@@ -100,13 +97,13 @@ class RecommendationView(QWidget):
         return tuple(name for name, action in self._actions.items() if action.isChecked())
 
     def take_compared(self, engines: Sequence[str]) -> None:
-        """Compare these; names that are no engines are passed over, and none at all are all."""
+        """Select the engines to compare; unknown names are ignored, an empty selection means all."""
         known = [name for name in engines if name in self._actions] or list(self._actions)
         for name, action in self._actions.items():
             action.setChecked(name in known)
 
-    def add(self, verdicts: Sequence[Verdict]) -> None:
-        """Show further verdicts, the first of them at once; a later one of a test takes an earlier one's place."""
+    def add(self, verdicts: Sequence[ComparisonSummary]) -> None:
+        """Add summaries and show the first; a later summary of a test replaces the earlier one."""
         if not verdicts:
             return
         self._verdicts |= {verdict.label: verdict for verdict in verdicts}

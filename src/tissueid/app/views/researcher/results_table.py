@@ -1,4 +1,4 @@
-"""Results side by side: one row for each engine on each test, with the colour that it is drawn in."""
+"""Table of results: one row per engine and test, with the colour of its curves."""
 
 from __future__ import annotations
 
@@ -19,31 +19,26 @@ from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidge
 
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
-from tissueid.app.views.researcher.outcome import Outcome
-from tissueid.core_words import for_window
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.words import sentence
+from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus
+from tissueid.identification import engine_label
 from tissueid.language import _, marked
-from tissueid.wording import (
-    MISSING,
-    axis_label,
-    clean,
-    engine_label,
-    fixed,
-    named_unit,
-    plain_text,
-    plus_minus,
-)
+from tissueid.messages import MISSING, translated
 
 SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
-"""Roles of the theme in which results are drawn; no more can be told apart."""
+"""Roles of the theme for the colours of results: the maximum number that can be distinguished."""
 
 _FIXED = (marked("Engine"), marked("Test"), marked("VAF fitted (%)"), marked("VAF held out (%)"))
 _TEST, _HELD_OUT = 1, 3
 _ANSWER = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
-"""What a person looks for first: it stands beside the engine and how well that predicts, without scrolling."""
+"""Parameters that are shown first, next to the engine and its score."""
 _LAST = (marked("Subject"), marked("Site"))
 _ROW = 22
 _PADDING = 12
-_ENGINE_WIDTH, _WIDEST = 132, 220
+_ENGINE_WIDTH, _WIDEST = 150, 220
+_SQUARE = 24
+"""Room for the square in the colour of the curve, which may come after the columns are fitted, pixels."""
 """Pixels; what is longer is cut off, and its tip has all of it."""
 _MEASURED = 60
 """Rows that are looked at for the width of a column: all of thousands would hold up the window for seconds."""
@@ -57,7 +52,7 @@ _TOP = QModelIndex()
 
 
 class ResultsTable(QTableView):
-    """``chosen_changed`` is sent when other results are to be drawn; ``removed`` for those that Delete takes out."""
+    """Table of results. ``chosen_changed``: the selection changed; ``removed`` carries results to remove."""
 
     chosen_changed = Signal()
     removed = Signal(list)
@@ -92,23 +87,23 @@ class ResultsTable(QTableView):
         header.sortIndicatorChanged.connect(self._make_room)
 
     @property
-    def outcomes(self) -> tuple[Outcome, ...]:
-        """All results, in the order in which they came."""
+    def outcomes(self) -> tuple[EngineOutcome, ...]:
+        """All results in the order of arrival."""
         return tuple(self._model.outcomes)
 
     @property
-    def chosen(self) -> list[Outcome]:
-        """The results that are selected, or all where none is, in the order of the table."""
+    def chosen(self) -> list[EngineOutcome]:
+        """The selected results, or all if none is selected, in the order of the table."""
         rows = sorted(index.row() for index in self.selectionModel().selectedRows()) or range(self._sorted.rowCount())
         return [self._model.outcomes[self._source(row)] for row in rows]
 
-    def show_outcomes(self, outcomes: Sequence[Outcome]) -> None:
-        """Show results; the selection goes."""
+    def show_outcomes(self, outcomes: Sequence[EngineOutcome]) -> None:
+        """Show results and clear the selection."""
         self._model.take(outcomes)
         self._fit_columns()
 
-    def select(self, outcomes: Sequence[Outcome]) -> None:
-        """Select results, so that they are drawn; nothing is sent."""
+    def select(self, outcomes: Sequence[EngineOutcome]) -> None:
+        """Select results without a signal."""
         wanted = {id(outcome) for outcome in outcomes}
         flags = QItemSelectionModel.SelectionFlag.Select | QItemSelectionModel.SelectionFlag.Rows
         model = self.selectionModel()
@@ -122,29 +117,29 @@ class ResultsTable(QTableView):
             self.scrollTo(self._sorted.index(rows[0], 0))
         self.viewport().update()
 
-    def bring_up(self, outcomes: Sequence[Outcome]) -> None:
-        """Scroll so that the first of these results is at the top, as far as there are rows to scroll."""
+    def bring_up(self, outcomes: Sequence[EngineOutcome]) -> None:
+        """Scroll the first of these results to the top."""
         wanted = {id(outcome) for outcome in outcomes}
         for row in range(self._sorted.rowCount()):
             if id(self._model.outcomes[self._source(row)]) in wanted:
                 self.scrollTo(self._sorted.index(row, 0), self.ScrollHint.PositionAtTop)
                 return
 
-    def colour(self, drawn: Sequence[Outcome]) -> None:
-        """Mark the results that are drawn with their colours, in the order of ``SERIES``."""
+    def colour(self, drawn: Sequence[EngineOutcome]) -> None:
+        """Mark the drawn results with their colours, in the order of ``SERIES``."""
         self._model.colour({id(outcome): place for place, outcome in enumerate(drawn)})
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self._model.paint_with(theme)
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self._model.apply_theme(theme)
 
     def take_units(self) -> None:
-        """Show the figures in the units in force."""
+        """Show the values in the active unit system."""
         self._model.take_units()
         self._fit_columns()
 
     def rows(self) -> list[list[str]]:
-        """A head and all results, SI, with a column for every value and every standard deviation."""
+        """Return a header row and a row per result in SI units, with columns for values and standard deviations."""
         names = self._model.parameters
         head = ["engine", "test", "subject", "site", "file", "numbers", "input", "output", "options"]
         head += ["vaf_percent", "vaf_validation_percent", "validated_on", "aicc", "seconds"]
@@ -152,7 +147,7 @@ class ResultsTable(QTableView):
         return [head, *(_plain_row(outcome, names) for outcome in self.outcomes)]
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Delete takes the selected results out of the table."""
+        """Remove the selected results on Delete."""
         if event.matches(QKeySequence.StandardKey.Delete):
             if self.selectionModel().hasSelection():
                 self.removed.emit(self.chosen)
@@ -160,7 +155,7 @@ class ResultsTable(QTableView):
         super().keyPressEvent(event)
 
     def _fit_columns(self) -> None:
-        """Columns as wide as their figures and the head above; the answer first, then what is told of it."""
+        """Fit the widths of the columns, and order them: engine, score and mechanical parameters first."""
         header = self.horizontalHeader()
         answer = [
             len(_FIXED) + self._model.parameters.index(name) for name in _ANSWER if name in self._model.parameters
@@ -173,10 +168,11 @@ class ResultsTable(QTableView):
         for column in range(self._sorted.columnCount()):
             most = _ENGINE_WIDTH if column == 0 else _WIDEST
             width = max(self._head_width(column), self.sizeHintForColumn(column) + _PADDING // 2)
+            width += _SQUARE if column == 0 else 0
             self.setColumnWidth(column, min(most, width))
 
     def _make_room(self, column: int) -> None:
-        """The mark of the sorted column must not cover its head."""
+        """Widen the sorted column for its sort mark."""
         if column >= 0:
             self.setColumnWidth(column, max(self.columnWidth(column), self._head_width(column)))
 
@@ -198,14 +194,14 @@ class _Results(QAbstractTableModel):
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[EngineOutcome] = []
         self.parameters: list[str] = []
         self._colours: dict[int, int] = {}
         self._theme: Theme | None = None
         self._bold = QFont(parent.font())
         self._bold.setBold(True)
 
-    def take(self, outcomes: Sequence[Outcome]) -> None:
+    def take(self, outcomes: Sequence[EngineOutcome]) -> None:
         self.beginResetModel()
         self.outcomes = list(outcomes)
         reports = [outcome.report for outcome in outcomes if outcome.report is not None]
@@ -221,7 +217,7 @@ class _Results(QAbstractTableModel):
         self._colours = places
         self._tell_colours()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         self._theme = theme
         self._tell_colours()
 
@@ -252,7 +248,7 @@ class _Results(QAbstractTableModel):
         if section >= len(_FIXED) + len(self.parameters):
             return _(_LAST[section - len(_FIXED) - len(self.parameters)])
         name = self.parameters[section - len(_FIXED)]
-        return axis_label(name, shown_si(named_unit(name)[1])[0])
+        return axis_label(name, shown_si(label_and_unit(name)[1])[0])
 
     def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
         outcome, column = self.outcomes[index.row()], index.column()
@@ -261,7 +257,7 @@ class _Results(QAbstractTableModel):
         if role == _SORT:
             return self._sorted_by(outcome, column)
         if role == Qt.ItemDataRole.ToolTipRole:
-            return _told(outcome) if self._is_text(column) else None
+            return _tool_tip(outcome) if self._is_text(column) else None
         if role == Qt.ItemDataRole.DecorationRole and column == 0 and self._theme is not None:
             place = self._colours.get(id(outcome))
             return None if place is None else QColor(getattr(self._theme, SERIES[place % len(SERIES)]))
@@ -281,7 +277,7 @@ class _Results(QAbstractTableModel):
     def _is_text(self, column: int) -> bool:
         return column < 2 or column >= len(_FIXED) + len(self.parameters)
 
-    def _text(self, outcome: Outcome, column: int) -> str:
+    def _text(self, outcome: EngineOutcome, column: int) -> str:
         first, report = outcome.tests[0], outcome.report
         if column < 2:
             return (engine_label(outcome.engine), outcome.test_label)[column][:_LONGEST]
@@ -289,14 +285,14 @@ class _Results(QAbstractTableModel):
             about = first.pseudonym, first.site
             return clean(about[column - len(_FIXED) - len(self.parameters)])[:_LONGEST]
         if report is None:
-            return "refused" if column in (2, _HELD_OUT) else MISSING
+            return _("refused") if column in (2, _HELD_OUT) else MISSING
         if column < len(_FIXED):
             return fixed(report.vaf_percent if column == 2 else report.vaf_validation_percent, 2)
         name = self.parameters[column - len(_FIXED)]
         found = report.reportable_parameters.get(name)
-        return MISSING if found is None else plus_minus(found, shown_si(named_unit(name)[1])[1])
+        return MISSING if found is None else plus_minus(found, shown_si(label_and_unit(name)[1])[1])
 
-    def _sorted_by(self, outcome: Outcome, column: int) -> str | float:
+    def _sorted_by(self, outcome: EngineOutcome, column: int) -> str | float:
         report = outcome.report
         if self._is_text(column):
             return self._text(outcome, column).lower()
@@ -310,15 +306,15 @@ class _Results(QAbstractTableModel):
 
 
 def in_two_lines(head: str) -> str:
-    """A head parted where both lines are shortest; a unit in brackets stays whole."""
+    """Return a heading broken into two short lines."""
     words = head.split()
     parted = [(" ".join(words[:place]), " ".join(words[place:])) for place in range(1, len(words))]
     return "\n".join(min(parted, key=lambda lines: max(map(len, lines)))) if parted else head
 
 
-def _told(outcome: Outcome) -> str:
-    """Options, findings and warnings, as plain lines: what is in angle brackets is text, and not markup."""
-    lines = [outcome.label, *([outcome.refused] if outcome.refused else [])]
+def _tool_tip(outcome: EngineOutcome) -> str:
+    """Return the tool tip of a result: options, findings and warnings, without markup."""
+    lines = [outcome.label, *([sentence(translated(outcome.refused))] if outcome.refused else [])]
     if outcome.recommended:
         lines.append(_("Recommended by the comparison of engines"))
     if outcome.changed:
@@ -326,16 +322,16 @@ def _told(outcome: Outcome) -> str:
     if outcome.options:
         lines.append(_("Options: {options}").format(options=plain_text(outcome.options)))
     if outcome.report is not None:
-        lines += [_("VAF held out on {data}").format(data=outcome.validated_on)]
+        lines += [_("VAF held out on {data}").format(data=translated(outcome.validated_on))]
         lines += [
-            *outcome.report.findings,
-            *(_("Warning: {warning}").format(warning=for_window(warning)) for warning in outcome.report.warnings),
+            *map(translated, outcome.report.findings),
+            *(_("Warning: {warning}").format(warning=translated(warning)) for warning in outcome.report.warnings),
         ]
-    lines += [_("Residual: {finding}").format(finding=finding) for finding in outcome.findings]
+    lines += [_("Residual: {finding}").format(finding=translated(finding)) for finding in outcome.findings]
     return "\n".join(clean(line).replace("<", "‹").replace(">", "›") for line in lines)
 
 
-def _plain_row(outcome: Outcome, names: Sequence[str]) -> list[str]:
+def _plain_row(outcome: EngineOutcome, names: Sequence[str]) -> list[str]:
     first, report = outcome.tests[0], outcome.report
     numbers = " ".join(str(test.number) for test in outcome.tests)
     row = [outcome.engine, outcome.test_label, first.pseudonym, first.site, str(first.path), numbers]
@@ -355,6 +351,6 @@ def _bare(value: float | None) -> str:
 
 
 def _harmless(text: str) -> str:
-    """Text that a spreadsheet takes for text: one that begins as a formula is marked as none."""
+    """Return text that a spreadsheet does not take for a formula."""
     text = clean(text)
     return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text

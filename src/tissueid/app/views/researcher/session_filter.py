@@ -1,4 +1,4 @@
-"""Which rows of the list are shown: those that have every word that is typed, and what the choices ask for."""
+"""Filter of the list of sessions by search words, subject, site and kind."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from PySide6.QtCore import QModelIndex, QObject, QPersistentModelIndex, QSortFilterProxyModel, Qt
 
-from tissueid.app.views.researcher.index import Entry, TestEntry
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SORT, WORDS, SessionModel
+from tissueid.app.views.researcher.session_search import SessionEntry, TestEntry
 
 
 class SessionFilter(QSortFilterProxyModel):
@@ -22,20 +22,20 @@ class SessionFilter(QSortFilterProxyModel):
         self.sort(DATE, Qt.SortOrder.DescendingOrder)
 
     def ask(self, words: str, subject: str, site: str, kind: str) -> None:
-        """Show what has all these; an empty text asks for nothing."""
+        """Set the search words and filters; "" is no filter."""
         asked = tuple(words.casefold().split()), subject, site, kind
         if asked != (self._words, self._subject, self._site, self._kind):
             self._words, self._subject, self._site, self._kind = asked
             self.invalidateFilter()
 
     def filterAcceptsRow(self, row: int, parent: QModelIndex | QPersistentModelIndex) -> bool:  # noqa: N802
-        """Whether a row of the list is shown."""
+        """Return whether a row is shown."""
         model = self.sourceModel()
         index = model.index(row, DATE, parent)
         item = model.data(index, ITEM)
         if isinstance(item, TestEntry):
             return self._wants(model.data(parent, ITEM), item, model.data(index, WORDS))
-        if not isinstance(item, Entry):
+        if not isinstance(item, SessionEntry):
             return False
         if not item.tests:
             bare = not (self._site or self._kind) and self._subject in ("", item.pseudonym)
@@ -46,13 +46,13 @@ class SessionFilter(QSortFilterProxyModel):
             for place, test in zip(tests, item.tests, strict=True)
         )
 
-    def shown(self) -> Iterator[tuple[QModelIndex, Entry]]:
-        """The files that are shown, in order, and their places here."""
+    def shown(self) -> Iterator[tuple[QModelIndex, SessionEntry]]:
+        """Yield the shown files in order, with their indices."""
         for row in range(self.rowCount()):
             index = self.index(row, DATE)
             yield index, self.data(index, ITEM)
 
-    def _wants(self, entry: Entry, test: TestEntry, words: str) -> bool:
+    def _wants(self, entry: SessionEntry, test: TestEntry, words: str) -> bool:
         return (
             self._subject in ("", entry.pseudonym)
             and self._site in ("", test.site)

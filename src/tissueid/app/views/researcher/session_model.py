@@ -11,10 +11,11 @@ from PySide6.QtCore import QAbstractItemModel, QModelIndex, QObject, QPersistent
 from PySide6.QtGui import QColor
 
 from tissueid.app.theme import Theme
-from tissueid.app.views.researcher.index import VERDICTS, Entry, TestEntry
-from tissueid.app.views.researcher.tips import plain_tip
+from tissueid.app.views.researcher.session_search import VERDICTS, SessionEntry, TestEntry
+from tissueid.app.views.researcher.tool_tips import plain_tip
+from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.wording import MISSING, clean
+from tissueid.messages import MISSING
 
 COLUMNS = (
     marked("Date"),
@@ -37,6 +38,8 @@ ITEM = Qt.ItemDataRole.UserRole + 2
 
 Index = QModelIndex | QPersistentModelIndex
 _ROOT = QModelIndex()
+_VALUES = (marked("aborted"), marked("recovered"), marked("stochastic"))
+"""Values of attributes that are shown translated; others are shown as they are in the file."""
 _VERDICT_WORDS = {"": MISSING, "good": marked("Good"), "look": marked("Look"), "repeat": marked("Repeat")}
 _VERDICT_COLOURS = {"good": "good", "look": "check", "repeat": "poor"}
 _NUMBERS = (TESTS, DURATION)
@@ -48,23 +51,23 @@ class SessionModel(QAbstractItemModel):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._entries: list[Entry] = []
+        self._entries: list[SessionEntry] = []
         self._rows: dict[Path, int] = {}
         self._shown: list[list[_Row]] = []
         self._theme: Theme | None = None
 
     @property
-    def entries(self) -> Sequence[Entry]:
-        """Every file in the list."""
+    def entries(self) -> Sequence[SessionEntry]:
+        """All files in the list."""
         return self._entries
 
     @property
-    def by_path(self) -> dict[Path, Entry]:
-        """Every file in the list, by its path."""
+    def by_path(self) -> dict[Path, SessionEntry]:
+        """All files in the list, by path."""
         return {entry.path: entry for entry in self._entries}
 
-    def add(self, entries: Iterable[Entry]) -> None:
-        """Put files into the list; one that is there already is put in the place of what it was."""
+    def add(self, entries: Iterable[SessionEntry]) -> None:
+        """Add files to the list; a listed file is replaced."""
         changed = {entry.path: entry for entry in entries}
         fresh = [entry for path, entry in changed.items() if path not in self._rows]
         if any(self._entries[self._rows[path]] != entry for path, entry in changed.items() if path in self._rows):
@@ -75,21 +78,21 @@ class SessionModel(QAbstractItemModel):
             self._take(fresh)
             self.endInsertRows()
 
-    def show(self, entries: Sequence[Entry]) -> None:
-        """List these files, and no others."""
+    def show(self, entries: Sequence[SessionEntry]) -> None:
+        """List these files only."""
         self.beginResetModel()
         self._entries, self._rows, self._shown = [], {}, []
         self._take(entries)
         self.endResetModel()
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
         if self._entries:
             last = self.index(len(self._entries) - 1, len(COLUMNS) - 1)
             self.dataChanged.emit(self.index(0, 0), last, [Qt.ItemDataRole.ForegroundRole])
 
-    def _take(self, entries: Iterable[Entry]) -> None:
+    def _take(self, entries: Iterable[SessionEntry]) -> None:
         for entry in entries:
             self._rows[entry.path] = len(self._entries)
             self._entries.append(entry)
@@ -99,19 +102,19 @@ class SessionModel(QAbstractItemModel):
     # -- what Qt asks -------------------------------------------------------------------------------------
 
     def index(self, row: int, column: int, parent: Index = _ROOT) -> QModelIndex:
-        """The place of a cell."""
+        """Return the index of a cell."""
         if not self.hasIndex(row, column, parent):
             return QModelIndex()
         return self.createIndex(row, column, parent.row() + 1 if parent.isValid() else 0)
 
     def parent(self, index: Index = _ROOT) -> QModelIndex:  # type: ignore[override]
-        """The file of a test."""
+        """Return the file of a test."""
         if not index.isValid() or index.internalId() == 0:
             return QModelIndex()
         return self.createIndex(int(index.internalId()) - 1, 0, 0)
 
     def rowCount(self, parent: Index = _ROOT) -> int:  # noqa: N802
-        """Files, or tests of a file."""
+        """Return the number of files, or of tests of a file."""
         if not parent.isValid():
             return len(self._entries)
         if parent.internalId() or parent.column() > 0:
@@ -119,18 +122,18 @@ class SessionModel(QAbstractItemModel):
         return len(self._entries[parent.row()].tests)
 
     def columnCount(self, parent: Index = _ROOT) -> int:  # noqa: N802
-        """As many as there are headings."""
+        """Return the number of columns."""
         return len(COLUMNS)
 
     def flags(self, index: Index) -> Qt.ItemFlag:
-        """A file that is no session can be read, but not selected."""
+        """Return the flags of a cell; a file that is not a session cannot be selected."""
         if not index.isValid():
             return Qt.ItemFlag.NoItemFlags
         enabled = Qt.ItemFlag.ItemIsEnabled
         return enabled if self._row(index).problem else enabled | Qt.ItemFlag.ItemIsSelectable
 
     def headerData(self, section: int, way: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> object:  # noqa: N802
-        """The headings."""
+        """Return the headings."""
         if way == Qt.Orientation.Horizontal and role == Qt.ItemDataRole.DisplayRole:
             return _(COLUMNS[section])
         if role == Qt.ItemDataRole.TextAlignmentRole:
@@ -139,7 +142,7 @@ class SessionModel(QAbstractItemModel):
         return None
 
     def data(self, index: Index, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """What a cell shows, how, and what it is sorted and found by."""
+        """Return the data of a cell."""
         if not index.isValid():
             return None
         row, column = self._row(index), index.column()
@@ -168,23 +171,29 @@ class SessionModel(QAbstractItemModel):
 
 
 class _Row:
-    """What a row shows, worked out once."""
+    """Texts and sort keys of a row."""
 
     __slots__ = ("hint", "item", "keys", "problem", "texts", "verdict", "words")
 
     def __init__(
-        self, item: Entry | TestEntry, texts: list[str], keys: list[float | str], *, verdict: str = "", more: str = ""
+        self,
+        item: SessionEntry | TestEntry,
+        texts: list[str],
+        keys: list[float | str],
+        *,
+        verdict: str = "",
+        more: str = "",
     ) -> None:
         self.item = item
         self.texts = texts
         self.keys = keys
         self.verdict = verdict
-        self.problem = isinstance(item, Entry) and bool(item.problem)
-        self.hint = f"{item.path}\n{item.problem}" if isinstance(item, Entry) and item.problem else ""
+        self.problem = isinstance(item, SessionEntry) and bool(item.problem)
+        self.hint = f"{item.path}\n{item.problem}" if isinstance(item, SessionEntry) and item.problem else ""
         self.words = " ".join([*texts, more]).casefold()
 
 
-def _session_row(entry: Entry) -> _Row:
+def _session_row(entry: SessionEntry) -> _Row:
     name = clean(entry.path.name)
     if entry.problem:
         texts = [f"{name}: {entry.problem}", *[""] * (len(COLUMNS) - 1)]
@@ -197,16 +206,16 @@ def _session_row(entry: Entry) -> _Row:
         _joined(test.site for test in entry.tests),
         _(_VERDICT_WORDS[verdict]),
         str(len(entry.tests)),
-        _joined(test.kind for test in entry.tests),
+        _joined(_(test.kind) for test in entry.tests),
         f"{seconds:.1f} s",
-        _joined(test.configuration for test in entry.tests),
+        _joined(_(test.configuration) for test in entry.tests),
         name,
     ]
     return _Row(entry, texts, _keys(texts, entry.when, len(entry.tests), verdict, seconds), verdict=verdict)
 
 
-def _test_row(entry: Entry, test: TestEntry, session: _Row) -> _Row:
-    ended = "" if test.status == "completed" else f", {test.status}"
+def _test_row(entry: SessionEntry, test: TestEntry, session: _Row) -> _Row:
+    ended = "" if test.status == "completed" else f", {_(test.status)}"
     # The newest session comes first, and its first test too.
     texts = [
         _("Test {number}{site}").format(number=test.number, site=ended),
@@ -214,9 +223,9 @@ def _test_row(entry: Entry, test: TestEntry, session: _Row) -> _Row:
         clean(test.site),
         _(_VERDICT_WORDS[test.verdict]),
         "",
-        test.kind,
+        _(test.kind),
         f"{test.seconds:.1f} s",
-        test.configuration,
+        _(test.configuration),
         "",
     ]
     keys = _keys(texts, -test.number, 0, test.verdict, test.seconds)
@@ -232,7 +241,7 @@ def _keys(texts: list[str], first: float, tests: int, verdict: str, seconds: flo
 
 
 def _date(when: float) -> str:
-    """A date and time of day as the clock on the wall has them."""
+    """Return local date and time of day."""
     try:
         return datetime.fromtimestamp(when).strftime("%Y-%m-%d %H:%M")
     except (ValueError, OverflowError, OSError):

@@ -1,4 +1,4 @@
-"""The list of sessions as people see it."""
+"""Tree view of the sessions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNKNOWN = 90
 
 
 class SessionTree(QTreeView):
-    """``opened`` carries the place that was double-clicked, or where Return was pressed."""
+    """List of sessions; ``opened`` carries the index of a double click or of Return."""
 
     opened = Signal(QModelIndex)
 
@@ -43,12 +43,12 @@ class SessionTree(QTreeView):
         self.doubleClicked.connect(self.opened)
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Fold the columns away that there is no room for, the least important first."""
+        """Hide the columns that do not fit, the least important first."""
         super().resizeEvent(event)
         self.fold()
 
     def fold(self) -> None:
-        """Hide columns until the others fit, and show them again where there is room; they stay searched."""
+        """Hide columns until the others fit; hidden columns are still searched."""
         header, room = self.header(), self.viewport().width()
         for column in range(header.count()):  # once: later the last one shown is stretched
             self._widths.setdefault(column, header.sectionSize(column) or _UNKNOWN)
@@ -60,7 +60,7 @@ class SessionTree(QTreeView):
                 self.setColumnHidden(column, hidden)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802
-        """Return opens, wherever a system has other habits."""
+        """Open on Return on every platform."""
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and not event.isAutoRepeat():
             if self.currentIndex().isValid():
                 self.opened.emit(self.currentIndex())
@@ -68,12 +68,12 @@ class SessionTree(QTreeView):
         super().keyPressEvent(event)
 
     def say_empty(self, words: str) -> None:
-        """What stands in the list while it is empty."""
+        """Set the text of the empty list."""
         self._empty = words
         self.viewport().update()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
-        """The list, or why there is none."""
+        """Draw the list, or the text of the empty list."""
         super().paintEvent(event)
         if self._empty and not self._shown.rowCount():
             painter = QPainter(self.viewport())
@@ -81,7 +81,7 @@ class SessionTree(QTreeView):
             painter.drawText(self.viewport().rect(), Qt.AlignmentFlag.AlignCenter, self._empty)
 
     def span_problems(self) -> None:
-        """A file that is no session has one long cell: its name and what is wrong with it."""
+        """Let the text of an unreadable file span all columns."""
         for index, entry in self._shown.shown():
             if entry.problem and not self.isFirstColumnSpanned(index.row(), QModelIndex()):
                 self.setFirstColumnSpanned(index.row(), QModelIndex(), True)

@@ -1,4 +1,4 @@
-"""The signals of the selected tests over one another, what a brushed stretch of them amounts to, and its spectrum."""
+"""Panel of signals: overlaid plots of the selected tests, statistics and spectrum of the brushed interval."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from tissueid.app.elided import ElidedLabel
+from tissueid.app.context import AppContext
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
+from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.channel_button import ChannelButton
-from tissueid.app.views.researcher.chosen import Chosen
-from tissueid.app.views.researcher.errand import ErrandStrip
-from tissueid.app.views.researcher.figure import FigurePlan
-from tissueid.app.views.researcher.figures_table import FiguresTable
-from tissueid.app.views.researcher.kept import keep_texts, kept_texts
 from tissueid.app.views.researcher.plot_stack import SHORTEST_S, PlotStack
-from tissueid.app.views.researcher.reading import MOST_TESTS, Channel, Loaded, Reading
-from tissueid.app.views.researcher.saver import Saver
+from tissueid.app.views.researcher.save_dialog import SaveDialog
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.app.views.researcher.signal_figure import SignalFigure
+from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest, SignalLoading
 from tissueid.app.views.researcher.spectrum_card import SpectrumCard
-from tissueid.app.views.view import Desk
+from tissueid.app.views.researcher.statistics_table import StatisticsTable
+from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
-from tissueid.wording import fixed, grouped
 
 _SIGNALS = "research/signals"
 _STEP_S = 0.1
@@ -43,28 +43,28 @@ WAITS = marked("The signals are read as soon as nothing else goes on.")
 
 
 class SignalsPanel(QWidget):
-    """``work_waits`` says that :meth:`go_on` has something to begin."""
+    """Panel of signals; ``work_waits`` is emitted when :meth:`go_on` has work to start."""
 
     work_waits = Signal()
 
-    def __init__(self, desk: Desk, strip: ErrandStrip, parent: QWidget | None = None) -> None:
+    def __init__(self, context: AppContext, strip: ProgressStrip, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._desk = desk
+        self._context = context
         self._strip = strip
-        self._chosen: list[Chosen] = []
-        self._wanted: list[Chosen] | None = None
-        self._reading: Reading | None = None
-        self.loaded: list[Loaded] = []
-        self.channels = ChannelButton(kept_texts(desk.settings, _SIGNALS))
+        self._chosen: list[SelectedTest] = []
+        self._wanted: list[SelectedTest] | None = None
+        self._reading: SignalLoading | None = None
+        self.loaded: list[LoadedTest] = []
+        self.channels = ChannelButton(load_texts(context.settings, _SIGNALS))
         self.low, self.high = QDoubleSpinBox(), QDoubleSpinBox()
         self.whole = QPushButton(_("Whole test"))
         self.whole.setToolTip(_("Show everything again (a double click on a plot does the same)"))
         self.save = QPushButton(_("Save figure…"))
         self.save.setToolTip(_("What is shown, as PDF, SVG or PNG with 300 dpi"))
-        self._saver = Saver(desk, self)
+        self._saver = SaveDialog(context, self)
         self.about = ElidedLabel()
         self.stack = PlotStack()
-        self.table = FiguresTable()
+        self.table = StatisticsTable()
         self.spectrum = SpectrumCard()
         self.empty = QLabel(_(NOTHING))
         self._figures = QTimer(self)
@@ -83,8 +83,8 @@ class SignalsPanel(QWidget):
 
     # -- for the page ---------------------------------------------------------------------------------------
 
-    def show_tests(self, chosen: Sequence[Chosen]) -> None:
-        """Show these, as soon as they are read."""
+    def show_tests(self, chosen: Sequence[SelectedTest]) -> None:
+        """Show tests when they are loaded."""
         self._chosen = list(chosen)
         self._wanted = self._chosen[:MOST_TESTS]
         if self._reading is not None:
@@ -98,48 +98,48 @@ class SignalsPanel(QWidget):
         self.work_waits.emit()
 
     def go_on(self) -> bool:
-        """Begin to read what waits, if anything; the page asks when nothing else goes on."""
+        """Start loading the waiting tests; return whether a job was started."""
         if self._wanted is None:
             return False
-        self._reading = Reading(self._wanted, {test.chosen: test for test in self.loaded})
+        self._reading = SignalLoading(self._wanted, {test.chosen: test for test in self.loaded})
         self._wanted = None
         self._strip.watch(self._reading)
         why = _("Sessions are being read on Research: cancel it there, or wait.")
-        self._desk.jobs.do(self._reading.run, self._read, self._failed, why=why)
+        self._context.jobs.do(self._reading.run, self._read, self._failed, why=why)
         return True
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Nothing here works beside a running test, and no figure is saved beside other work."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Disable the controls during a test, and saving while a job runs."""
         self.setEnabled(not testing)
         self.save.setEnabled(not busy and bool(self.loaded))
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         for part in (self.stack, self.table, self.spectrum):
-            part.paint_with(theme)
+            part.apply_theme(theme)
 
     def save_state(self) -> None:
-        """Keep which signals are drawn."""
-        keep_texts(self._desk.settings, _SIGNALS, self.channels.wanted)
+        """Save which signals are drawn."""
+        save_texts(self._context.settings, _SIGNALS, self.channels.wanted)
 
     # -- reading --------------------------------------------------------------------------------------------
 
-    def _read(self, reading: Reading) -> None:
-        self._strip.rest()
+    def _read(self, reading: SignalLoading) -> None:
+        self._strip.clear()
         self._reading = None
         if self._wanted is not None:
-            return  # somebody has selected others since
+            return  # the selection has changed since
         self.loaded = reading.loaded if self._chosen else []
         self._redraw()
         if reading.problems:
-            self._desk.say(" ".join(reading.problems), problem=True)
+            self._context.say(" ".join(reading.problems), problem=True)
 
     def _failed(self, words: str) -> None:
-        self._strip.rest()
+        self._strip.clear()
         self._reading = None
         self.loaded = []
         self._redraw()
-        self._desk.say(words, problem=True)
+        self._context.say(words, problem=True)
 
     # -- showing --------------------------------------------------------------------------------------------
 
@@ -151,13 +151,13 @@ class SignalsPanel(QWidget):
         self._say_empty("" if self.loaded else _(NOTHING))
         for field in (self.low, self.high, self.whole, self.channels):
             field.setEnabled(bool(self.loaded))
-        self.save.setEnabled(bool(self.loaded) and not self._desk.busy)
+        self.save.setEnabled(bool(self.loaded) and not self._context.busy)
         self.spectrum.offer(self.channels.drawn)
         self.stack.show_tests(self.loaded, self.channels.drawn)
         self._brushed(*self.stack.stretch)
 
     def _say_empty(self, words: str) -> None:
-        """Words in place of everything, unless tests are shown."""
+        """Show a text in place of the plots if no test is shown."""
         self.empty.setText(words)
         self.empty.setVisible(not self.loaded)
         self.parts.setVisible(bool(self.loaded))
@@ -199,14 +199,14 @@ class SignalsPanel(QWidget):
         self.about.setText(words)
 
     @staticmethod
-    def _places(test: Loaded, low: float, high: float) -> tuple[int, int]:
+    def _places(test: LoadedTest, low: float, high: float) -> tuple[int, int]:
         return next(iter(test.tracks.values())).places(low, high)
 
     # -- figure ---------------------------------------------------------------------------------------------
 
     def _choose_figure(self) -> None:
         low, high = self.stack.stretch
-        plan = FigurePlan(tuple(self.loaded), self.channels.drawn, low, high, self.spectrum.channel)
+        plan = SignalFigure(tuple(self.loaded), self.channels.drawn, low, high, self.spectrum.channel)
         self._saver.save_figure(plan, self._chosen[0].path.parent if self._chosen else None)
 
     # -- building -------------------------------------------------------------------------------------------

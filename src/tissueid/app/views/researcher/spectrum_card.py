@@ -1,4 +1,4 @@
-"""The power spectrum of the brushed stretch."""
+"""Power spectrum of the brushed interval."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import shown
 from tissueid.app.views.researcher.colours import series
-from tissueid.app.views.researcher.reading import Channel, Loaded
+from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
+from tissueid.formatting import display_unit, superscript
 from tissueid.language import _, marked
-from tissueid.wording import people_unit, superscript
 
 _NOTHING = np.zeros(0)
 _TICKS = 4
 _DECADES = 9.0
-"""Below the greatest by so many decades nothing is shown: it is the rounding of the numbers."""
+"""Decades below the maximum that are shown; lower values are rounding errors."""
 TOO_SHORT = marked("Too few samples for a spectrum.")
 
 
@@ -36,7 +36,7 @@ class SpectrumCard(QWidget):
         self.card = PlotCard(_("Power spectrum"), _("Frequency (Hz)"), "", log_axes=("bottom", "left"))
         self._curves: list[pg.PlotDataItem] = []
         self._theme: Theme | None = None
-        self._shown: tuple[Sequence[Loaded], tuple[float, float]] = ((), (0.0, 1.0))
+        self._shown: tuple[Sequence[LoadedTest], tuple[float, float]] = ((), (0.0, 1.0))
         self._wanted = "position"
         rows = QVBoxLayout(self)
         rows.setContentsMargins(0, 0, 0, 0)
@@ -47,26 +47,26 @@ class SpectrumCard(QWidget):
 
     @property
     def channel(self) -> Channel | None:
-        """Of which signal the spectrum is."""
+        """Signal of the spectrum."""
         channel = self.choice.currentData()
         return channel if isinstance(channel, Channel) else None
 
     def offer(self, channels: Sequence[Channel]) -> None:
-        """What there is a spectrum of; the one that was chosen stays, where it is there."""
+        """Offer signals; the selection stays if possible."""
         self.choice.clear()
         for channel in channels:
             self.choice.addItem(_("Spectrum of {title}").format(title=channel.title), channel)
         names = [channel.name for channel in channels]
         self.choice.setCurrentIndex(names.index(self._wanted) if self._wanted in names else len(names) - 1)
 
-    def show_stretch(self, loaded: Sequence[Loaded], low_s: float, high_s: float) -> None:
-        """Of the stretch between two times."""
+    def show_stretch(self, loaded: Sequence[LoadedTest], low_s: float, high_s: float) -> None:
+        """Show the spectrum between two times, s."""
         self._shown = loaded, (low_s, high_s)
         channel = self.channel
         while len(self._curves) < len(loaded):
             self._curves.append(self.card.plot.plot(_NOTHING, _NOTHING, connect="finite"))
             self._colour()
-        unit, scale = people_unit(channel.unit) if channel else ("", 1.0)
+        unit, scale = display_unit(channel.unit) if channel else ("", 1.0)
         self.card.retitle(_("Power spectrum"), f"{unit}²/Hz" if unit else "1/Hz")
         low, last, bottom, top = np.inf, -np.inf, np.inf, -np.inf
         for place, curve in enumerate(self._curves):
@@ -90,14 +90,14 @@ class SpectrumCard(QWidget):
             self.card.plot.getAxis("left").setTicks([[(power, f"10{superscript(power + shift)}") for power in powers]])
 
     def take_units(self) -> None:
-        """Show it in the units in force."""
+        """Show the values in the active unit system."""
         loaded, (low, high) = self._shown
         self.show_stretch(loaded, low, high)
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
         self._theme = theme
-        self.card.paint_with(theme)
+        self.card.apply_theme(theme)
         self._colour()
 
     def _choose(self) -> None:

@@ -1,4 +1,4 @@
-"""The page ``research``: a year of sessions on the left; signals and analyses of the selected tests on the right."""
+"""The page ``research``: sessions on the left; signals and analyses of the selected tests on the right."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from pathlib import Path
 from PySide6.QtCore import QByteArray, QTimer
 from PySide6.QtWidgets import QAbstractButton, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis import AnalysisPanel
+from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.browser import Browser
-from tissueid.app.views.researcher.errand import ErrandStrip
 from tissueid.app.views.researcher.export_button import ExportButton
 from tissueid.app.views.researcher.signals import SignalsPanel
-from tissueid.app.views.view import Desk, View
+from tissueid.app.views.view import View
 from tissueid.language import _
 
 _SPLIT, _TAB = "research/split", "research/tab"
@@ -21,21 +22,21 @@ _WIDTHS = (300, 700)
 
 
 class ResearchView(View):
-    """Browser and panels. Work that waits for other work is begun here, one piece at a time."""
+    """Browser and panels. Starts waiting work, one job at a time."""
 
     name = "research"
 
-    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
-        super().__init__(desk, parent)
+    def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
+        super().__init__(context, parent)
         self._to_open: Path | None = None
         self._testing = False
         self._over = False
-        self.strip = ErrandStrip()
-        self.browser = Browser(desk, self.strip)
-        self.export = ExportButton(desk, self.strip, self.browser.chosen)
+        self.strip = ProgressStrip()
+        self.browser = Browser(context, self.strip)
+        self.export = ExportButton(context, self.strip, self.browser.chosen)
         self.browser.foot.addWidget(self.export)
-        self.signals = SignalsPanel(desk, self.strip)
-        self.analysis = AnalysisPanel(desk)
+        self.signals = SignalsPanel(context, self.strip)
+        self.analysis = AnalysisPanel(context)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
@@ -67,57 +68,63 @@ class ResearchView(View):
         self._restore()
 
     def enter(self) -> None:
-        """Look for sessions, the first time that somebody looks here."""
+        """Start the search for sessions on the first visit."""
         self._soon.start()
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Enable what makes sense now, and begin what waited."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls, and start waiting work."""
         self._testing = testing
-        self.browser.settle(testing=testing)
-        self.signals.settle(busy=busy, testing=testing)
-        self.analysis.settle(busy=busy, testing=testing)
-        self.export.settle(busy=busy)
+        self.browser.update_enabled(testing=testing)
+        self.signals.update_enabled(busy=busy, testing=testing)
+        self.analysis.update_enabled(busy=busy, testing=testing)
+        self.export.update_enabled(busy=busy)
         if not busy:
             self._soon.start()
 
     def list_sessions(self, paths: list[Path]) -> None:
-        """Add folders and sessions to the list of sessions."""
+        """Add folders and sessions to the list."""
         self.browser.list_sessions(paths)
+
+    def show_new(self, path: Path) -> bool:
+        """List a session that was made on this page, and show its signals."""
+        self.browser.choose(path)
+        self.tabs.setCurrentWidget(self.signals)
+        return True
 
     def buttons(self) -> tuple[QAbstractButton, ...]:
         """Return the buttons that the command palette offers."""
         return self.browser.again, self.analysis.run, self.analysis.compare, self.analysis.save_table, self.strip.stop
 
-    def heard_of(self, path: Path) -> None:
+    def on_session_saved(self, path: Path) -> None:
         """List a new session."""
-        self.browser.heard_of(path)
+        self.browser.on_session_saved(path)
 
-    def paint_with(self, theme: Theme) -> None:
-        """Take on the colours of a theme."""
-        self.browser.paint_with(theme)
-        self.signals.paint_with(theme)
-        self.analysis.paint_with(theme)
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.browser.apply_theme(theme)
+        self.signals.apply_theme(theme)
+        self.analysis.apply_theme(theme)
 
     def cancel(self) -> None:
-        """The window closes: end what goes on, begin nothing more."""
+        """Cancel the running work and start no more; the window closes."""
         self._over = True
         self.strip.cancel()
         self.analysis.cancel()
 
     def save_state(self) -> None:
-        """Keep folders, filters, columns, signals and sizes."""
+        """Save folders, filters, columns, signals and sizes."""
         self.browser.save_state()
         self.signals.save_state()
         self.analysis.save_state()
-        self.desk.settings.setValue(_SPLIT, self.split.saveState())
-        self.desk.settings.setValue(_TAB, self.tabs.currentIndex())
+        self.context.settings.setValue(_SPLIT, self.split.saveState())
+        self.context.settings.setValue(_TAB, self.tabs.currentIndex())
 
     def _go_on(self) -> None:
-        if self._over or self._testing or self.desk.busy or not self.isVisible():
+        if self._over or self._testing or self.context.busy or not self.isVisible():
             return
         if self._to_open is not None:
             path, self._to_open = self._to_open, None
-            self.desk.open_session(path)
+            self.context.open_session(path)
         elif not self.analysis.go_on() and not self.signals.go_on():
             self.browser.go_on()
 
@@ -134,10 +141,10 @@ class ResearchView(View):
         self.analysis.show_tests(chosen)
 
     def _restore(self) -> None:
-        split = self.desk.settings.value(_SPLIT)
+        split = self.context.settings.value(_SPLIT)
         if isinstance(split, QByteArray):
             self.split.restoreState(split)
-        if str(self.desk.settings.value(_TAB, "0")) == "1":
+        if str(self.context.settings.value(_TAB, "0")) == "1":
             self.tabs.setCurrentWidget(self.analysis)
 
 

@@ -1,13 +1,13 @@
-"""Choosing the language of the window: it is taken on at the next start."""
+"""Chooser of the language of the window, which changes at the next start."""
 
 from __future__ import annotations
 
 from PySide6.QtCore import QSettings, Signal
 from PySide6.QtWidgets import QComboBox, QWidget
 
-from tissueid.app.labelled import in_a_row
+from tissueid.app.labelled_row import labelled_row
 from tissueid.app.language_choice import SETTING
-from tissueid.language import LANGUAGES, _, spoken
+from tissueid.language import _, current_language, languages
 
 
 class LanguageChooser(QWidget):
@@ -19,13 +19,13 @@ class LanguageChooser(QWidget):
         super().__init__(parent)
         self._settings = settings
         self.choice = QComboBox()
-        for code, name in LANGUAGES.items():
+        for code, name in languages().items():
             self.choice.addItem(name, code)
         kept = self.choice.findData(settings.value(SETTING, ""))
-        self.choice.setCurrentIndex(kept if kept >= 0 else self.choice.findData(spoken()))
+        self.choice.setCurrentIndex(kept if kept >= 0 else self.choice.findData(current_language()))
         self.choice.setAccessibleName(_("Language"))
         self.choice.setToolTip(_("The language of the window, from its next start on"))
-        in_a_row(self, _("Language"), self.choice).addStretch(1)
+        labelled_row(self, _("Language"), self.choice).addStretch(1)
         self.choice.currentIndexChanged.connect(self._keep)
 
     def _keep(self) -> None:

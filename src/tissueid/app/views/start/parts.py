@@ -10,12 +10,12 @@ from tissueid.app.views.start.rows import Rows
 
 
 def cells(item: Recent) -> tuple[tuple[str, str], ...]:
-    """A session as the cells of a row."""
+    """Return the cells of a row for a session."""
     return (item.date, ""), (item.site, ""), (item.subject, ""), (item.verdict, item.level)
 
 
 def brief(health: str) -> str:
-    """What is the matter, without the advice: that is in the hint of the row."""
+    """Return a problem without its advice, which is in the tooltip of the row."""
     return health.partition(";")[0]
 
 
@@ -37,7 +37,7 @@ def words() -> QLabel:
 
 
 def under_heading(title: str, about: QLabel, table: Rows, *buttons: QPushButton) -> QVBoxLayout:
-    """A table under its heading, with its buttons beside that."""
+    """A table under a heading with buttons next to the heading."""
     about.setProperty("role", "muted")
     top = QHBoxLayout()
     top.setSpacing(8)

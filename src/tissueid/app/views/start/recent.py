@@ -1,4 +1,4 @@
-"""What lies in the folder of sessions: the newest sittings in one line each, and tests that were never finished."""
+"""The newest sittings and the unfinished tests of the folder of sessions."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
-from tissueid.app.errands import unfinished
+from tissueid.app.session_jobs import unfinished
 from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number
 from tissueid.language import _, marked
+from tissueid.messages import MISSING
 from tissueid.sessions import Outline, read_outline, read_session_head
-from tissueid.sessions.accepted import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
+from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import Quality, quality_of
-from tissueid.wording import MISSING, clean, local_minute, local_time, named_unit, number
 
 MOST_SHOWN = 30
 MOST_READ = 200
@@ -56,7 +57,7 @@ class KnownDates:
 
 @dataclass(frozen=True)
 class FolderLook:
-    """What was seen of a folder. ``problem`` is why it could not be listed, in words, or empty."""
+    """The content of a folder. ``problem`` is the error if it could not be listed, else empty."""
 
     sessions: tuple[Recent, ...] = ()
     unfinished: tuple[Path, ...] = ()
@@ -104,7 +105,7 @@ def _dated(
 
 
 def _by_name(name: str) -> float | None:
-    """When a session was recorded whose name the window gave it, in local time."""
+    """Return the time of a recording by a file name of the window, in local time; None for other names."""
     try:
         return datetime.strptime(name[:_DATED_LENGTH], _DATED).timestamp()
     except (ValueError, OverflowError, OSError):
@@ -141,10 +142,10 @@ def _joined(key: str, lines: Sequence[Recent]) -> Recent:
 
 
 def _said(result: AcceptedResult) -> str:
-    """The accepted values in a line, in the units in force."""
+    """Return the accepted values in one line, in the active units."""
     values = []
     for quantity, value in result.values.items():
-        unit, scale = shown_si(named_unit(quantity)[1])
+        unit, scale = shown_si(label_and_unit(quantity)[1])
         values.append(f"{number(scale * value.mean, 3)} {unit}")
     words = ", ".join(values)
     if result.count == 1:

@@ -1,4 +1,4 @@
-"""One big card a role: who it is for, and what it does."""
+"""A large card for each role: who it is for and what it does."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RoleCard(BigButton):
         self.show_taken(False)
 
     def show_taken(self, taken: bool) -> None:
-        """Whether this is the role of who sits there now."""
+        """Show whether this is the current role."""
         self.setProperty("taken", taken)
         title = _(ROLE_NAMES[self.role])
         self._title.setText(_("{role} · now").format(role=title) if taken else title)
@@ -45,7 +45,7 @@ class RoleCard(BigButton):
         self.style().unpolish(self)
         self.style().polish(self)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self.setStyleSheet(
             f"RoleCard {{ background: {theme.panel}; border: 1px solid {theme.edge}; border-radius: 6px; }}"
@@ -56,7 +56,7 @@ class RoleCard(BigButton):
         )
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """As high as its sentence needs at its width."""
+        """Return the height that the description needs at the present width."""
         layout = self.layout()
         assert layout is not None
         return QSize(240, layout.heightForWidth(max(200, self.width())))

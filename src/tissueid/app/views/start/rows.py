@@ -75,13 +75,13 @@ class Rows(QTableWidget):
             self.selectRow(kept)
 
     def explain(self, row: int, text: str) -> None:
-        """What a row says at length, to whoever points at it or listens."""
+        """Return the complete text of a row for tooltip and screen reader."""
         for column in range(self.columnCount()):
             if (item := self.item(row, column)) is not None:
                 item.setToolTip(text)
                 item.setData(Qt.ItemDataRole.AccessibleDescriptionRole, text)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         self.setStyleSheet(
@@ -98,7 +98,7 @@ class Rows(QTableWidget):
         self._colour()
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
-        """Share the room anew."""
+        """Distribute the width over the columns again."""
         super().resizeEvent(event)
         self._share_room()
 
@@ -109,7 +109,7 @@ class Rows(QTableWidget):
         wanted = [max(self.sizeHintForColumn(c), header.sectionSizeHint(c)) for c in self._stretched]
         others = sum(self.columnWidth(c) for c in range(self.columnCount()) if c not in self._stretched)
         left = max(0, self.viewport().width() - others)
-        # The narrowest first: whoever needs less than an equal share gets that much, the longest texts the rest.
+        # Narrowest first: a column that needs less than an equal share gets its need, the longest texts share the rest.
         places = sorted(range(len(wanted)), key=wanted.__getitem__)
         for number, place in enumerate(places):
             share = left // (len(places) - number)

@@ -1,11 +1,11 @@
-"""Choosing the units of the window: they are taken on at once, and kept."""
+"""Chooser of the units of the window, which change at once and are stored."""
 
 from __future__ import annotations
 
 from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QComboBox, QWidget
 
-from tissueid.app.labelled import in_a_row
+from tissueid.app.labelled_row import labelled_row
 from tissueid.app.unit_choice import SETTING, show_everywhere
 from tissueid.app.units import SYSTEMS, System, in_force, use
 from tissueid.language import _, marked
@@ -25,7 +25,7 @@ class UnitChooser(QWidget):
         self.choice.setCurrentIndex(self.choice.findData(in_force()))
         self.choice.setAccessibleName(_("Units"))
         self.choice.setToolTip(_("Units of plots and tables in the window; files and reports stay as they are"))
-        in_a_row(self, _("Units"), self.choice)
+        labelled_row(self, _("Units"), self.choice)
         self.choice.currentIndexChanged.connect(self._take)
 
     def _take(self) -> None:

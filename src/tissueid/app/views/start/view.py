@@ -1,4 +1,4 @@
-"""The first page: who works, with which instrument, on which session; and what was left unfinished."""
+"""The first page: role, instrument, recent sessions, and unfinished tests."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.calibration_state import CalibrationState
-from tissueid.app.layout import RESEARCH_USE
+from tissueid.app.context import AppContext
+from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.theme import Theme
 from tissueid.app.views.start.language_chooser import LanguageChooser
 from tissueid.app.views.start.parts import brief, cells, heading, under_heading, words
 from tissueid.app.views.start.recent import FolderLook, KnownDates, look_into
 from tissueid.app.views.start.role_card import RoleCard
 from tissueid.app.views.start.rows import Rows
+from tissueid.app.views.start.storage_locations import storage_locations
 from tissueid.app.views.start.unit_chooser import UnitChooser
-from tissueid.app.views.start.whereabouts import whereabouts
-from tissueid.app.views.view import Desk, View
+from tissueid.app.views.view import View
+from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
+from tissueid.formatting import clean
 from tissueid.language import _, marked, plural
-from tissueid.wording import clean
 
 WHAT_ROLES_DO: dict[Role, str] = {
     "clinician": marked(
@@ -67,8 +69,8 @@ class StartView(View):
     find_asked = Signal()
     recovery_asked = Signal()
 
-    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
-        super().__init__(desk, parent)
+    def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
+        super().__init__(context, parent)
         self._look = FolderLook()
         self._known = KnownDates()
         self._urls: list[str] = []
@@ -83,7 +85,7 @@ class StartView(View):
         self.cards = {role: RoleCard(role, _(sentence)) for role, sentence in WHAT_ROLES_DO.items()}
         self.recent = Rows(_("Recent sessions"), (_("Date"), _("Site"), _("Subject"), _("Quality gate")), (1, 3))
         self.instruments = Rows(_("Instruments"), (_("Instrument"), _("Health"), _("Calibration")), (1, 2))
-        self.about_recent, self.about_instruments = words(), words()
+        self.about_recent, self.about_instruments = words(), ElidedLabel()
         self.open = QPushButton(_("Open"))
         self.open.setAccessibleName(_("Open the selected session"))
         self.stop_reading = QPushButton(_("Cancel"))
@@ -95,18 +97,18 @@ class StartView(View):
         self.unfinished = words()
         self.recover = QPushButton(_("Recover"))
         self.recover.setAccessibleName(_("Recover all unfinished tests"))
-        self.language = LanguageChooser(desk.settings)
-        self.units = UnitChooser(desk.settings)
+        self.language = LanguageChooser(context.settings)
+        self.units = UnitChooser(context.settings)
         self.folder = QPushButton(_("Show folder"))
         self.folder.setAccessibleName(_("Show the folder of sessions"))
         self._arrange()
         self._connect()
-        self.take_role(desk.role())
+        self.set_role(context.role())
 
     # -- what the window tells ------------------------------------------------------------------------------
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Nothing works beside a running test; beside other work only what starts none."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Disable everything during a test, and what starts a job during another job."""
         self.setEnabled(not testing)
         others = busy and not self._reading
         parts: list[QWidget] = [self.recent, self.seek, self.recover, *self.cards.values()]
@@ -121,13 +123,13 @@ class StartView(View):
         """Return the buttons that the command palette offers."""
         return self.recover, self.folder, self.stop_reading
 
-    def take_role(self, role: Role) -> None:
+    def set_role(self, role: Role) -> None:
         """Mark the card of the role."""
         for name, card in self.cards.items():
             card.show_taken(name == role)
 
-    def heard_of(self, path: Path) -> None:
-        """There is one session more."""
+    def on_session_saved(self, path: Path) -> None:
+        """Read the folder again: a session was added."""
         self._stale = True
         self._soon.start()
 
@@ -157,28 +159,28 @@ class StartView(View):
         )
         self._enable_choices()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         for table in (self.recent, self.instruments):
-            table.paint_with(theme)
+            table.apply_theme(theme)
         for card in self.cards.values():
-            card.paint_with(theme)
+            card.apply_theme(theme)
 
     def cancel(self) -> None:
         """Stop reading the folder."""
         self._cancelled.set()
 
     def save_state(self) -> None:
-        """The window closes: nothing begins any more."""
+        """Start no more jobs: the window closes."""
         self._soon.stop()
         self._stale = False
 
     def focus_first(self) -> None:
-        """Put the keyboard on the card of the role that is in force."""
-        self.cards[self.desk.role()].setFocus()
+        """Set the focus to the card of the current role."""
+        self.cards[self.context.role()].setFocus()
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
-        """Whoever comes back to the page sees the folder as it is now."""
+        """Read the folder again when the page is shown."""
         super().showEvent(event)
         self._stale = True
         self._soon.start()
@@ -187,7 +189,7 @@ class StartView(View):
 
     def _go_on(self) -> None:
         """Nothing goes on: do what was asked for meanwhile, or else look into the folder if that is due."""
-        if self.desk.busy or not self.isVisible():
+        if self.context.busy or not self.isVisible():
             return
         if self._then is not None:
             then, self._then = self._then, None
@@ -195,8 +197,8 @@ class StartView(View):
         elif self._stale:
             self._stale, self._reading = False, True
             self._cancelled = threading.Event()
-            work = functools.partial(look_into, self.desk.around.folder, self._cancelled, self._known)
-            self.desk.jobs.do(work, self._looked, self._looking_failed)
+            work = functools.partial(look_into, self.context.services.folder, self._cancelled, self._known)
+            self.context.jobs.do(work, self._looked, self._looking_failed)
 
     def _looked(self, look: FolderLook) -> None:
         self._reading = False
@@ -228,8 +230,8 @@ class StartView(View):
         self.about_recent.setText(words)
 
     def _when_idle(self, action: Callable[[], None]) -> None:
-        """At once, or as soon as the folder is read; never beside other work."""
-        if not self.desk.busy:
+        """Run at once, or as soon as the folder is read, but not while another job runs."""
+        if not self.context.busy:
             action()
         elif self._reading:
             self._then = action
@@ -242,7 +244,7 @@ class StartView(View):
 
     def _open_row(self, row: int) -> None:
         if 0 <= row < len(self._look.sessions):
-            self._when_idle(functools.partial(self.desk.open_session, self._look.sessions[row].path))
+            self._when_idle(functools.partial(self.context.open_session, self._look.sessions[row].path))
 
     def _open_chosen(self) -> None:
         self._open_row(self.recent.chosen)
@@ -261,11 +263,11 @@ class StartView(View):
         self._when_idle(self.recovery_asked.emit)
 
     def _show_folder(self) -> None:
-        folder = self.desk.around.folder
+        folder = self.context.services.folder
         if not folder.is_dir():
-            self.desk.say(_("{folder} is made with the first test.").format(folder=folder))
-        elif not self.desk.around.show_file(folder):
-            self.desk.say(_("Sessions are kept in {folder}.").format(folder=folder))
+            self.context.say(_("{folder} is made with the first test.").format(folder=folder))
+        elif not self.context.services.show_file(folder):
+            self.context.say(_("Sessions are kept in {folder}.").format(folder=folder))
 
     def _enable_choices(self) -> None:
         self.open.setEnabled(self.recent.isEnabled() and self.recent.chosen >= 0)
@@ -286,7 +288,7 @@ class StartView(View):
         self.seek.clicked.connect(self._find)
         self.recover.clicked.connect(self._recover)
         self.folder.clicked.connect(self._show_folder)
-        self.language.changed.connect(self.desk.say)
+        self.language.changed.connect(self.context.say)
 
     def _arrange(self) -> None:
         page = QWidget()
@@ -345,7 +347,7 @@ class StartView(View):
         said.setText(f"{_(RESEARCH_USE)} {_('Nothing leaves this computer.')} {_(HINT)}")
         grid.addWidget(said, 0, 0, 1, 4)
         grid.addWidget(self.folder, 0, 4)
-        for place, (what, where) in enumerate(whereabouts(self.desk.around, self.desk.settings)):
+        for place, (what, where) in enumerate(storage_locations(self.context.services, self.context.settings)):
             label, path = QLabel(what), words()
             label.setProperty("role", "field")
             path.setProperty("role", "readout")
@@ -365,7 +367,7 @@ class StartView(View):
 
 
 def _calibration(state: CalibrationState) -> str:
-    """Its state without the word that stands above the column already."""
+    """Return the state without the word of the column header."""
     said = _(state.words)
     for word in ("Calibration", _("Calibration")):
         said = said.removeprefix(f"{word}: ")

@@ -1,4 +1,4 @@
-"""The fourth tab: the audit log as a table, whether it is whole, and as a file for a spreadsheet."""
+"""The fourth tab: the audit log as a table, its verification, and its export as CSV."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
-from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.log_reading import LogPage, haystack, read_log, shown, write_csv
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
-from tissueid.app.views.view import Desk
+from tissueid.app.words import sentence
 from tissueid.audit import ROLES, Line, Verification, verify
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
-from tissueid.wording import clean, grouped
+from tissueid.messages import Message, translated
 
 _ALL_ROLES, _ALL_ACTS = marked("All roles"), marked("All acts")
 _ROLE, _SEARCH = "instrument/audit/role", "instrument/audit/search"
@@ -61,7 +63,11 @@ def check(path: Path, cancelled: Callable[[], None]) -> Verification:
     """
     if not path.is_file():
         raise UnusableInputError(
-            _("there is no audit log {path}: nothing has been logged yet, or it was moved").format(path=path)
+            Message(
+                "audit.missing",
+                "there is no audit log {path}: nothing has been logged yet, or it was moved",
+                path=str(path),
+            )
         )
     return verify(path, cancelled=cancelled)
 
@@ -75,8 +81,8 @@ def _cell(line: Line, column: int) -> str:
 class AuditTab(Tab):
     """Newest first. The rows are filtered in memory and handed to the view in pieces."""
 
-    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
-        super().__init__(desk, errands, parent)
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
+        super().__init__(context, page_job, parent)
         self._read = Read(LogPage(), (), ())
         self._csv: Path | None = None
         self.role = QComboBox()
@@ -84,13 +90,14 @@ class AuditTab(Tab):
         self.role.addItem(_(_ALL_ROLES), "")
         for role in ROLES:
             self.role.addItem(role, role)
-        self.role.setCurrentIndex(max(0, self.role.findData(str(desk.settings.value(_ROLE, "")))))
+        self.role.setCurrentIndex(max(0, self.role.findData(str(context.settings.value(_ROLE, "")))))
         self.act = QComboBox()
         self.act.setAccessibleName(_("Which acts are shown"))
         self.act.addItem(_(_ALL_ACTS))
         self.act.setMinimumContentsLength(20)
-        self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText(_("Search (Ctrl+F)"))
+        self.search = QLineEdit(str(context.settings.value(_SEARCH, ""))[:200])
+        self.search.setPlaceholderText(_("Search"))
+        self.search.setToolTip(_("Search (Ctrl+F)"))
         self.search.setAccessibleName(_("Search the audit log"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
@@ -140,8 +147,8 @@ class AuditTab(Tab):
 
     def load(self) -> None:
         """Read the log."""
-        work = functools.partial(read, self.desk.around.audit.path)
-        if self.errands.start(_("Reading the audit log…"), work, self._loaded, self.complain):
+        work = functools.partial(read, self.context.services.audit.path)
+        if self.page_job.start(_("Reading the audit log…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, found: Read) -> None:
@@ -157,22 +164,22 @@ class AuditTab(Tab):
 
     def begin_verifying(self) -> None:
         """Verify the log, in a job."""
-        work = functools.partial(check, self.desk.around.audit.path)
-        if self.errands.start(_("Verifying the audit log…"), work, self._verified, self.complain):
+        work = functools.partial(check, self.context.services.audit.path)
+        if self.page_job.start(_("Verifying the audit log…"), work, self._verified, self.complain):
             self._tell("", _("Verifying…"))
 
     def complain(self, words: str) -> None:
-        """Nothing is known of the log then."""
+        """Show the error and empty the table."""
         if self.words.text() == _("Verifying…"):
             self._tell("", _("Not verified."))
         super().complain(words)
 
     def _verified(self, found: Verification) -> None:
-        remarks = " ".join(f"{line[:1].upper()}{line[1:]}." for line in found.remarks[:3])
+        remarks = " ".join(sentence(translated(line)) for line in found.remarks[:3])
         if found.broken is not None:
             where = _("Line {place} of the file").format(place=grouped(found.broken.place))
             words = _("The log is not as it was written. {where}: {words} ({damage}).").format(
-                where=where, words=found.broken.words, damage=found.broken.damage.value
+                where=where, words=translated(found.broken.words), damage=_(found.broken.damage.value)
             )
             self._tell("poor", f"{words} {remarks}".strip())
         elif not found.lines:
@@ -189,7 +196,7 @@ class AuditTab(Tab):
         self.verdict.setAccessibleName(clean(words))
 
     def _choose_csv(self) -> None:
-        if self.desk.busy:
+        if self.context.busy:
             return
         dialog = QFileDialog(self, _("Export the audit log"), str(Path.home() / "audit.csv"), _("Spreadsheets (*.csv)"))
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
@@ -201,11 +208,11 @@ class AuditTab(Tab):
     def export_to(self, path: str) -> None:
         """Write the lines that are shown to a file, in a job."""
         self._csv = Path(path)
-        work = functools.partial(write_csv, self._csv, self.desk.around.audit.path, tuple(self.model.rows))
-        self.errands.start(_("Writing the audit log…"), work, self._exported, self.complain)
+        work = functools.partial(write_csv, self._csv, self.context.services.audit.path, tuple(self.model.rows))
+        self.page_job.start(_("Writing the audit log…"), work, self._exported, self.complain)
 
     def _exported(self, lines: int) -> None:
-        self.desk.say(
+        self.context.say(
             _("{lines} lines of the audit log are saved in {path}.").format(
                 lines=grouped(lines), path=clean(str(self._csv))
             )
@@ -213,7 +220,7 @@ class AuditTab(Tab):
 
     # -- showing ------------------------------------------------------------------------------------------
 
-    def settle(self, *, busy: bool) -> None:
+    def update_enabled(self, *, busy: bool) -> None:
         """All of it is slow."""
         self.again.setEnabled(not busy)
         self.verify.setEnabled(not busy)
@@ -236,14 +243,14 @@ class AuditTab(Tab):
             found = list(lines)
         self.model.show_rows(found)
         said = _("{shown} of {count} lines, newest first, in {path}.").format(
-            shown=grouped(len(found)), count=grouped(len(lines)), path=self.desk.around.audit.path
+            shown=grouped(len(found)), count=grouped(len(lines)), path=self.context.services.audit.path
         )
         self.count.setText(" ".join([clean(said), *(clean(line) for line in self._read.page.remarks)]))
-        self.export.setEnabled(bool(found) and not self.desk.busy)
+        self.export.setEnabled(bool(found) and not self.context.busy)
         self._show_full()
 
     def _show_full(self) -> None:
-        """All of the selected line, for what the columns cut off."""
+        """Show the complete selected line, which the columns elide."""
         rows = [index.row() for index in self.list.selectionModel().selectedRows()]
         if not rows or rows[-1] >= len(self.model.rows):
             self.full.hide()
@@ -263,11 +270,11 @@ class AuditTab(Tab):
         self.full.setText(" · ".join(parts))
         self.full.show()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.model.paint_with(theme)
+        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
         """Filter and search."""
-        self.desk.settings.setValue(_ROLE, self.role.currentData())
-        self.desk.settings.setValue(_SEARCH, self.search.text())
+        self.context.settings.setValue(_ROLE, self.role.currentData())
+        self.context.settings.setValue(_SEARCH, self.search.text())

@@ -1,4 +1,4 @@
-"""The second tab: the way to a new calibration, and all that there are, held against each other."""
+"""The second tab: a button for a new calibration, and a comparison of the stored ones."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QStackedWidget, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
-from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.statics_panel import StaticsPanel
 from tissueid.app.views.technician.stored_rows import HEADERS, Row, rows_of
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.app.views.technician.tab import Tab, plain_label
-from tissueid.app.views.view import Desk
 from tissueid.calibration.file import Calibration
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.device import DeviceDescription
+from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.wording import clean
 
 _HINT = marked(
     "Select a calibration to see its figures. Select two or more sweeps, with Ctrl or Shift, to lay them over each "
@@ -49,8 +49,8 @@ def read_stored(folder: Path | None, cancelled: Callable[[], None]) -> tuple[Sto
 class CalibrationsTab(Tab):
     """A list on the left; what is selected on the right."""
 
-    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
-        super().__init__(desk, errands, parent)
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
+        super().__init__(context, page_job, parent)
         self._stored: tuple[Stored, ...] = ()
         self._nominal: DeviceDescription | None = None
         self.calibrate = QPushButton(_("Calibrate…"))
@@ -84,7 +84,7 @@ class CalibrationsTab(Tab):
         self.split.setStretchFactor(0, 2)
         self.split.setStretchFactor(1, 3)
         self.split.setSizes([450, 600])
-        if (state := desk.settings.value(_SPLIT)) is not None:
+        if (state := context.settings.value(_SPLIT)) is not None:
             self.split.restoreState(state)
         top = QHBoxLayout()
         top.setSpacing(8)
@@ -102,8 +102,8 @@ class CalibrationsTab(Tab):
 
     def load(self) -> None:
         """Read the folder."""
-        work = functools.partial(read_stored, self.desk.around.calibrations)
-        if self.errands.start(_("Reading the calibrations…"), work, self._loaded, self.complain):
+        work = functools.partial(read_stored, self.context.services.calibrations)
+        if self.page_job.start(_("Reading the calibrations…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, stored: tuple[Stored, ...]) -> None:
@@ -111,28 +111,28 @@ class CalibrationsTab(Tab):
         self._show()
 
     def tell_instrument(self, nominal: DeviceDescription | None) -> None:
-        """The instrument that was asked: for it a calibration is in force, or is not."""
+        """Set the instrument for which the active calibrations are shown."""
         self._nominal = nominal
         self._show()
 
     def _go(self) -> None:
-        """To where calibrations are made; nothing is begun."""
-        technician = self.desk.role() == "technician"
+        """Show the page of calibrations; start nothing."""
+        technician = self.context.role() == "technician"
         if not technician:
-            self.desk.say(_(_ROLE), problem=True)
+            self.context.say(_(_ROLE), problem=True)
             return
-        self.desk.calibrate(_(_TO_MEASURE))
+        self.context.calibrate(_(_TO_MEASURE))
 
     # -- showing ------------------------------------------------------------------------------------------
 
-    def settle(self, *, busy: bool) -> None:
-        """Reading is slow, and nobody leaves for a calibration beside something else."""
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable reading and calibrating while a job runs."""
         self.again.setEnabled(not busy)
         self.calibrate.setEnabled(not busy)
 
     @property
     def selected(self) -> list[Calibration]:
-        """What is selected and can be read, newest first."""
+        """The selected readable calibrations, newest first."""
         return [row.item.calibration for row in self._rows if row.item.calibration is not None]
 
     @property
@@ -178,12 +178,12 @@ class CalibrationsTab(Tab):
             self.hint.setText("\n".join(row.force for row in rows[:_MOST_WHY]) or _(_HINT))
             self.detail.setCurrentWidget(self.hint)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.model.paint_with(theme)
-        self.sweeps.paint_with(theme)
-        self.statics.paint_with(theme)
+        self.model.apply_theme(theme)
+        self.sweeps.apply_theme(theme)
+        self.statics.apply_theme(theme)
 
     def save_state(self) -> None:
         """Where the two halves part."""
-        self.desk.settings.setValue(_SPLIT, self.split.saveState())
+        self.context.settings.setValue(_SPLIT, self.split.saveState())

@@ -1,4 +1,4 @@
-"""Asking an instrument how it is, without energising anything, and what its answers are worth."""
+"""Checkup of an instrument with released coil, and its evaluation."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from tissueid.app.words import sentence
 from tissueid.calibration.store import Stored, calibration_folder, stored_calibrations
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, TissueIDError
+from tissueid.formatting import fixed, grouped
 from tissueid.instrument import PROFILES, Instrument, Limits, SerialInstrument
-from tissueid.instrument.answers import describe_faults
+from tissueid.instrument.replies import describe_faults
 from tissueid.instrument.thermal import PLAUSIBLE_C
 from tissueid.language import _, marked
 from tissueid.sessions import read_outline, read_test
-from tissueid.wording import fixed, grouped
+from tissueid.sessions.model import IMPORTED
 
 LISTEN_S = 1.0
-"""So long the free instrument's samples are listened to."""
+"""Duration over which samples are read, s."""
 RECENT_FILES, RECENT_BYTES = 20, 2 * 1024 * 1024
-"""Of sessions and of the audit log so much tells how the newest test ended."""
+"""Number of sessions and bytes of the audit log that are searched for the newest test."""
 _POLL_S = 0.1
 _MOST_POLLS = 400
 DAMAGED_SHARE = 0.01
-"""Of frames; the host copes with more, but a cable that damages so many will soon damage the rest."""
+"""Largest share of damaged frames; the host can handle more, but such a cable gets worse."""
 LOST_SHARE = 0.01
 WARM_C = 50.0
 RESTING_A = 0.3
@@ -40,7 +41,7 @@ Cancelled = Callable[[], None]
 
 @dataclass(frozen=True)
 class Link:
-    """What the cable did while the instrument was open; ``round_trip_s`` None where none was measured."""
+    """Statistics of the link while the instrument was open; ``round_trip_s`` None if not measured."""
 
     frames: int
     damaged: int
@@ -70,7 +71,7 @@ class Checkup:
 
 @dataclass(frozen=True)
 class LastTest:
-    """The newest test in the folder of sessions, and what arrived of it."""
+    """The newest test in the folder of sessions and its lost samples."""
 
     path: Path
     created: str
@@ -162,7 +163,7 @@ def ask(
 
 
 def _faults(instrument: Instrument) -> str:
-    """What is latched although it was cleared when the instrument was opened; empty where nothing is."""
+    """Return the faults that remain after they were cleared at opening; empty if there are none."""
     status = instrument.status if isinstance(instrument, SerialInstrument) else None
     return describe_faults(status.faults) if status is not None and status.faults else ""
 
@@ -175,7 +176,7 @@ def _link(instrument: Instrument) -> Link | None:
 
 
 def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
-    """What is to be thought of an instrument, with every reason in words.
+    """Return the traffic light of an instrument with all reasons.
 
     ``problem`` is why it could not be asked; ``fault`` how its newest test ended, where that was with a fault.
     """
@@ -203,7 +204,7 @@ def light(checkup: Checkup | None, problem: str, fault: Event | None) -> Light:
 
 
 def _concerns(checkup: Checkup) -> tuple[list[str], list[str]]:
-    """What speaks against measuring at all, and what is worth a look."""
+    """Return the reasons against measuring, and the remarks."""
     poor: list[str] = []
     check: list[str] = []
     hottest = min(limits.max_temperature_c for limits in checkup.limits.values())
@@ -283,8 +284,8 @@ def _last_test(files: list[Path], cancelled: Cancelled) -> LastTest | None:
         cancelled()
         try:
             outline = read_outline(path)
-            if not outline.tests:
-                continue
+            if not outline.tests or IMPORTED in outline.tests[-1].test.notes:
+                continue  # an imported record says nothing of this instrument and its cable
             test = read_test(path, outline.tests[-1].test.number)
         except (TissueIDError, OSError):
             continue  # the list of events names it

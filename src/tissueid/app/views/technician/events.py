@@ -1,4 +1,4 @@
-"""Faults and ends of tests, of the audit log and of the sessions of a folder: each once, with what to do about it."""
+"""Faults and ends of tests from the audit log and the sessions of a folder, each once, with advice."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tissueid.app.views.technician.log_reading import LogPage
 from tissueid.app.words import sentence
 from tissueid.audit import Line
 from tissueid.errors import TissueIDError
-from tissueid.instrument.answers import describe_faults
+from tissueid.formatting import clean, plain_text
+from tissueid.instrument.replies import FAULT_TEXTS
 from tissueid.language import _, marked
+from tissueid.messages import translated
 from tissueid.sessions import read_outline
-from tissueid.wire import Fault
-from tissueid.wording import clean, plain_text
 
 MOST_FILES = 2000
-"""So many of the newest sessions are looked through."""
+"""Largest number of sessions that are read, newest first."""
 _LONGEST = 400
 FAULT, BROKEN, STOPPED, RECOVERED, COMPLETED = (
     marked("Fault"),
@@ -45,7 +45,7 @@ _LOGGED = {
 }
 _ENDS_OF_TESTS = ("test.fault", "test.aborted", "test.stopped")
 _BY_A_PERSON = (BY_BUTTON, BY_KEY)
-"""How the reason of a test begins that a person stopped."""
+"""Beginnings of the reason of a test that was stopped by a person."""
 _BY_STATUS = {"completed": COMPLETED, "aborted": BROKEN, "recovered": RECOVERED}
 _BY_KIND = {
     STOPPED: marked("Nothing to mend: a person stopped it. What was recorded is kept."),
@@ -78,26 +78,26 @@ class Event:
 
     @property
     def level(self) -> str:
-        """That of a colour."""
+        """Level of its colour."""
         return LEVELS.get(self.kind, "")
 
     @property
     def text(self) -> str:
-        """What is searched."""
+        """The searchable text."""
         name = self.path.name if self.path else ""
         return f"{self.time} {self.kind} {_(self.kind)} {self.subject} {self.reason} {self.advice} {name}".casefold()
 
 
 @dataclass(frozen=True)
 class Events:
-    """Newest first. ``remarks`` say what could not be looked at."""
+    """Events, newest first. ``remarks`` say what could not be read."""
 
     found: tuple[Event, ...]
     remarks: tuple[str, ...] = ()
 
     @property
     def newest_fault(self) -> Event | None:
-        """The newest test, where it ended with a fault."""
+        """The end of the newest test if it was a fault, else None."""
         ends = (FAULT, BROKEN, STOPPED, COMPLETED)
         newest = next((event for event in self.found if event.kind in ends), None)
         return newest if newest is not None and newest.kind == FAULT else None
@@ -110,11 +110,11 @@ def read_events(files: list[Path], log: LogPage, cancelled: Callable[[], None]) 
         CancelledError: by ``cancelled``.
     """
     by_subject: dict[str, Event] = {}
-    told = {str(line.subject).partition(" test ")[0] for line in log.lines if line.what in _ENDS_OF_TESTS}
+    reported = {str(line.subject).partition(" test ")[0] for line in log.lines if line.what in _ENDS_OF_TESTS}
     for number, line in enumerate(log.lines):
         if number % 1000 == 0:
             cancelled()
-        if line.what == "session.broken_off" and line.subject in told:
+        if line.what == "session.broken_off" and line.subject in reported:
             continue  # its test says so, and whether it was a person
         if (event := _of_line(line)) is not None:
             by_subject.setdefault(
@@ -157,13 +157,13 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         outline = read_outline(path)
     except (TissueIDError, OSError) as error:
         when = datetime.fromtimestamp(_changed(path), UTC).isoformat()
-        reason = _said(str(error).replace(f"{path}:", "").replace(str(path), _("The file")))
+        reason = _said(translated(_message(error)).replace(f"{path}:", "").replace(str(path), _("The file")))
         yield str(path), Event(moment(when), UNREADABLE, path.name, reason, _(_BY_KIND[UNREADABLE]), path)
         return
     head = outline.head
     for item in outline.tests:
         test = item.test
-        reason = str(test.notes.get("reason", ""))
+        reason = test.reason
         kind = _BY_STATUS[test.status]
         if kind is BROKEN and "released the coil" in reason:
             kind = FAULT
@@ -173,8 +173,12 @@ def _of_session(path: Path) -> Iterable[tuple[str, Event]]:
         subject = _("Test {number}{site}").format(number=test.number, site=site)
         yield (
             f"{head.session_id} test {test.number}",
-            Event(moment(head.created), kind, subject, _said(reason), advice(kind, reason), path),
+            Event(moment(head.created), kind, subject, _said(translated(reason)), advice(kind, reason), path),
         )
+
+
+def _message(error: TissueIDError | OSError) -> str:
+    return error.message if isinstance(error, TissueIDError) else str(error)
 
 
 def _changed(path: Path) -> float:
@@ -185,16 +189,15 @@ def _changed(path: Path) -> float:
 
 
 def advice(kind: str, reason: str) -> str:
-    """What to do about an end of this kind for this reason: in the words of the error, where it has some."""
+    """Return the advice for an end of this kind and reason; that of the error message if there is one."""
     if kind in _BY_KIND:
         return _(_BY_KIND[kind])
     if kind == COMPLETED:
         return ""
     lowered = reason.casefold()
-    for fault in Fault:
-        condition, _colon, remedy = describe_faults(fault).partition(": ")
-        if remedy and condition in lowered:
-            return sentence(remedy)
+    for text in FAULT_TEXTS.values():
+        if text.condition in lowered:
+            return sentence(translated(text.remedy))
     for sign, words in _ADVICE:
         if sign in lowered:
             return _(words)
@@ -203,7 +206,7 @@ def advice(kind: str, reason: str) -> str:
 
 
 def moment(time: object) -> str:
-    """A time as people read it, UTC, to the second; as it stands where it is none."""
+    """Return a time in UTC to the second; a text that is no time is returned unchanged."""
     text = _short(time)
     try:
         known = datetime.fromisoformat(text)

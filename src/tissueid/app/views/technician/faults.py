@@ -8,16 +8,16 @@ from pathlib import Path
 
 from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.checkup import newest_first
-from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import COMPLETED, KINDS, LEVELS, Event, Events, read_events
 from tissueid.app.views.technician.log_reading import read_log
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import Tab, mark_level, plain_label
-from tissueid.app.views.view import Desk
+from tissueid.formatting import clean, grouped
 from tissueid.language import _, marked
-from tissueid.wording import clean, grouped
 
 _CONCERNS, _ALL = marked("Needs a look"), marked("All ends of tests")
 _FILTER, _SEARCH = "instrument/faults/filter", "instrument/faults/search"
@@ -39,16 +39,17 @@ def _cell(event: Event, column: int) -> str:
 class FaultsTab(Tab):
     """A list with a filter and a search; below it what the selected one says, and what to do."""
 
-    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
-        super().__init__(desk, errands, parent)
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
+        super().__init__(context, page_job, parent)
         self.events = Events(())
         self.kind = QComboBox()
         self.kind.setAccessibleName(_("Which events are shown"))
         for name in (_CONCERNS, _ALL, *KINDS):
             self.kind.addItem(_(name), name)
-        self.kind.setCurrentIndex(max(0, self.kind.findData(str(desk.settings.value(_FILTER, _CONCERNS)))))
-        self.search = QLineEdit(str(desk.settings.value(_SEARCH, ""))[:200])
-        self.search.setPlaceholderText(_("Search (Ctrl+F)"))
+        self.kind.setCurrentIndex(max(0, self.kind.findData(str(context.settings.value(_FILTER, _CONCERNS)))))
+        self.search = QLineEdit(str(context.settings.value(_SEARCH, ""))[:200])
+        self.search.setPlaceholderText(_("Search"))
+        self.search.setToolTip(_("Search (Ctrl+F)"))
         self.search.setAccessibleName(_("Search the events"))
         self.search.setClearButtonEnabled(True)
         self.search.setMaxLength(200)
@@ -100,17 +101,17 @@ class FaultsTab(Tab):
 
     def load(self) -> None:
         """Read the log and the sessions."""
-        around = self.desk.around
-        work = functools.partial(gather, around.folder, around.audit.path)
-        if self.errands.start(_("Reading faults and events…"), work, self._loaded, self.complain):
+        services = self.context.services
+        work = functools.partial(gather, services.folder, services.audit.path)
+        if self.page_job.start(_("Reading faults and events…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, events: Events) -> None:
         self.events = events
         self._show()
 
-    def settle(self, *, busy: bool) -> None:
-        """Reading and opening are slow."""
+    def update_enabled(self, *, busy: bool) -> None:
+        """Disable reading again and opening while a job is running, because both are slow."""
         self._busy = busy
         self.again.setEnabled(not busy)
         self._settle_open()
@@ -156,14 +157,14 @@ class FaultsTab(Tab):
 
     def _open(self) -> None:
         event = self.selected
-        if event is not None and event.path is not None and not self.desk.busy:
-            self.desk.open_session(event.path)
+        if event is not None and event.path is not None and not self.context.busy:
+            self.context.open_session(event.path)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.model.paint_with(theme)
+        self.model.apply_theme(theme)
 
     def save_state(self) -> None:
         """Filter and search."""
-        self.desk.settings.setValue(_FILTER, self.kind.currentData())
-        self.desk.settings.setValue(_SEARCH, self.search.text())
+        self.context.settings.setValue(_FILTER, self.kind.currentData())
+        self.context.settings.setValue(_SEARCH, self.search.text())

@@ -1,4 +1,4 @@
-"""The first tab: whether the instrument is healthy, at a glance."""
+"""The first tab: health of the instrument."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from datetime import UTC, datetime
 import numpy as np
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
 from tissueid.app.units import figure, unit_of
 from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
-from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.lamps import Lamps
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
-from tissueid.app.views.view import Desk
 from tissueid.calibration.file import Calibration
+from tissueid.formatting import clean, fixed, grouped, number
 from tissueid.language import _
-from tissueid.wording import clean, fixed, grouped, number
 
 _MOST_REASONS = 5
 _FORCE = "force_constant_n_per_a"
@@ -28,8 +28,8 @@ _FORCE = "force_constant_n_per_a"
 class HealthTab(Tab):
     """Asks the chosen instrument, in a job; the calibrations and the newest test are read without asking."""
 
-    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
-        super().__init__(desk, errands, parent)
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
+        super().__init__(context, page_job, parent)
         self.checkup: Checkup | None = None
         self._problem = ""
         self._known = Background(None, ())
@@ -88,9 +88,9 @@ class HealthTab(Tab):
 
     def load(self) -> None:
         """Read the newest test and the calibrations."""
-        around = self.desk.around
-        work = functools.partial(background, around.folder, around.calibrations, around.audit.path)
-        if self.errands.start(_("Reading calibrations and the newest test…"), work, self._loaded, self.complain):
+        services = self.context.services
+        work = functools.partial(background, services.folder, services.calibrations, services.audit.path)
+        if self.page_job.start(_("Reading calibrations and the newest test…"), work, self._loaded, self.complain):
             self.stale = False
 
     def _loaded(self, known: Background) -> None:
@@ -100,15 +100,15 @@ class HealthTab(Tab):
 
     def begin_asking(self) -> None:
         """Ask the chosen instrument."""
-        if self.desk.busy:
+        if self.context.busy:
             return
-        url = self.desk.instrument()
+        url = self.context.instrument()
         if not url:
-            self.desk.say(_("Choose an instrument on the page Measure first."), problem=True)
+            self.context.say(_("Choose an instrument on the page Measure first."), problem=True)
             return
-        around = self.desk.around
-        work = functools.partial(ask, url, around.opener, around.calibrate)
-        self.errands.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
+        services = self.context.services
+        work = functools.partial(ask, url, services.opener, services.calibrate)
+        self.page_job.start(_("Asking {url}…").format(url=clean(url)[:60]), work, self._answered, self._unanswered)
 
     def _answered(self, checkup: Checkup) -> None:
         self.checkup, self._problem = checkup, ""
@@ -123,25 +123,25 @@ class HealthTab(Tab):
 
     # -- showing ------------------------------------------------------------------------------------------
 
-    def settle(self, *, busy: bool) -> None:
+    def update_enabled(self, *, busy: bool) -> None:
         """Asking is slow."""
         self.ask.setEnabled(not busy)
         self._show_chosen()
 
     def _show_chosen(self) -> None:
-        url = clean(self.desk.instrument())[:120]
+        url = clean(self.context.instrument())[:120]
         words = (
             _("Chosen on the page Measure: {url}").format(url=url)
             if url
             else _("No instrument is chosen on the page Measure.")
         )
-        if self.checkup is not None and self.checkup.url != self.desk.instrument():
+        if self.checkup is not None and self.checkup.url != self.context.instrument():
             words += _(" – what stands here is of {url}; ask again.").format(url=clean(self.checkup.url)[:120])
         self.chosen.setText(words)
 
     @property
     def light(self) -> Light:
-        """What is to be thought of the instrument."""
+        """The traffic light of the instrument."""
         return light(self.checkup, self._problem, self._known.fault)
 
     def _show(self) -> None:
@@ -190,10 +190,10 @@ class HealthTab(Tab):
         """Show it in the units in force."""
         self._show()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
-        self.lamps.paint_with(theme)
-        self.trend.paint_with(theme)
+        self.lamps.apply_theme(theme)
+        self.trend.apply_theme(theme)
 
 
 def _dated(calibrations: list[Calibration], now: datetime) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +209,7 @@ def _identity(checkup: Checkup | None) -> dict[str, str]:
     return {
         _("Model"): clean(device.model)[:80],
         _("Serial number"): clean(device.serial_number)[:60],
-        _("Firmware"): clean(device.firmware_version)[:40] or _("not told"),
+        _("Firmware"): clean(device.firmware_version)[:40] or _("not reported"),
         _("Protocol"): clean(device.protocol_version)[:20] or _("none, it is in this program"),
         _("Temperature"): f"{fixed(checkup.temperature_c, 1)} °C",
         _("Force limit"): _("{clinical} N clinical, {research} N research").format(
@@ -259,7 +259,7 @@ def _link(checkup: Checkup | None, last: LastTest | None) -> dict[str, str]:
     if last is None:
         return facts | {_("Newest test"): _("none in the folder of sessions")}
     share = f" ({fixed(100.0 * last.lost / last.samples, 2)} %)" if last.samples and last.lost else ""
-    facts[_("Newest test")] = f"{moment(last.created)} UTC, {last.status}"
+    facts[_("Newest test")] = f"{moment(last.created)} UTC, {_(last.status)}"
     asked = None if checkup is None else (checkup.nominal.model, checkup.nominal.serial_number)
     other = asked is not None and (last.model, last.serial_number) != asked
     name = clean(", ".join(filter(None, (last.model, last.serial_number))))[:80]

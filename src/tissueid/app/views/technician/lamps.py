@@ -1,4 +1,4 @@
-"""The traffic light: three lamps of which one is lit, with the level in words for who cannot tell the colours."""
+"""The traffic light: three lamps, one of them lit, with the level as text for colour-blind users."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Lamps(QWidget):
 
     @property
     def level(self) -> str:
-        """Which lamp is lit."""
+        """Level of the lit lamp."""
         return self._level
 
     def show_level(self, level: str) -> None:
@@ -37,7 +37,7 @@ class Lamps(QWidget):
         self.setToolTip(_("Traffic light: {colour}").format(colour=_(_WORDS[level])))
         self.update()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         self.update()

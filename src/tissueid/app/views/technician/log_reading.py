@@ -1,4 +1,4 @@
-"""The audit log for a table: its newest lines, read with suspicion, and as a file for a spreadsheet."""
+"""Read the newest lines of the audit log, with checks, and export lines as CSV."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tissueid.atomic_write import atomic_file
 from tissueid.audit import Line
 from tissueid.audit.line import MAX_LINE, fields_of, read_line
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean, grouped, plain_text
 from tissueid.language import _, plural
-from tissueid.whole_file import whole_file
-from tissueid.wording import clean, grouped, plain_text
+from tissueid.messages import Message
 
 MOST_BYTES = 96 * 1024 * 1024
 MOST_LINES = 200_000
@@ -34,7 +35,7 @@ class LogPage:
 
 
 def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_BYTES) -> LogPage:
-    """The newest lines, of so many bytes; those that do not have the hash that they say are counted, and left out.
+    """Return the newest lines within a number of bytes. Lines with a wrong hash are counted and left out.
 
     Raises:
         UnusableInputError: it is no file.
@@ -46,7 +47,11 @@ def read_log(path: Path, cancelled: Callable[[], None], most_bytes: int = MOST_B
         )
     if not path.is_file():
         raise UnusableInputError(
-            _("the audit log {path} is not a file: name another with TISSUEID_AUDIT").format(path=path)
+            Message(
+                "audit.not_a_file",
+                "the audit log {path} is not a file: name another with TISSUEID_AUDIT",
+                path=str(path),
+            )
         )
     size = path.stat().st_size
     kept: deque[Line] = deque(maxlen=MOST_LINES)
@@ -89,7 +94,7 @@ def shown(value: Any) -> str:
 
 
 def haystack(line: Line) -> str:
-    """All of a line that is searched."""
+    """Return the searchable text of a line."""
     parts = (line.time, line.role, line.who, line.what, line.subject, line.old, line.new)
     return " ".join(str(part) for part in parts if part is not None).casefold()
 
@@ -103,11 +108,15 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
         UnusableInputError: it cannot be written there, or that is the log itself.
     """
     if path.exists() and log.exists() and path.samefile(log):
-        raise UnusableInputError(_("{path} is the audit log itself: name another file").format(path=path))
+        raise UnusableInputError(
+            Message("audit.export_itself", "{path} is the audit log itself: name another file", path=str(path))
+        )
     if path.is_dir() or not path.parent.is_dir():
-        raise UnusableInputError(_("{path} is a folder, or there is none for it: name a file").format(path=path))
+        raise UnusableInputError(
+            Message("audit.export_folder", "{path} is no file in an existing folder: name one", path=str(path))
+        )
     try:
-        with whole_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        with atomic_file(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file)
             table.writerow(COLUMNS)
             for number, line in enumerate(lines):
@@ -117,7 +126,12 @@ def write_csv(path: Path, log: Path, lines: Sequence[Line], cancelled: Callable[
                 table.writerow([_cell(fields[name]) for name in COLUMNS])
     except OSError as error:
         raise UnusableInputError(
-            _("cannot write {path}: {problem}").format(path=path, problem=error.strerror or error)
+            Message(
+                "audit.export_failed",
+                "cannot write {path}: {problem}",
+                path=str(path),
+                problem=error.strerror or str(error),
+            )
         ) from error
     return len(lines)
 

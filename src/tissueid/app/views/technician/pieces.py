@@ -1,4 +1,4 @@
-"""Tables of any length: rows are handed to the view in pieces, and made into text when they are seen."""
+"""Tables of any length: rows are passed to the view in pieces and formatted when they are visible."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PiecesModel(QAbstractTableModel):
         self._shown = min(PIECE, len(rows))
         self.endResetModel()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         if self._shown:
@@ -69,7 +69,7 @@ class PiecesModel(QAbstractTableModel):
         return not parent.isValid() and self._shown < len(self.rows)
 
     def fetchMore(self, parent: _Index) -> None:  # noqa: N802
-        """Let the view know of a piece more."""
+        """Show the next batch of rows."""
         if self.canFetchMore(parent):
             more = min(PIECE, len(self.rows) - self._shown)
             self.beginInsertRows(QModelIndex(), self._shown, self._shown + more - 1)

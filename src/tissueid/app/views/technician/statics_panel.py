@@ -16,9 +16,10 @@ from tissueid.app.views.technician.tab import mark_level, plain_label, tip, unma
 from tissueid.app.words import sentence
 from tissueid.calibration.comparison import Residuals, Trend, residuals, trend
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.words import label_of, notes_of, readable, verdict_of
+from tissueid.calibration.labels import label_of, notes_of, problems_of, readable, verdict_of
+from tissueid.formatting import clean, display_unit
 from tissueid.language import _
-from tissueid.wording import clean, people_unit
+from tissueid.messages import translated
 
 _PREFERRED = "force_constant_n_per_a"
 _MOST_LINES = 4
@@ -89,19 +90,20 @@ class StaticsPanel(QWidget):
             and (item.serial_number, item.model) == (newest.serial_number, newest.model)
         )
         self.headline.setText(
-            sentence(f"{newest.date[:10]}, {clean(newest.serial_number)[:40]} – {verdict_of(newest)}")
+            sentence(f"{newest.date[:10]}, {clean(newest.serial_number)[:40]} – {translated(verdict_of(newest))}")
         )
         mark_level(self.headline, "good" if newest.verdict == "passed" else "poor")
-        lines = [sentence(clean(line)) for line in (*newest.problems, *notes_of(newest))]
+        lines = [sentence(clean(translated(line))) for line in (*problems_of(newest), *notes_of(newest))]
         self.said.setText("\n".join(lines[:_MOST_LINES]))
         self.said.setToolTip(tip("\n".join(lines)))
         self.said.setVisible(bool(lines))
         self.model.show_rows(list(newest.quantities.items()))
         self._residuals = residuals(newest)
-        self._fill(self.line, [(item.label, item.label) for item in self._residuals], self.line.currentData())
+        lines_kept = [(translated(item.label), item.label) for item in self._residuals]
+        self._fill(self.line, lines_kept, self.line.currentData())
         names = [name for name in newest.quantities if any(name in item.quantities for item in self._all)]
         kept = self.figure.currentData() or _PREFERRED
-        self._fill(self.figure, [(label_of(name), name) for name in names], kept)
+        self._fill(self.figure, [(translated(label_of(name)), name) for name in names], kept)
         self._show_residuals()
         self._show_trend()
 
@@ -122,9 +124,9 @@ class StaticsPanel(QWidget):
             return
         found = self._residuals[number]
         self.off.say_missing("")
-        x_unit, x_scale = people_unit(found.x_unit)
+        x_unit, x_scale = display_unit(found.x_unit)
         y_unit, y_scale = _SMALL[found.y_unit]
-        self.off.retitle(found.label, y_unit)
+        self.off.retitle(translated(found.label), y_unit)
         self.off.relabel(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
         x, y = x_scale * found.x, y_scale * found.y
         self._dots.setData(x, y)
@@ -143,7 +145,7 @@ class StaticsPanel(QWidget):
         found = trend(self._all, name)
         self.over_dates.say_missing("")
         unit, scale = _unit_of(found)
-        self.over_dates.retitle(_("{name} by date").format(name=label_of(name)), unmarked(unit))
+        self.over_dates.retitle(_("{name} by date").format(name=translated(label_of(name))), unmarked(unit))
         days = np.array([(made - datetime.now(UTC)).total_seconds() / 86400.0 for made in found.dates])
         value, std = scale * found.value, np.nan_to_num(scale * found.std)
         self._trend.setData(days, value)
@@ -154,17 +156,17 @@ class StaticsPanel(QWidget):
         margin = max(0.15 * (high - low), 1e-3 * max(abs(low), abs(high)), 1e-9)
         self.over_dates.plot.setYRange(low - margin, high + margin, padding=0.0)
         self.over_dates.plot.setXRange(min(-1.0, float(days.min())), max(0.0, float(days.max())), padding=0.04)
-        self.drift.setText(found.words)
+        self.drift.setText(translated(found.words))
 
     def take_units(self) -> None:
         """Show the figures in the units in force."""
         self.model.show_rows(self.model.rows)
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         for card in (self.off, self.over_dates):
-            card.paint_with(theme)
-        self.model.paint_with(theme)
+            card.apply_theme(theme)
+        self.model.apply_theme(theme)
 
 
 def _unit_of(found: Trend) -> tuple[str, float]:
@@ -172,8 +174,8 @@ def _unit_of(found: Trend) -> tuple[str, float]:
     newest = float(found.value[-1])
     _, _, unit = readable(found.name, Quantity(value=newest, unit=found.unit))
     scales = {"µm": 1e6, "mA": 1e3, "mV": 1e3, "mm/A": 1e3}
-    if unit in scales and unit != people_unit(found.unit)[0]:
+    if unit in scales and unit != display_unit(found.unit)[0]:
         return unit, scales[unit]
     if found.name == "calibration_relative_uncertainty":
         return unit, 100.0
-    return people_unit("m s-2" if found.unit == "m/s^2" else found.unit)
+    return display_unit("m s-2" if found.unit == "m/s^2" else found.unit)

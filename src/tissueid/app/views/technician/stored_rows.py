@@ -1,4 +1,4 @@
-"""The calibrations of a folder as rows: what each is, how old, and whether it is in force or why not."""
+"""The calibrations of a folder as rows: kind, age, and whether each is active or why not."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from datetime import datetime
 from pathlib import Path
 
 from tissueid.app.words import sentence
-from tissueid.calibration.in_force import put_in_force
-from tissueid.calibration.judging import age_of, judged
+from tissueid.calibration.active import put_in_force
+from tissueid.calibration.status import age_of, judged
 from tissueid.calibration.store import Stored
 from tissueid.device import DeviceDescription
+from tissueid.formatting import clean
 from tissueid.language import _, marked
-from tissueid.wording import MISSING, clean
+from tissueid.messages import MISSING, translated
 
 HEADERS = (marked("Date"), marked("Kind"), marked("Verdict"), marked("Age"), marked("In force"), marked("File"))
 _LONGEST = 300
@@ -55,16 +56,23 @@ def _row(
     calibration = item.calibration
     if calibration is None:
         return Row(
-            item, MISSING, MISSING, MISSING, MISSING, _said(_("no: {problem}").format(problem=item.problem)), "poor"
+            item,
+            MISSING,
+            MISSING,
+            MISSING,
+            MISSING,
+            _said(_("no: {problem}").format(problem=translated(item.problem))),
+            "poor",
         )
     days = calibration.age_days(now)
     age = _("in the future") if days < -1.0 else _("today") if days < 1.0 else _("{days:.0f} days").format(days=days)
     date = calibration.date[:10]
     if nominal is None:
         found = age_of(item, now)
-        force, level = _said(found.words), "" if found.state == "valid" else "check"
+        force, level = _said(translated(found.words)), "" if found.state == "valid" else "check"
     else:
-        state, reason = judged(item, nominal, now)
+        state, why = judged(item, nominal, now)
+        reason = translated(why)
         usable = state in ("valid", "stale")
         if usable and item.path.name in named:
             force, level = (
@@ -73,7 +81,7 @@ def _row(
                 else (_said(_("yes, but {reason}").format(reason=reason)), "check")
             )
         elif usable and item.path in sources:
-            force, level = _("In part, beside another one"), "good"
+            force, level = _("In part, together with another one"), "good"
         elif usable:
             force, level = _("No: a newer one is"), ""
         else:

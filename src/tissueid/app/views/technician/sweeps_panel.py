@@ -25,13 +25,14 @@ from tissueid.calibration.comparison import (
     linear_region,
 )
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.words import label_of
+from tissueid.calibration.labels import label_of
+from tissueid.formatting import clean, display_unit, fixed, plus_minus
 from tissueid.language import _, marked
+from tissueid.messages import MISSING, translated
 from tissueid.records import Estimate
-from tissueid.wording import MISSING, clean, fixed, people_unit, plus_minus
 
 MOST = 4
-"""So many sweeps can be told apart by their colours."""
+"""Maximum number of sweeps that can be distinguished by colour."""
 ROLES = ("measured", "model", "good", "poor")
 _CARDS = (
     ("force_constant", marked("Force constant"), marked("N per A"), 1.0),
@@ -207,10 +208,10 @@ class SweepsPanel(QWidget):
             return
         found = compare_sweeps(others[max(0, self.against.currentIndex())], newest)
         self.comparison = found
-        self.words.setText(found.words)
+        self.words.setText(translated(found.words))
         drift = next((item for item in found.differences if item.name == "force_constant_n_per_a"), None)
         mark_level(self.words, "check" if drift is not None and drift.verdict == "beyond" else "")
-        self.remarks.setText(" ".join([_profile_words(found), *(clean(line) for line in found.remarks)]).strip())
+        self.remarks.setText(" ".join([_profile_words(found), *map(translated, found.remarks)]).strip())
         self.model.show_rows(found.differences)
 
     def _show_key(self) -> None:
@@ -232,12 +233,12 @@ class SweepsPanel(QWidget):
         """Show words and figures in the units in force."""
         self._compare()
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         self._theme = theme
         for card in self.cards:
-            card.paint_with(theme)
-        self.model.paint_with(theme)
+            card.apply_theme(theme)
+        self.model.apply_theme(theme)
         self._show_key()
 
 
@@ -272,7 +273,7 @@ def _cell(row: Difference | tuple[str, Quantity], column: int) -> str:
     if column in (4, 5):
         held = row.before if column == 4 else row.now
         return plus_minus(Estimate(held.value, held.std), scale)
-    return (label_of(row.name), *_sizes(row, scale), _(_SAID[row.verdict]), "", "", unit)[column]
+    return (translated(label_of(row.name)), *_sizes(row, scale), _(_SAID[row.verdict]), "", "", unit)[column]
 
 
 def _sizes(row: Difference, scale: float) -> tuple[str, str]:
@@ -281,5 +282,5 @@ def _sizes(row: Difference, scale: float) -> tuple[str, str]:
     if np.isfinite(row.relative):
         share = None if known is None else 100.0 * known / abs(row.before.value)
         return f"{fixed(100.0 * row.relative, 1)} %", MISSING if share is None else f"{fixed(share, 1)} %"
-    decimals = 2 if scale == people_unit(row.before.unit)[1] else 5
+    decimals = 2 if scale == display_unit(row.before.unit)[1] else 5
     return fixed(scale * row.absolute, decimals), MISSING if known is None else fixed(scale * known, decimals)

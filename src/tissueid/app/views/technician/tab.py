@@ -1,4 +1,4 @@
-"""What the tabs of the page have in common."""
+"""Base class and widgets of the tabs of the page."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from collections.abc import Callable
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
-from tissueid.app.views.technician.errand import Errands
-from tissueid.app.views.view import Desk
-from tissueid.wording import clean
+from tissueid.formatting import clean
 
 
 class Tab(QWidget):
-    """A tab. ``stale`` says that what it shows is to be read anew as soon as it is seen and nothing else goes on."""
+    """A tab. ``stale`` means that its files are read again when it is shown and no job runs."""
 
-    def __init__(self, desk: Desk, errands: Errands, parent: QWidget | None = None) -> None:
+    def __init__(self, context: AppContext, page_job: PageJob, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.desk = desk
-        self.errands = errands
+        self.context = context
+        self.page_job = page_job
         self.stale = True
 
     def load(self) -> None:
         """Read what is shown, in a job."""
 
-    def settle(self, *, busy: bool) -> None:
+    def update_enabled(self, *, busy: bool) -> None:
         """Enable what makes sense now."""
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
 
     def save_state(self) -> None:
-        """Write what is to be found again into the settings."""
+        """Save the state of the tab to the settings."""
 
     def begin(
         self,
@@ -41,13 +41,13 @@ class Tab(QWidget):
         work: Callable[[Callable[[], None]], object],
         done: Callable[[object], None],
     ) -> bool:
-        """Begin slow work whose failure is said where everybody reads it."""
-        return self.errands.start(words, work, done, self.complain)
+        """Start a job whose error is shown as a notice."""
+        return self.page_job.start(words, work, done, self.complain)
 
     def complain(self, words: str) -> None:
-        """Say what went wrong; what was cancelled has no words."""
+        """Show an error; a cancelled job has an empty one."""
         if words:
-            self.desk.say(words, problem=True)
+            self.context.say(words, problem=True)
 
 
 def plain_label(text: str = "", role: str = "", name: str = "") -> QLabel:
@@ -69,7 +69,7 @@ def tip(text: str) -> str:
 
 
 def unmarked(text: str) -> str:
-    """Text for a heading that would take what looks like markup for markup."""
+    """Return a text whose tags are not interpreted as markup in a heading."""
     return clean(text).replace("<", "‹")
 
 

@@ -1,4 +1,4 @@
-"""The page ``instrument``: health, calibrations, faults and the audit log, for who looks after the coil."""
+"""The page ``instrument`` for technicians: health, calibrations, faults and the audit log."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut, QShowEvent
 from PySide6.QtWidgets import QAbstractButton, QHBoxLayout, QLabel, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
+from tissueid.app.context import AppContext
+from tissueid.app.jobs import PageJob
 from tissueid.app.theme import Theme
 from tissueid.app.views.technician.audit_table import AuditTab
 from tissueid.app.views.technician.calibrations import CalibrationsTab
-from tissueid.app.views.technician.errand import Errands
 from tissueid.app.views.technician.faults import FaultsTab
 from tissueid.app.views.technician.health import HealthTab
 from tissueid.app.views.technician.tab import Tab
-from tissueid.app.views.view import Desk, View
+from tissueid.app.views.view import View
 from tissueid.language import _, marked
 
 _TAB = "instrument/tab"
@@ -27,14 +28,14 @@ class InstrumentView(View):
 
     name = "instrument"
 
-    def __init__(self, desk: Desk, parent: QWidget | None = None) -> None:
-        super().__init__(desk, parent)
-        self.errands = Errands(desk, self)
+    def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
+        super().__init__(context, parent)
+        self.page_job = PageJob(context.jobs, self)
         self._closing = self._busy = False
-        self.health = HealthTab(desk, self.errands)
-        self.calibrations = CalibrationsTab(desk, self.errands)
-        self.faults = FaultsTab(desk, self.errands)
-        self.audit = AuditTab(desk, self.errands)
+        self.health = HealthTab(context, self.page_job)
+        self.calibrations = CalibrationsTab(context, self.page_job)
+        self.faults = FaultsTab(context, self.page_job)
+        self.audit = AuditTab(context, self.page_job)
         self.all: tuple[Tab, ...] = (self.health, self.calibrations, self.faults, self.audit)
         self.doing = QLabel()
         self.doing.setProperty("role", "muted")
@@ -42,7 +43,7 @@ class InstrumentView(View):
         self.give_up = QPushButton(_("Cancel"))
         self.give_up.setProperty("role", "small")  # it stands in the corner of a bar of tabs
         self.give_up.setToolTip(_("Ends what is being read or asked"))
-        self.give_up.clicked.connect(self.errands.cancel)
+        self.give_up.clicked.connect(self.page_job.cancel)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setDrawBase(False)
@@ -59,9 +60,9 @@ class InstrumentView(View):
         self._soon.timeout.connect(self._bring_up_to_date)
         self.tabs.setCurrentIndex(self._kept_tab())
         self.tabs.currentChanged.connect(self._tab_changed)
-        self.errands.changed.connect(self._show_errand)
+        self.page_job.changed.connect(self._show_job)
         self._keys()
-        self._show_errand()
+        self._show_job()
 
     def _make_corner(self) -> QWidget:
         corner = QWidget()
@@ -73,7 +74,7 @@ class InstrumentView(View):
         return corner
 
     def _kept_tab(self) -> int:
-        kept = str(self.desk.settings.value(_TAB, "0"))
+        kept = str(self.context.settings.value(_TAB, "0"))
         return int(kept) if kept in {str(number) for number in range(len(self.all))} else 0
 
     def _keys(self) -> None:
@@ -83,7 +84,7 @@ class InstrumentView(View):
             shortcut.activated.connect(slot)
 
     def _again(self) -> None:
-        """F5: ask the instrument, or read anew what the tab shows."""
+        """Handle F5: ask the instrument, or read the files of the tab again."""
         if self._busy:
             return
         if self.tabs.currentWidget() is self.health:
@@ -104,7 +105,7 @@ class InstrumentView(View):
     # -- what happens -------------------------------------------------------------------------------------
 
     def enter(self) -> None:
-        """What lies in files may have changed since."""
+        """Mark the tabs as stale: files may have changed."""
         for tab in self.all:
             tab.stale = True
         self._soon.start()
@@ -118,24 +119,24 @@ class InstrumentView(View):
         self._soon.start()
 
     def _bring_up_to_date(self) -> None:
-        if self._closing or self._busy or self.desk.busy or not self.isVisible():
+        if self._closing or self._busy or self.context.busy or not self.isVisible():
             return
         if self._current.stale:
             self._current.load()
 
-    def _show_errand(self) -> None:
+    def _show_job(self) -> None:
         """The words and the button of what goes on; the calibrations know of the instrument that has answered."""
-        self.doing.setText(self.errands.words)
-        self.give_up.setVisible(self.errands.running)
+        self.doing.setText(self.page_job.words)
+        self.give_up.setVisible(self.page_job.running)
         checkup = self.health.checkup
-        if not self.errands.running and checkup is not None:
+        if not self.page_job.running and checkup is not None:
             self.calibrations.tell_instrument(checkup.nominal)
 
-    def settle(self, *, busy: bool, testing: bool) -> None:
-        """Nothing slow beside something else; the files that are shown can be looked at meanwhile."""
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Disable what starts a job while another one runs."""
         self._busy = busy or testing
         for tab in self.all:
-            tab.settle(busy=self._busy)
+            tab.update_enabled(busy=self._busy)
         if not self._busy:
             self._soon.start()
 
@@ -143,23 +144,23 @@ class InstrumentView(View):
         """Return the buttons that the command palette offers."""
         return self.health.ask, self.calibrations.calibrate, self.audit.verify, self.audit.export, self.give_up
 
-    def heard_of(self, path: Path) -> None:
-        """A test was measured: what is shown is out of date."""
+    def on_session_saved(self, path: Path) -> None:
+        """Mark the tabs as stale: a test was measured."""
         for tab in self.all:
             tab.stale = True
 
-    def paint_with(self, theme: Theme) -> None:
+    def apply_theme(self, theme: Theme) -> None:
         """Take on the colours of a theme."""
         for tab in self.all:
-            tab.paint_with(theme)
+            tab.apply_theme(theme)
 
     def cancel(self) -> None:
         """The window closes."""
         self._closing = True
-        self.errands.cancel()
+        self.page_job.cancel()
 
     def save_state(self) -> None:
         """Which tab is shown, and what each of them keeps."""
-        self.desk.settings.setValue(_TAB, self.tabs.currentIndex())
+        self.context.settings.setValue(_TAB, self.tabs.currentIndex())
         for tab in self.all:
             tab.save_state()

@@ -1,0 +1,301 @@
+"""Scenarios for a blind check: drawn, recorded in the laboratory, and written with their labels in another file.
+
+A folder receives for each scenario ``scenario-0001.json``, which says what a session says (the instrument's nominal
+figures, and each test's attributes), and ``scenario-0001.f64``, its signals as little-endian 64-bit numbers: test after
+test, signal after signal in the order that the former states. ``labels.json`` holds what is withheld: the effects with
+their figures, and what device and tissue really were. With ``--clean`` there are ``scenario-0001.clean.f64`` (no noise,
+no converters) and ``scenario-0001.base.f64`` (nor any effect) of the same layout; and of a pair
+``scenario-0001.alone-1.f64`` and ``scenario-0001.alone-2.f64``, recorded with one effect alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from firmware_sim.effects import EFFECTS, LISTED, UNLISTED, in_order
+from firmware_sim.effects.base import Effect
+from firmware_sim.laboratory import (
+    PRELOAD_S,
+    SIGNALS,
+    SPRING_SURFACE_M,
+    BaselineFigures,
+    Laboratory,
+    PlannedTest,
+    Recording,
+    plan,
+)
+from firmware_sim.plant import SAMPLE_RATE_HZ
+
+CALIBRATION_UNCERTAINTY = 0.015
+_SHALLOW_SHARE = 0.1
+NOMINAL = {
+    "model": "desktop indenter",
+    "sample_rate_hz": SAMPLE_RATE_HZ,
+    "coil_resistance_ohm": 12.0,
+    "coil_inductance_h": 1e-3,
+    "force_constant_n_per_a": 3.0,
+    "moving_mass_kg": 0.060,
+    "bearing_damping_n_s_per_m": 3.5,
+    "amplifier_gain": 1.0,
+    "amplifier_limit_v": 48.0,
+    "stroke_m": 0.032,
+    "calibration_relative_uncertainty": CALIBRATION_UNCERTAINTY,
+    "calibration_spring_n_per_m": 1000.0,
+}
+
+
+@dataclass(frozen=True)
+class DrawnScenario:
+    """A session to be recorded, and the labels that are withheld from who diagnoses it."""
+
+    seed: tuple[int, ...]
+    figures: BaselineFigures
+    effects: tuple[Effect, ...]
+    tests: tuple[PlannedTest, ...]
+
+    @property
+    def full(self) -> bool:
+        """Whether it is the full series of tests."""
+        return len(self.tests) > 1
+
+    def labels(self) -> dict[str, object]:
+        """Effects with stage and figures, and the baseline's figures; all of it can be written as JSON."""
+        return {
+            "effects": [
+                {"name": e.name, "stage": e.stage, "listed": e.listed, "figures": e.model_dump()} for e in self.effects
+            ],
+            "baseline": asdict(self.figures),
+            "full": self.full,
+        }
+
+    def record(self, *, effects: Sequence[Effect] | None = None, clean: bool = False) -> tuple[Recording, ...]:
+        """All tests; with other effects, or without noise and converters."""
+        number = int(np.random.SeedSequence(list(self.seed)).generate_state(1)[0])
+        acting = self.effects if effects is None else tuple(effects)
+        laboratory = Laboratory(acting, number, figures=self.figures, clean=clean)
+        return tuple(laboratory.record(test.kind, test.command(number)) for test in self.tests)
+
+
+def draw_figures(random: np.random.Generator, *, shallow: bool = False) -> BaselineFigures:
+    """A device as well calibrated as they are, and tissue drawn wide, met 2 to 5.5 mm deep by 13 to 18 V.
+
+    A shallow test, 0.7 to 3.5 mm deep by 4 to 9 V, reaches the surface.
+    """
+
+    def near(nominal: float) -> float:
+        return nominal * (1.0 + CALIBRATION_UNCERTAINTY * float(random.standard_normal()))
+
+    def evenly(low: float, high: float) -> float:
+        return float(random.uniform(low, high))
+
+    resistance, force_constant, gain = near(12.0), near(3.0), near(1.0)
+    weight = evenly(-0.6, 0.6)
+    while True:
+        stiffness = float(np.exp(random.uniform(np.log(150.0), np.log(800.0))))
+        rate = evenly(100.0, 450.0)
+        depth = evenly(0.0007, 0.0035) if shallow else evenly(0.002, 0.0055)
+        force = stiffness * float(np.exp(rate * depth)) * depth - weight
+        mean = force / force_constant * resistance / gain
+        if (4.0 <= mean <= 9.0) if shallow else (13.0 <= mean <= 18.0):
+            break
+    return BaselineFigures(
+        resistance_ohm=resistance,
+        inductance_h=near(1e-3),
+        force_constant_n_per_a=force_constant,
+        moving_mass_kg=near(0.060),
+        bearing_damping_n_s_per_m=near(3.5),
+        amplifier_gain=gain,
+        weight_n=weight,
+        stiffness_n_per_m=stiffness,
+        stiffness_rate_per_m=rate,
+        damping_n_s_per_m=evenly(2.0, 8.0),
+        damping_rate_per_m=evenly(50.0, 350.0),
+        tissue_mass_kg=evenly(0.0, 0.030),
+        surface_m=evenly(0.008, 0.011),
+        spring_n_per_m=1000.0 * (1.0 + 0.01 * float(random.standard_normal())),
+        spring_mass_kg=evenly(0.004, 0.008),
+        spring_damping_n_s_per_m=evenly(0.2, 0.8),
+        mean_v=mean,
+        spread_v=evenly(9.2, 11.5),
+    )
+
+
+def draw_scenario(
+    seed: int | Sequence[int],
+    *,
+    effects: int = 1,
+    unknown: bool = False,
+    full: bool = False,
+    without: Sequence[str] = (),
+) -> DrawnScenario:
+    """Return a scenario with a number of effects, drawn uniformly; with ``unknown``, one that no diagnosis knows.
+
+    Raises:
+        ValueError: ``without`` names no effect, or leaves fewer than are wanted.
+    """
+    for name in without:
+        if name not in EFFECTS:
+            raise ValueError(f"there is no effect {name!r}; there are: {', '.join(EFFECTS)}")
+    names = [name for name in (UNLISTED if unknown else LISTED) if name not in without]
+    if not 0 <= effects <= len(names):
+        raise ValueError(f"{effects} effects cannot be drawn from {len(names)}")
+    key = (seed,) if isinstance(seed, int) else tuple(seed)
+    random = np.random.default_rng(list(key))
+    chosen = [names[int(k)] for k in random.choice(len(names), size=effects, replace=False)]
+    # Contact is not lost in the depth; some tests are shallow whatever acts, so that this says nothing.
+    shallow = bool(random.random() < _SHALLOW_SHARE) or "contact_loss" in chosen
+    figures = draw_figures(random, shallow=shallow)
+    around = figures.circumstances()
+    drawn = in_order(EFFECTS[name].draw(random, around) for name in chosen)
+    return DrawnScenario(key, figures, drawn, plan(figures, full=full))
+
+
+def draw_many(
+    seed: int,
+    count: int,
+    *,
+    full_share: float = 0.5,
+    none_share: float = 0.1,
+    pairs_share: float = 0.1,
+    unknown_share: float = 0.1,
+    without: Sequence[str] = (),
+) -> tuple[DrawnScenario, ...]:
+    """Scenarios with none, one, two effects or an unknown one, in these shares.
+
+    Raises:
+        ValueError: a share is not between 0 and 1, the last three exceed 1 together, or as ``draw_scenario``.
+    """
+    shares = (full_share, none_share, pairs_share, unknown_share)
+    if not all(0.0 <= share <= 1.0 for share in shares) or sum(shares[1:]) > 1.0 + 1e-9:
+        raise ValueError("shares must lie between 0 and 1, and those of none, pairs and unknown must not exceed 1")
+    found = []
+    for number in range(1, count + 1):
+        random = np.random.default_rng([seed, number, 1])
+        full, place = random.random() < full_share, random.random()
+        none, pairs = place < none_share, none_share <= place < none_share + pairs_share
+        unknown = none_share + pairs_share <= place < none_share + pairs_share + unknown_share
+        found.append(
+            draw_scenario(
+                (seed, number),
+                effects=0 if none else 2 if pairs else 1,
+                unknown=unknown,
+                full=bool(full),
+                without=without,
+            )
+        )
+    return tuple(found)
+
+
+def described(scenario: DrawnScenario, number: int, recordings: Sequence[Recording]) -> dict[str, object]:
+    """What a session says of itself: nothing of it is a label."""
+    tests: list[dict[str, object]] = []
+    offset = 0
+    for test, recording in zip(scenario.tests, recordings, strict=True):
+        tests.append(
+            {
+                "name": f"{len(tests) + 1:04d}",
+                "kind": test.kind,
+                "configuration": "indentation",
+                "preload_s": PRELOAD_S,
+                "surface_position_m": SPRING_SURFACE_M if test.kind == "spring" else recording.surface_m,
+                "repeat_of": "" if test.repeats is None else f"{test.repeats:04d}",
+                "seed": test.seed,
+                "stimulus": test.stimulus(),
+                "sample_rate_hz": SAMPLE_RATE_HZ,
+                "first": offset,
+                "samples": recording.time.size,
+            }
+        )
+        offset += recording.time.size * len(SIGNALS)
+    return {
+        "format": "tissueid-laboratory 1",
+        "scenario": number,
+        "signals": list(SIGNALS),
+        "units": ["s", "V", "V", "A", "m", "degC"],
+        "instrument": NOMINAL,
+        "tests": tests,
+    }
+
+
+def write(scenarios: Sequence[DrawnScenario], folder: Path, *, clean: bool = False) -> str:
+    """Record scenarios into a folder, new or empty, the labels last; the labels file's SHA-256.
+
+    Raises:
+        ValueError: the folder holds something, or cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise ValueError(f"the folder {folder} is not empty; name a new one")
+        labels: dict[str, object] = {}
+        for number, scenario in enumerate(scenarios, 1):
+            name = f"scenario-{number:04d}"
+            recordings = scenario.record()
+            _put(folder / f"{name}.f64", recordings)
+            if clean:
+                _put(folder / f"{name}.clean.f64", scenario.record(clean=True))
+                _put(folder / f"{name}.base.f64", scenario.record(effects=(), clean=True))
+                for place, alone in enumerate(scenario.effects if len(scenario.effects) > 1 else (), 1):
+                    _put(folder / f"{name}.alone-{place}.f64", scenario.record(effects=(alone,)))
+            (folder / f"{name}.json").write_text(_text(described(scenario, number, recordings)), encoding="utf-8")
+            labels[name] = scenario.labels()
+        content = _text(labels).encode()
+        (folder / "labels.json").write_bytes(content)
+    except OSError as error:
+        raise ValueError(f"cannot write scenarios to {folder}: {error.strerror or error}") from error
+    return hashlib.sha256(content).hexdigest()
+
+
+def _put(path: Path, recordings: Sequence[Recording]) -> None:
+    path.write_bytes(b"".join(r.stacked().astype("<f8").tobytes() for r in recordings))
+
+
+def _text(value: object) -> str:
+    return json.dumps(value, indent=1) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """``python -m firmware_sim.laboratory``: draw, record and write scenarios; 2 where that cannot be done."""
+    parser = argparse.ArgumentParser(
+        prog="python -m firmware_sim.laboratory",
+        description="Draw scenarios with hidden effects, record them, and write signals and labels to a folder.",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="the same seed draws the same scenarios")
+    parser.add_argument("--n", type=int, default=10, help="how many")
+    parser.add_argument("--out", type=Path, required=True, help="a new or empty folder")
+    parser.add_argument("--full-share", type=float, default=0.5, help="share with the full series of tests")
+    parser.add_argument("--none-share", type=float, default=0.1, help="share without any effect")
+    parser.add_argument("--pairs-share", type=float, default=0.1, help="share with two effects")
+    parser.add_argument("--unknown-share", type=float, default=0.1, help="share with an effect that is not listed")
+    parser.add_argument("--without", nargs="+", default=[], metavar="NAME", help="effects that are not drawn")
+    parser.add_argument(
+        "--clean", action="store_true", help="also without noise, with and without the effects, and of pairs each alone"
+    )
+    given = parser.parse_args(arguments)
+    if given.seed < 0 or not 1 <= given.n <= 100_000:
+        print("--seed must be 0 or more, and --n 1 to 100000", file=sys.stderr)
+        return 2
+    try:
+        scenarios = draw_many(
+            given.seed,
+            given.n,
+            full_share=given.full_share,
+            none_share=given.none_share,
+            pairs_share=given.pairs_share,
+            unknown_share=given.unknown_share,
+            without=given.without,
+        )
+        digest = write(scenarios, given.out, clean=given.clean)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"{len(scenarios)} scenarios in {given.out}; SHA-256 of labels.json: {digest}")
+    return 0

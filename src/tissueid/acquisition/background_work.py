@@ -1,0 +1,52 @@
+"""Run work that takes seconds while the connection to the instrument is kept alive."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from typing import TypeVar
+
+from tissueid.acquisition.playback import CANCELLED_BETWEEN
+from tissueid.errors import CancelledError
+from tissueid.instrument import Instrument, SimulatedInstrument
+
+_REST_S = 0.02
+"""Seconds between two polls; a pseudo-terminal buffers a tenth of a second of samples."""
+
+_Result = TypeVar("_Result")
+
+
+def run_while_polling(
+    instrument: Instrument, work: Callable[[], _Result], cancelled: Callable[[], bool] = lambda: False
+) -> _Result:
+    """Run ``work`` in a thread, poll the instrument meanwhile, and return the result of ``work``.
+
+    An instrument whose host does not read takes the host for dead. A simulation in this process only advances by polls,
+    and a poll more or less would change the noise of the following test: it is left alone.
+
+    Raises:
+        CancelledError: ``cancelled`` returned True; the work continues unattended.
+        InstrumentError: as ``poll``; also whatever the work raises.
+    """
+    if isinstance(instrument, SimulatedInstrument):
+        return work()
+    done: Future[_Result] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:  # noqa: BLE001 - raised by ``done.result()``
+            done.set_exception(error)
+
+    # A daemon thread: cancelled work does not keep the program alive.
+    threading.Thread(target=run, name="background work", daemon=True).start()
+    try:
+        while wait((done,), _REST_S).not_done:
+            if cancelled():
+                raise CancelledError(CANCELLED_BETWEEN)
+            instrument.poll(0.0)
+    except BaseException:
+        instrument.release()  # the soft end of the previous run may not be over
+        raise
+    return done.result()

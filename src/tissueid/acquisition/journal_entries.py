@@ -1,0 +1,154 @@
+"""Entries of a journal (kind, length, payload, checksum): encode them, and find them in a damaged file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import IO, Any
+
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
+
+MAGIC = b"TIDJ\x01\r\n\x00"
+_ENTRY = struct.Struct("<BI")
+_CRC = struct.Struct("<I")
+MAX_ENTRY = 64 * 1024 * 1024
+_HEADS = re.compile(rb"(?=[\x01-\x06].{3}[\x00-\x04])", re.DOTALL)
+"""Pattern of the start of an entry: a known kind and a length (little-endian) up to MAX_ENTRY."""
+_PIECE = 1 << 20
+MAX_CHECKED = 1 << 30
+"""Most bytes whose checksum is computed in search of the next entry after a damage: about a second."""
+
+
+class Entry(IntEnum):
+    """Kind of an entry; all but SAMPLES hold JSON."""
+
+    SITTING = 1
+    TEST = 2
+    SAMPLES = 3
+    EVENT = 4
+    TEST_END = 5
+    CLOSED = 6
+
+
+def encode_entry(kind: Entry, payload: bytes) -> bytes:
+    """Return an entry: kind, length, payload, and CRC-32 of all three."""
+    body = _ENTRY.pack(kind, len(payload)) + payload
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def encode_json(kind: Entry, value: dict[str, Any]) -> bytes:
+    """Return an entry that holds JSON."""
+    return encode_entry(kind, json.dumps(value).encode())
+
+
+@dataclass
+class Damage:
+    """Damaged or invalid places of a journal. A truncated last entry is not counted."""
+
+    places: int = 0
+    bytes: int = 0
+    left_out: list[str] = field(default_factory=list)
+    """Messages about tests that are left out because too few samples can be read."""
+
+    def add(self, count: int) -> None:
+        """Count a damaged place of ``count`` bytes."""
+        self.places += 1
+        self.bytes += count
+
+    def leave_out(self, words: str) -> None:
+        """Count a test that is left out."""
+        self.places += 1
+        self.left_out.append(words)
+
+
+def read_entries(path: Path, damage: Damage | None = None) -> Iterator[tuple[Entry, bytes]]:
+    """Yield the intact entries of a journal in order, including those after a damaged place.
+
+    Skipped places are counted in ``damage``; a truncated last entry is ignored.
+
+    Raises:
+        UnusableInputError: the file is not a journal.
+    """
+    damage = Damage() if damage is None else damage
+    with path.open("rb") as file:
+        end = os.fstat(file.fileno()).st_size
+        magic = file.read(len(MAGIC))
+        place = len(MAGIC)
+        if not MAGIC.startswith(magic):
+            if _entry_at(file, place, end) is None:
+                raise UnusableInputError(
+                    Message("journal.not_one", "{path} is not a journal of this software", path=str(path))
+                )
+            damage.add(place)
+        budget = MAX_CHECKED
+        while place < end:
+            entry = _entry_at(file, place, end)
+            if entry is None:
+                found, budget = _next_entry(file, place + 1, end, budget)
+                if found < end or not _cut_off(file, place, end):
+                    damage.add(found - place)
+                place = found
+                continue
+            kind, payload = entry
+            place += _ENTRY.size + len(payload) + _CRC.size
+            with contextlib.suppress(ValueError):  # a kind of a newer version
+                yield Entry(kind), payload
+
+
+def _entry_at(file: IO[bytes], place: int, end: int) -> tuple[int, bytes] | None:
+    """Return kind and payload of the entry at ``place``; None if there is no intact entry."""
+    file.seek(place)
+    head = file.read(_ENTRY.size)
+    if len(head) < _ENTRY.size:
+        return None
+    kind, length = _ENTRY.unpack(head)
+    if length > min(MAX_ENTRY, end - place):
+        return None
+    payload, crc = file.read(length), file.read(_CRC.size)
+    if len(crc) < _CRC.size or zlib.crc32(payload, zlib.crc32(head)) != _CRC.unpack(crc)[0]:
+        return None
+    return kind, payload
+
+
+def _next_entry(file: IO[bytes], place: int, end: int, budget: int) -> tuple[int, int]:
+    """Return the place of the next intact entry, or the end, and the remaining budget of bytes to check."""
+    while place < end:
+        file.seek(place)
+        piece = file.read(_PIECE + _ENTRY.size - 1)
+        if len(piece) < _ENTRY.size:
+            break
+        for match in _HEADS.finditer(piece):
+            begin = place + match.start()
+            _, length = _ENTRY.unpack_from(piece, match.start())
+            if begin + _ENTRY.size + length + _CRC.size > end:
+                continue
+            budget -= length
+            if budget < 0:
+                return end, 0
+            if _entry_at(file, begin, end) is not None:
+                return begin, budget
+        place += _PIECE
+    return end, budget
+
+
+def _cut_off(file: IO[bytes], place: int, end: int) -> bool:
+    """Return whether the last bytes may be an unfinished entry or unused space."""
+    file.seek(place)
+    head = file.read(_ENTRY.size)
+    if len(head) < _ENTRY.size:
+        return True
+    kind, length = _ENTRY.unpack(head)
+    if kind > 0 and length <= MAX_ENTRY and place + _ENTRY.size + length + _CRC.size > end:
+        return True
+    while head and not head.strip(b"\0"):
+        head = file.read(_PIECE)
+    return not head

@@ -1,0 +1,156 @@
+"""The signals of a finished test, filled and filtered once for all quality checks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tissueid.acquisition.quality.texts import ContactTexts, texts_for
+from tissueid.device import GRAVITY_M_S2, DeviceDescription
+from tissueid.sessions import Test
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CUT_OFF_HZ = 120.0
+"""Cut-off, Hz, above which sensor noise dominates: 1 um at 120 Hz is 0.6 m/s^2, or 0.03 N for 60 g."""
+
+_EDGE_S = 0.01
+"""Distance, s, from a gap or an end of the record within which filtered signals are not used."""
+_FEWEST = 200
+"""Fewest usable samples of a stimulus that are judged."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedTest:
+    """A test, its device and its filtered signals. Arrays have shape (n,), the samples of the whole test."""
+
+    test: Test
+    device: DeviceDescription
+
+    @property
+    def texts(self) -> ContactTexts:
+        """The texts for what is under the probe."""
+        return texts_for(self.test.kind)
+
+    @property
+    def rate(self) -> float:
+        """Sample rate, Hz."""
+        return self.test.sample_rate_hz
+
+    @cached_property
+    def first(self) -> int:
+        """The first sample after the preload."""
+        return min(round(self.test.preload_s * self.rate), self.test.samples)
+
+    @property
+    def mechanical(self) -> bool:
+        """Whether enough samples have force and position."""
+        return int(self.known.sum()) >= _FEWEST
+
+    def signal(self, name: str) -> Array | None:
+        """Return a signal, NaN for samples not received; None if the test has no sample of it."""
+        values = self.test.signals.get(name)
+        return values if values is not None and bool(np.isfinite(values).any()) else None
+
+    def stimulus(self, name: str) -> Array:
+        """Return the received samples of a signal after the preload, shape (k,)."""
+        values = self.signal(name)
+        if values is None:
+            return np.zeros(0)
+        values = values[self.first :]
+        return values[np.isfinite(values)]
+
+    @cached_property
+    def received(self) -> Mask:
+        """Samples with force and position."""
+        force, position = self.signal("force"), self.signal("position")
+        if force is None or position is None:
+            return np.zeros(self.test.samples, dtype=np.bool_)
+        return np.asarray(np.isfinite(force) & np.isfinite(position))
+
+    @cached_property
+    def known(self) -> Mask:
+        """Samples of the stimulus at which the filtered signals are valid: no gap, no end within 10 ms."""
+        edge = round(_EDGE_S * self.rate)
+        lost = np.concatenate([[0], np.cumsum(~self.received)])
+        place = np.arange(self.test.samples)
+        low, high = np.maximum(place - edge, 0), np.minimum(place + edge + 1, self.test.samples)
+        inside = (place >= max(edge, self.first)) & (place < self.test.samples - edge)
+        return np.asarray(inside & (lost[high] == lost[low]))
+
+    @cached_property
+    def force(self) -> Array:
+        """Coil force below the cut-off, N."""
+        return self._filtered("force", 0)
+
+    @cached_property
+    def position(self) -> Array:
+        """Position below the cut-off, m."""
+        return self._filtered("position", 0)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """First derivative of the filtered position, m/s."""
+        return self._filtered("position", 1)
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Second derivative of the filtered position, m/s^2."""
+        return self._filtered("position", 2)
+
+    @cached_property
+    def weight_n(self) -> float:
+        """Weight of the moving part along the stroke, N into the tissue; without a note, of an upright instrument."""
+        along = self.test.notes.get("gravity_along_stroke_m_s2")
+        gravity = along if isinstance(along, int | float) and abs(along) < 2.0 * GRAVITY_M_S2 else GRAVITY_M_S2
+        return self.device.moving_mass_kg * float(gravity)
+
+    @cached_property
+    def contact_force(self) -> Array:
+        """Force on the tissue, N: coil force and weight minus inertia and friction of the moving part."""
+        own = self.device.moving_mass_kg * self.acceleration + self.device.bearing_damping_n_s_per_m * self.velocity
+        return self.force + self.weight_n - own
+
+    def _filtered(self, name: str, derivative: int) -> Array:
+        spectrum, frequency, length, trend = self._spectra[name]
+        shaped = spectrum * np.exp(-0.5 * (frequency / CUT_OFF_HZ) ** 2) * (2j * np.pi * frequency) ** derivative
+        values = np.asarray(fft.irfft(shaped, length)[: self.test.samples], dtype=np.float64)
+        first, slope = trend
+        if derivative == 0:
+            return values + first + slope * np.arange(self.test.samples)
+        return values + slope * self.rate if derivative == 1 else values
+
+    @cached_property
+    def _spectra(self) -> dict[str, tuple[NDArray[np.complex128], Array, int, tuple[float, float]]]:
+        """Spectra of the signals, interpolated across gaps, without the line between their ends, and mirrored."""
+        found = {}
+        place = np.arange(self.test.samples)
+        for name in ("force", "position"):
+            values = self.test.signals[name]
+            values = np.interp(place, place[self.received], values[self.received])
+            slope = (values[-1] - values[0]) / max(1, values.size - 1)
+            level = values - values[0] - slope * place
+            # An odd extension keeps value and slope continuous at the ends.
+            length = fft.next_fast_len(2 * values.size, real=True)
+            closed = np.zeros(length)
+            closed[: values.size] = level
+            closed[length - values.size + 1 :] = -level[:0:-1]
+            frequency = fft.rfftfreq(length, 1.0 / self.rate)
+            found[name] = (fft.rfft(closed), frequency, length, (float(values[0]), float(slope)))
+        return found
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return first and one-past-last index of every run of True in a mask of shape (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
+
+
+def longest(mask: Mask) -> int:
+    """Return the length of the longest run of True."""
+    return max((end - first for first, end in runs(mask)), default=0)

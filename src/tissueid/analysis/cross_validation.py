@@ -1,0 +1,71 @@
+"""Four-fold cross-validation: every quarter of the tests is held out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tissueid.analysis.fitting import timed_fit
+from tissueid.analysis.scoring import held_out_error
+from tissueid.analysis.split import Split
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array, Engine
+from tissueid.identification.candidates import Candidate
+from tissueid.identification.recommendation import beaten
+from tissueid.identification.validation.paired_difference import difference
+from tissueid.language import marked
+from tissueid.records import Record, joined
+
+Progress = Callable[[str, float], None]
+"""Called with the name of the current step and the completed share of it, 0 to 1."""
+
+_OUT_OF_REACH = 0.001
+"""Significance level of a lead on the last quarter beyond which the trailing engine is not fitted to other quarters."""
+
+
+_STEP = marked("holding out every quarter")
+
+
+def cross_validated(
+    candidates: Sequence[Candidate], engines: Mapping[str, Engine], parts: Split, progress: Progress
+) -> tuple[list[Candidate], Record]:
+    """Return candidates with their errors on every quarter of the tests, and the record (n,) of those errors.
+
+    ``engines`` holds the specifications by name. Each engine is refitted without each of the other quarters. Engines
+    far behind on the last quarter are not refitted, and none is when another test is held out. The mean error of each
+    quarter is removed, as a constant offset does not count in Eq. 3.13.
+    """
+    others = parts.other_quarters
+    if not others:
+        return list(candidates), parts.unseen
+    errors = [_about_its_mean(candidate.error) for candidate in candidates]
+    names = sorted({c.engine for c in candidates if not _out_of_reach(c, candidates, parts.unseen)})
+    for done, name in enumerate(names):
+        for number, quarter in enumerate(others):
+            progress(_STEP, (done + number / len(others)) / len(names))
+            _add(engines[name], quarter, candidates, errors)
+    progress(_STEP, 1.0)
+    return [replace(c, error=e) for c, e in zip(candidates, errors, strict=True)], joined(parts.records)
+
+
+def _out_of_reach(candidate: Candidate, candidates: Sequence[Candidate], unseen: Record) -> bool:
+    leads = (difference(c.error, candidate.error, unseen.output, unseen.sample_rate_hz) for c in candidates)
+    return any(beaten(lead, _OUT_OF_REACH) for lead in leads)
+
+
+def _add(specification: Engine, quarter: Split, candidates: Sequence[Candidate], errors: list[Array]) -> None:
+    try:
+        model, _ = timed_fit(specification, quarter.record, quarter.fit_part)
+    except UnusableInputError:
+        return
+    for k, candidate in enumerate(candidates):
+        if candidate.engine == specification.name:
+            found = _about_its_mean(held_out_error(model, quarter, second_order=candidate.second_order))
+            errors[k] = np.where(np.isfinite(found), found, errors[k])
+
+
+def _about_its_mean(error: Array) -> Array:
+    known = error[np.isfinite(error)]
+    return error - known.mean() if known.size else error

@@ -1,0 +1,129 @@
+"""Controller of calibrations: start, progress, prompts to the person, result."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+
+from PySide6.QtCore import QObject
+
+from tissueid.app.calibration_page import CalibrationPage
+from tissueid.app.chooser import InstrumentChooser
+from tissueid.app.context import AppContext
+from tissueid.app.emergency import EmergencyStop
+from tissueid.app.guidance import Guidance
+from tissueid.app.live_analysis import LiveAnalysis
+from tissueid.app.live_calibration import LiveCalibration
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.notice import Notice
+from tissueid.app.operator_prompts import CalibrationOutcome, CalibrationPlan, Kind, OperatorPrompts
+from tissueid.app.readouts import SafetyReadouts
+from tissueid.app.signals import SignalPlots
+from tissueid.app.words import in_words
+from tissueid.calibration.store import made_folder
+from tissueid.errors import TissueIDError
+from tissueid.language import _
+from tissueid.messages import translated
+
+
+class CalibrationController(QObject):
+    """Starts calibrations and shows their progress and result; they share jobs and STOP with the tests."""
+
+    def __init__(
+        self,
+        context: AppContext,
+        begin_energised: Callable[[Callable[[], None]], EmergencyStop],
+        end_energised: Callable[[], None],
+        *,
+        page: CalibrationPage,
+        instruments: InstrumentChooser,
+        notice: Notice,
+        guidance: Guidance,
+        safety: SafetyReadouts,
+        signals: SignalPlots,
+        analysis: LiveAnalysis,
+        parent: QObject,
+    ) -> None:
+        super().__init__(parent)
+        self._context = context
+        self._begin_energised, self._end_energised = begin_energised, end_energised
+        self._page, self._instruments = page, instruments
+        self._notice, self._guidance, self._safety = notice, guidance, safety
+        self._signals, self._analysis = signals, analysis
+        self._prompts: OperatorPrompts | None = None
+        self._live: LiveCalibration | None = None
+        self._report: Path | None = None
+        self._url = ""
+        self._page.begun.connect(self.begin)
+        self._page.answered.connect(self._answer)
+        self._page.report_wanted.connect(self._open_report)
+
+    def begin(self, kind: Kind) -> None:
+        """Calibrate the chosen instrument."""
+        from tissueid.app.calibration_job import calibrate
+
+        services = self._context.services
+        if self._context.busy:
+            return
+        try:
+            folder = services.calibrations or made_folder()
+            plan = CalibrationPlan(
+                self._instruments.url, kind, folder, self._page.ambient_c, not self._page.fixed.isChecked()
+            )
+            plan.check()
+        except (TissueIDError, OSError) as error:
+            self._notice.say(in_words(error), problem=True, about_form=True)
+            return
+        self._url = plan.url
+        stop = self._begin_energised(self._show)
+        self._safety.expect(calibrating=True)
+        self._signals.clear()
+        self._analysis.hide()
+        self._prompts = prompts = OperatorPrompts(stop)
+        self._live = live = LiveCalibration(sweep=kind == "sweep")
+        trail = self._context.trail
+        self._page.expect(kind)
+        self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
+        work = functools.partial(calibrate, plan, prompts, stop, services.opener, trail, services.now, live)
+        why = _("A calibration is running on Measure: stop it there, or wait.")
+        self._context.jobs.do(work, self._ended, self._failed, why=why)
+
+    def _show(self) -> None:
+        if self._live is not None:
+            snapshot = self._live.snapshot()
+            self._safety.show_safety(snapshot.safety)
+            self._signals.show_rolling(snapshot)
+            self._page.show_curve(*self._live.curve())
+        if self._prompts is not None and not self._prompts.stopped:
+            state = self._prompts.snapshot()
+            self._page.show_prompts(state)
+            said = translated(state.instruction) or _("Calibrating. Keep hands and cables clear of the probe.")
+            self._guidance.say(said)
+
+    def _answer(self) -> None:
+        if self._prompts is not None:
+            self._prompts.answer()
+
+    def _ended(self, outcome: CalibrationOutcome) -> None:
+        self._close()
+        self._report = outcome.report
+        self._page.show_outcome(outcome)
+        self._context.note(self._page.headline.text())
+        # The same instrument may stand at another address too.
+        self._instruments.forget_calibrations()
+        self._instruments.tell_calibration(self._url, outcome.state)
+
+    def _failed(self, words: str) -> None:
+        self._close()
+        self._page.clear()
+        self._notice.say(words, problem=True, page=MEASURE)
+
+    def _close(self) -> None:
+        self._end_energised()
+        self._prompts = self._live = None
+        self._guidance.show_idle()
+
+    def _open_report(self) -> None:
+        if self._report is not None:
+            self._context.show_file(self._report)

@@ -1,0 +1,237 @@
+"""The clinician's functions: site, contact, repeats, comparison, and the report as PDF."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from pathlib import Path
+
+from PySide6.QtCore import QObject, Signal
+
+from tissueid.acquisition.playback import Phase
+from tissueid.app.contact_watcher import Watcher
+from tissueid.app.context import AppContext
+from tissueid.app.findings import Findings
+from tissueid.app.layout import Layout
+from tissueid.app.live_signals import Snapshot
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.plan import Plan
+from tissueid.app.theme import Theme
+from tissueid.app.views.clinician.body_map import BodyMap
+from tissueid.app.views.clinician.comparing import Comparison, Shelf, compare_with
+from tissueid.app.views.clinician.contact import Contact, contact_in_test
+from tissueid.app.views.clinician.finishing import finish, undo
+from tissueid.app.views.clinician.paper import write_paper
+from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
+from tissueid.device import DeviceDescription
+from tissueid.language import _, plural
+from tissueid.sessions import Test
+from tissueid.sessions.accepted_result import AcceptedResult
+
+
+class Clinician(QObject):
+    """The clinician's functions of the page Measure."""
+
+    test_wanted = Signal()
+    """The next test of the sitting shall start."""
+    findings_wanted = Signal(object)
+    """Findings that shall be shown: those of the newest test of an accepted result."""
+
+    def __init__(self, context: AppContext, ui: Layout, parent: QObject) -> None:
+        super().__init__(parent)
+        self._context, self._ui = context, ui
+        self._map: BodyMap | None = None
+        self.watcher = Watcher(context, ui.guidance.lamp, ui.form, ui.safety, ui.notice, self)
+        self.sitting: Sitting | None = None
+        self._shelf = Shelf()
+        self._cancelled = threading.Event()
+        self._comparison = Comparison()
+        self._found: Findings | None = None
+        self._accepted = False  # just now: what comes next is the report, once it is logged
+        self._paper: Path | None = None  # written of what is shown just so
+        ui.form.map.clicked.connect(self.open_map)
+        ui.gate.repeats.again.connect(self.test_wanted)
+        ui.gate.repeats.accepted.connect(self.accept)
+        ui.gate.repeats.undone.connect(self.undo)
+        ui.result.comparison.cancel.clicked.connect(self.cancel)
+        ui.result.pdf.clicked.connect(self.write_pdf)
+
+    # -- the window tells --------------------------------------------------------------------------------------
+
+    def planned(self, plan: Plan) -> Plan:
+        """Return the plan of the next test as a repeat of the current or a new sitting."""
+        if self.sitting is None or not self.sitting.continues(plan):
+            self.sitting = Sitting(plan)
+        return self.sitting.planned(plan)
+
+    @property
+    def earlier(self) -> tuple[Test, ...]:
+        """The tests of the sitting so far: the quality gate judges the next one against them."""
+        return tuple(repeat.test for repeat in self.sitting.counting) if self.sitting is not None else ()
+
+    def follow(self, snapshot: Snapshot, device: DeviceDescription | None) -> None:
+        """Show the contact of a running test."""
+        self._ui.guidance.lamp.quiet(snapshot.phase is Phase.RELEASE)
+        if device is not None:
+            self._ui.guidance.lamp.show_contact(contact_in_test(snapshot, device))
+
+    def freed(self) -> None:
+        """Handle the end of a test: the coil is released."""
+        self._ui.guidance.lamp.quiet(False)
+        self._ui.guidance.lamp.show_contact(Contact.UNWATCHED)
+
+    def found(self, findings: Findings, plan: Plan | None) -> None:
+        """Handle an analysed test: the newest one of the sitting, or one of an opened file."""
+        sitting = self.sitting
+        if sitting is not None and plan is not None and findings.path == plan.path and not sitting.holds(plan.path):
+            verdict = VERDICTS[findings.verdict.level]
+            sitting.repeats.append(
+                Repeat(findings.path, findings.test, verdict, values_of(findings.analyses), findings)
+            )
+        self._found, self._comparison = findings, Comparison()
+        self._show_sitting()
+        self._ui.result.comparison.clear()
+        self._compare(findings)
+
+    def _show_sitting(self) -> None:
+        """Show the progress and the result of the sitting of the shown test."""
+        self._paper = None
+        self._ui.gate.show_sitting(self._shown_sitting)
+        self._ui.result.show_standing(self.standing)
+
+    @property
+    def _shown_sitting(self) -> Sitting | None:
+        """Return the current sitting if the shown test belongs to it."""
+        held = self.sitting is not None and self._found is not None and self.sitting.holds(self._found.path)
+        return self.sitting if held else None
+
+    @property
+    def standing(self) -> Standing | None:
+        """What stands as the result of the sitting of the shown test, in progress or read from its file."""
+        if self._found is None:
+            return None
+        sitting = self._shown_sitting
+        return standing(sitting, self._found.accepted if sitting is None else sitting.result, self._found)
+
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable what makes sense now."""
+        ui = self._ui
+        self.watcher.update_enabled(busy=busy, testing=testing)
+        ui.start.setEnabled(not busy or (self.watcher.watching and not testing))
+        ui.gate.repeats.update_enabled(busy=busy and not self.watcher.watching)
+        ui.result.pdf.setEnabled(not busy)
+        if self._accepted and not busy:
+            self._accepted = False
+            ui.result.pdf.setFocus()
+
+    def cancel(self) -> None:
+        """Cancel the running jobs of these functions."""
+        self._cancelled.set()
+        self.watcher.cancel()
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Take on the colours of a theme."""
+        self._ui.gate.repeats.apply_theme(theme)
+
+    # -- a person asks -----------------------------------------------------------------------------------------
+
+    def open_map(self) -> None:
+        """Show the body map, with the site of the form chosen."""
+        window = self._ui.form.window()
+        if self._map is None:
+            self._map = BodyMap(window)
+            self._map.chosen.connect(self._take_site)
+        self._map.setPalette(window.palette())  # a window of its own: it would have the system's colours
+        self._map.show_site(self._ui.form.site.currentText())
+
+    def _take_site(self, site: str) -> None:
+        form = self._ui.form
+        form.site.setCurrentText(site)
+        form.site.setFocus()
+
+    def accept(self) -> None:
+        """Accept the repeats so far as the result; the next test starts a new sitting."""
+        context, sitting = self._context, self.sitting
+        if sitting is None or context.busy or sitting.accepted or not sitting.counted:
+            return
+        work = functools.partial(finish, sitting, sitting.as_result(), context.trail)
+        context.jobs.do(work, self._finished, self._failed)
+
+    def undo(self) -> None:
+        """Continue a finished sitting."""
+        context, sitting = self._context, self.sitting
+        if sitting is None or context.busy or sitting.result is None:
+            return
+        work = functools.partial(undo, sitting, sitting.result, context.trail)
+        context.jobs.do(work, self._undone, self._failed)
+
+    def write_pdf(self) -> None:
+        """Write the shown result as PDF next to its session, and open it; what is written already is only opened."""
+        if self._found is None or self._context.busy:
+            return
+        if self._paper is not None and self._paper.exists():
+            self._context.show_file(self._paper)
+            return
+        work = functools.partial(write_paper, self._found, self.standing, self._comparison)
+        self._ui.guidance.say(_("Writing the report."))
+        self._context.jobs.do(work, self._written, self._failed)
+
+    # -- jobs --------------------------------------------------------------------------------------------------
+
+    def _compare(self, findings: Findings) -> None:
+        if findings.session.subject.pseudonym in ("", "anonymous") or not findings.analyses:
+            return
+        self._cancelled = threading.Event()
+        self._ui.result.comparison.expect()
+        work = functools.partial(
+            compare_with,
+            findings.path.parent,
+            findings.session,
+            findings.path,
+            findings.test,
+            self._shelf,
+            self._cancelled,
+        )
+        why = _("Earlier sittings are being compared on Measure: cancel that there, or wait.")
+        self._context.jobs.do(work, self._compared, self._not_compared, why=why)
+
+    def _compared(self, comparison: Comparison) -> None:
+        self._comparison, self._paper = comparison, None
+        self._ui.result.comparison.show_comparison(comparison)
+
+    def _not_compared(self, words: str) -> None:
+        self._ui.result.comparison.clear()
+        self._ui.notice.say(words, problem=True, page=MEASURE)
+
+    def _finished(self, result: AcceptedResult) -> None:
+        sitting, found = self.sitting, self._found
+        if sitting is None:
+            return
+        sitting.result, self._accepted = result, True
+        newest = sitting.counting[-1].findings
+        if newest is not None and (found is None or not result.holds(found.session.session_id, found.test.number)):
+            self.findings_wanted.emit(newest)
+        else:
+            self._show_sitting()
+        words = plural(
+            "Finished: test {places} is the result. The next test begins a new sitting.",
+            "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
+            result.count,
+        )
+        places = ", ".join(map(str, sitting.places))
+        self._ui.notice.say(words.format(count=result.count, places=places))
+
+    def _undone(self, _result: object) -> None:
+        if self.sitting is not None:
+            self.sitting.result = None
+        self._show_sitting()
+        self._ui.notice.say(_("The sitting goes on: measure again, or finish it."))
+
+    def _written(self, path: Path) -> None:
+        self._paper = path
+        self._context.show_idle()
+        self._context.show_file(path)
+
+    def _failed(self, words: str) -> None:
+        self._context.show_idle()
+        self._ui.notice.say(words, problem=True, page=MEASURE)

@@ -1,0 +1,142 @@
+"""Controller of the contact watch before a test; it starts the test that is requested meanwhile."""
+
+from __future__ import annotations
+
+import functools
+import threading
+
+from PySide6.QtCore import QObject, QTimer, Signal
+
+from tissueid.app.calibration_state import calibration_state
+from tissueid.app.context import AppContext
+from tissueid.app.form import PlanForm
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.notice import Notice
+from tissueid.app.readouts import SafetyReadouts
+from tissueid.app.views.clinician.contact import Contact
+from tissueid.app.views.clinician.contact_lamp import ContactLamp
+from tissueid.app.views.clinician.watching import Sight, Watched, watch
+from tissueid.language import _, marked
+
+_LOOK_MS = 80
+NOT_ON_SKIN = marked("The button was pressed, but the probe does not stand on the skin: nothing was started.")
+
+
+class Watcher(QObject):
+    """Runs one contact watch at a time. A test can be started during it: the watch then ends first."""
+
+    start_wanted = Signal()
+    """The test that was requested meanwhile shall start: the watch has ended and its port is closed."""
+
+    def __init__(
+        self,
+        context: AppContext,
+        lamp: ContactLamp,
+        form: PlanForm,
+        safety: SafetyReadouts,
+        notice: Notice,
+        parent: QObject,
+    ) -> None:
+        super().__init__(parent)
+        self._context, self._lamp = context, lamp
+        self._form, self._safety, self._notice = form, safety, notice
+        self._sight: Sight | None = None
+        self._stop = threading.Event()
+        self._url = ""
+        self._start_next = False
+        self._looks = QTimer(self)
+        self._looks.setInterval(_LOOK_MS)
+        self._looks.timeout.connect(self._look)
+        self._lamp.watch.clicked.connect(self._toggle)
+        self._lamp.arm.toggled.connect(self._arm)
+        form.instrument.choice.currentTextChanged.connect(self.cancel)
+        context.jobs.changed.connect(self._go_on)
+
+    @property
+    def watching(self) -> bool:
+        """Whether a probe is watched."""
+        return self._sight is not None
+
+    def cancel(self) -> None:
+        """End the watch, if there is one."""
+        self._stop.set()
+
+    def start_after(self) -> bool:
+        """Start a test as soon as the watch is over; False where none goes on."""
+        if not self.watching:
+            return False
+        self._start_next = True
+        self._stop.set()
+        return True
+
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """The watch can be begun where nothing goes on, and ended while it does."""
+        self._lamp.watch.setVisible(not testing)
+        self._lamp.watch.setEnabled(self.watching or not busy)
+        self._lamp.watch.setChecked(self.watching)
+        self._lamp.watch.setText(_("Stop watching") if self.watching else _("Watch contact"))
+        if not self.watching:
+            self._lamp.arm.hide()
+
+    def _toggle(self) -> None:
+        if self.watching:
+            self.cancel()
+        elif not self._context.busy:
+            self._begin()
+
+    def _begin(self) -> None:
+        services = self._context.services
+        self._url = self._form.instrument.url
+        self._stop = threading.Event()
+        self._sight = sight = Sight()
+        self._lamp.arm.setChecked(False)
+        self._lamp.show_contact(Contact.FINDING)
+        self._looks.start()
+        work = functools.partial(watch, self._url, sight, self._stop, services.opener, services.calibrate)
+        why = _("Contact is being watched on Measure: stop watching there first.")
+        self._context.jobs.do(work, self._ended, self._failed, why=why)
+
+    def _look(self) -> None:
+        sight = self._sight
+        if sight is None:
+            return
+        self._lamp.show_contact(sight.contact)
+        self._safety.show_watched(_(sight.contact.value), sight.contact.level)
+        if sight.device is not None:
+            self._form.instrument.tell_calibration(self._url, calibration_state(sight.device))
+            self._form.tell_force(self._url, sight.greatest_force_n)
+            self._lamp.arm.setVisible(sight.has_button)
+        if sight.refused:
+            sight.refused = False
+            self._notice.say(_(NOT_ON_SKIN), problem=True, page=MEASURE)
+
+    def _arm(self, on: bool) -> None:
+        if self._sight is not None and on:
+            self._sight.armed.set()
+        elif self._sight is not None:
+            self._sight.armed.clear()
+
+    def _ended(self, watched: Watched) -> None:
+        self._look()
+        self._close()
+        self._start_next = self._start_next or watched.pressed
+        if watched.too_long:
+            self._notice.say(_("Contact is no longer watched: that went on for three minutes."), page=MEASURE)
+
+    def _failed(self, words: str) -> None:
+        self._close()
+        self._start_next = False
+        self._form.instrument.doubt(self._url)
+        self._notice.say(words, problem=True, page=MEASURE)
+
+    def _close(self) -> None:
+        self._looks.stop()
+        self._sight = None
+        self._lamp.arm.setChecked(False)
+        self._lamp.show_contact(Contact.UNWATCHED)
+        self._safety.clear()
+
+    def _go_on(self) -> None:
+        if self._start_next and not self._context.busy:
+            self._start_next = False
+            self.start_wanted.emit()

@@ -1,0 +1,66 @@
+"""What pages and the objects next to the main window can use of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from PySide6.QtCore import QSettings
+
+from tissueid.app.jobs import Jobs
+from tissueid.app.services import AppServices
+from tissueid.audit import AuditTrail, Role
+
+
+class Say(Protocol):
+    """Shows a notice."""
+
+    def __call__(self, text: str, *, problem: bool = False) -> None:
+        """Show ``text`` as information or as a problem."""
+
+
+@dataclass(frozen=True)
+class AppContext:
+    """What a page, or an object next to the window, can use of the window.
+
+    ``settings`` are stored between two starts. ``role`` returns the current role. ``go`` shows another page by its
+    name. ``open_session`` analyses a file on the page Measure. ``prepare_test`` fills the form of that page (fields of
+    ``Plan`` by name), shows it with a notice; it starts nothing. ``show_file`` opens a document in another program.
+    ``instrument`` returns the address of the instrument chosen on the page Measure. ``calibrate`` shows the page of
+    calibrations with a notice; it starts nothing. ``note`` adds a line to the log. ``show_idle`` shows what the window
+    shows while nothing goes on. ``testing`` returns whether a coil can be energised, ``closing`` whether the window
+    closes as soon as the running jobs end.
+    """
+
+    services: AppServices
+    jobs: Jobs
+    settings: QSettings
+    say: Say
+    role: Callable[[], Role]
+    go: Callable[[str], None]
+    open_session: Callable[[Path], None]
+    prepare_test: Callable[[Mapping[str, Any], str], None]
+    show_file: Callable[[Path], None]
+    instrument: Callable[[], str] = lambda: ""
+    calibrate: Callable[[str], None] = lambda _words: None
+    note: Callable[[str], None] = lambda _words: None
+    show_idle: Callable[[], None] = lambda: None
+    testing: Callable[[], bool] = lambda: False
+    closing: Callable[[], bool] = lambda: False
+
+    @property
+    def trail(self) -> AuditTrail:
+        """The audit trail, in the current role."""
+        return AuditTrail(self.services.audit, self.role())
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs or the window closes: no other job may start."""
+        return bool(self.jobs) or self.closing()
+
+    def say_failed(self, words: str) -> None:
+        """Show the error of a failed job, and what the window shows while nothing goes on."""
+        self.show_idle()
+        self.say(words, problem=True)

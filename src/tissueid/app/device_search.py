@@ -1,0 +1,105 @@
+"""Search for instruments and for unfinished tests."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from PySide6.QtCore import QObject, Signal
+
+from tissueid.app.context import AppContext
+from tissueid.app.form import PlanForm
+from tissueid.app.instruments import Survey, survey
+from tissueid.app.navigation_bar import MEASURE
+from tissueid.app.notice import Notice
+from tissueid.app.session_jobs import Recovery, recover_all, unfinished
+from tissueid.app.words import in_words
+from tissueid.audit import AuditTrail
+from tissueid.errors import TissueIDError
+from tissueid.instrument.twin_list import twins_in
+from tissueid.language import _, plural
+
+
+class DeviceSearch(QObject):
+    """Searches for instruments and unfinished tests, and shows the result in the window."""
+
+    recovered = Signal(object)
+    """The sessions that were recovered: a list of their paths with their contents."""
+
+    def __init__(self, context: AppContext, form: PlanForm, notice: Notice, parent: QObject) -> None:
+        super().__init__(parent)
+        self._context, self._form, self._notice = context, form, notice
+        self._chooser = form.instrument
+        self._chooser.refresh.clicked.connect(self.find_instruments)
+        notice.accepted.connect(self.recover)
+
+    def find_instruments(self) -> None:
+        """Ask every port for an instrument."""
+        if self._context.busy:
+            return
+        self._chooser.about.setText(_("Asking every port…"))
+        self._notice.retract()
+        services = self._context.services
+        work = functools.partial(survey, services.finder, services.opener, services.calibrate)
+        why = _("Every port is being asked whether an instrument answers: wait a few seconds.")
+        self._context.jobs.do(work, self._found, self._finding_failed, why=why)
+
+    def list_instruments(self) -> None:
+        """List the instruments that are visible without asking the ports."""
+        try:
+            self._chooser.offer(self._context.services.finder(probe=False))
+        except (TissueIDError, OSError) as error:
+            self._finding_failed(in_words(error))
+        self.list_twins()
+
+    def list_twins(self) -> None:
+        """List the twins in the folder of sessions."""
+        self._chooser.offer_twins(twins_in(self._context.services.folder))
+
+    def _found(self, found: Survey) -> None:
+        self._chooser.offer(found.found)
+        self.list_twins()
+        for url, state in found.calibrations.items():
+            self._chooser.tell_calibration(url, state)
+        for url, force_n in found.forces_n.items():
+            self._form.tell_force(url, force_n)
+        self._notice.say(found.words)
+
+    def _finding_failed(self, words: str) -> None:
+        self._chooser.offer([])
+        self._notice.say(words, problem=True)
+
+    def offer_recovery(self) -> None:
+        """Offer to recover unfinished tests, if there are any."""
+        folder = self._context.services.folder
+        found = unfinished(folder)
+        if found:
+            count = len(found)
+            names = ", ".join(path.name.removesuffix(".journal") for path in found[:3])
+            self._notice.say(
+                plural(
+                    "An unfinished test was found in {folder}: {names}.",
+                    "{count} unfinished tests were found in {folder}: {names}.",
+                    count,
+                ).format(count=count, folder=folder, names=names),
+                offer=_("Re&cover"),
+            )
+
+    def recover(self) -> None:
+        """Recover all unfinished tests and show the last of them."""
+        if not self._context.busy:
+            self._notice.retract()
+            work = functools.partial(_recover_folder, self._context.services.folder, self._context.trail)
+            self._context.jobs.do(work, self._recovered, self._context.say_failed)
+
+    def _recovered(self, recovery: Recovery) -> None:
+        saved = [_("Recovered {path}.").format(path=path) for path, _session in recovery.sessions]
+        words = " ".join(saved + recovery.problems) or _("There is nothing left to recover.")
+        self._notice.say(words, problem=bool(recovery.problems), page=MEASURE)
+        if recovery.sessions:
+            self.recovered.emit(recovery.sessions)
+
+
+def _recover_folder(folder: Path, trail: AuditTrail) -> Recovery:
+    """Recover what is unfinished now, which may differ from what was offered."""
+    return recover_all(unfinished(folder), trail)

@@ -1,0 +1,293 @@
+"""Control of one option, made from its declaration: bounds, choices, unit and description."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import types
+from collections.abc import Iterator
+from typing import Any, Literal, Union, get_args, get_origin
+
+import annotated_types
+from pydantic.fields import FieldInfo
+from PySide6.QtCore import QEvent, QObject, Signal
+from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
+from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
+
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import display_unit, label_and_unit
+from tissueid.language import _
+from tissueid.messages import Message
+
+_DECIMALS = 15
+_DIGITS = 10
+_LARGEST = 2**31 - 1
+_UNBOUND = 1e12
+_LONGEST = 2000
+_SHORT_S, _START = 0.1, 10.0
+_NARROW = 60
+"""Controls may shrink so far: the form scrolls up and down alone."""
+
+
+class OptionField(QWidget):
+    """The control of one option; ``edited`` is emitted when the user changes its value.
+
+    ``undone`` and ``redone`` are sent for the keys of undo and redo, which a control would otherwise keep for itself.
+    """
+
+    edited = Signal()
+    undone = Signal()
+    redone = Signal()
+
+    def __init__(self, name: str, info: FieldInfo, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.name = name
+        kind, self._optional = _without_none(info.annotation)
+        label, si_unit = label_and_unit(name)
+        unit, self._scale = display_unit(si_unit)
+        label = _(info.title or label)
+        self.label = label
+        self._kind = kind
+        self._control = self._make(kind, info, unit)
+        if isinstance(self._control, QLineEdit) and unit:
+            self.label = f"{_(label)} ({unit})"
+        self._automatic: QCheckBox | None = None
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(6)
+        row.addWidget(self._control, 1)
+        if self._optional:
+            self._automatic = QCheckBox(_("automatic"))
+            self._automatic.setAccessibleName(_("{label}, automatic").format(label=label))
+            self._automatic.toggled.connect(self._switch)
+            row.addWidget(self._automatic)
+        description = _(info.description or "")
+        for widget in self.controls:
+            widget.setToolTip(f"<qt>{html.escape(description)}</qt>" if description else "")
+            widget.installEventFilter(self)
+        self._control.setAccessibleName(self.label)
+        self._control.setAccessibleDescription(description)
+        self._control.setMinimumWidth(_NARROW)
+
+    @property
+    def controls(self) -> list[QWidget]:
+        """Widgets in tab order."""
+        return [self._control] if self._automatic is None else [self._control, self._automatic]
+
+    def value(self) -> Any:
+        """Return the value of the option in SI units.
+
+        Raises:
+            UnusableInputError: what was typed does not read as one.
+        """
+        if self._automatic is not None and self._automatic.isChecked():
+            return None
+        control = self._control
+        if isinstance(control, QCheckBox):
+            return control.isChecked()
+        if isinstance(control, QComboBox):
+            return control.currentData()
+        if isinstance(control, QSpinBox):
+            control.interpretText()
+            return control.value()
+        if isinstance(control, QDoubleSpinBox):
+            control.interpretText()
+            return float(f"{control.value() / self._scale:.12g}")
+        assert isinstance(control, QLineEdit)
+        return self._typed(control.text().strip())
+
+    def set_value(self, value: Any) -> None:
+        """Show a value without a signal; values out of range are clipped."""
+        blocked = [(widget, widget.blockSignals(True)) for widget in self.controls]
+        try:
+            if self._automatic is not None:
+                self._automatic.setChecked(value is None)
+                self._control.setEnabled(value is not None)
+            if value is not None:
+                self._show(value)
+        finally:
+            for widget, before in blocked:
+                widget.blockSignals(before)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Forward undo and redo keys to the form, and ignore the wheel without focus."""
+        if isinstance(event, QKeyEvent) and event.type() in (QEvent.Type.ShortcutOverride, QEvent.Type.KeyPress):
+            for keys, signal in (
+                (QKeySequence.StandardKey.Undo, self.undone),
+                (QKeySequence.StandardKey.Redo, self.redone),
+            ):
+                if event.matches(keys):
+                    event.accept()
+                    if event.type() == QEvent.Type.KeyPress:
+                        signal.emit()
+                    return True
+        # A wheel that rolls the form must not change what it happens to roll over.
+        if event.type() == QEvent.Type.Wheel and isinstance(watched, QWidget) and not watched.hasFocus():
+            event.ignore()
+            return True
+        return super().eventFilter(watched, event)
+
+    # -- making -------------------------------------------------------------------------------------------
+
+    def _make(self, kind: Any, info: FieldInfo, unit: str) -> QWidget:
+        if kind is bool:
+            box = QCheckBox()
+            box.toggled.connect(self._tell)
+            return box
+        if get_origin(kind) is Literal:
+            combo = QComboBox()
+            combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+            combo.setMinimumContentsLength(6)
+            for choice in get_args(kind):
+                combo.addItem(_(str(choice)), choice)
+            combo.currentIndexChanged.connect(self._tell)
+            return combo
+        if kind is int or kind is float:
+            low, high, open_low, open_high = _bounds(info)
+            return self._make_number(kind, (low, high), (open_low, open_high), unit)
+        line = QLineEdit()
+        line.setMaxLength(_LONGEST)
+        line.setPlaceholderText("1, 2, 3" if get_origin(kind) is tuple else "")
+        line.editingFinished.connect(self._tell)
+        return line
+
+    def _make_number(
+        self, kind: type, limits: tuple[float, float], opened: tuple[bool, bool], unit: str
+    ) -> QSpinBox | QDoubleSpinBox:
+        spin: QSpinBox | QDoubleSpinBox
+        if kind is int:
+            whole = QSpinBox()
+            low = math.ceil(max(limits[0], -_LARGEST)) + (opened[0] and float(limits[0]).is_integer())
+            high = math.floor(min(limits[1], _LARGEST)) - (opened[1] and float(limits[1]).is_integer())
+            whole.setRange(low, high)
+            whole.setValue(1)  # where "automatic" is taken away
+            whole.valueChanged.connect(self._tell)
+            spin = whole
+        else:
+            number = _GeneralSpin()
+            low_f, high_f = (limit * self._scale for limit in limits)
+            number.setRange(_inside(low_f, 1.0) if opened[0] else low_f, _inside(high_f, -1.0) if opened[1] else high_f)
+            number.setValue(_SHORT_S if unit == "s" else _START)
+            number.valueChanged.connect(self._tell)
+            spin = number
+        spin.setKeyboardTracking(False)
+        if unit:
+            spin.setSuffix(f" {unit}")
+        return spin
+
+    # -- values -------------------------------------------------------------------------------------------
+
+    def _show(self, value: Any) -> None:
+        control = self._control
+        if isinstance(control, QCheckBox):
+            control.setChecked(bool(value))
+        elif isinstance(control, QComboBox):
+            control.setCurrentIndex(max(0, control.findData(value)))
+        elif isinstance(control, QSpinBox):
+            control.setValue(int(max(control.minimum(), min(control.maximum(), value))))
+        elif isinstance(control, QDoubleSpinBox):
+            control.setValue(float(value) * self._scale)
+        elif isinstance(control, QLineEdit):
+            listed = isinstance(value, list | tuple)
+            numbers = ", ".join(f"{float(item) * self._scale:.10g}" for item in value) if listed else json.dumps(value)
+            control.setText(numbers)
+
+    def _typed(self, text: str) -> Any:
+        if get_origin(self._kind) is tuple:
+            try:
+                # A comma between digits is no decimal mark here: it parts numbers.
+                return [float(f"{float(part) / self._scale:.12g}") for part in text.split(",") if part.strip()]
+            except ValueError:
+                raise UnusableInputError(
+                    Message(
+                        "form.numbers",
+                        "{label}: give numbers, separated by commas, such as 1, 2.5, 4",
+                        label=self.label,
+                    )
+                ) from None
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError):
+            return text
+
+    def _switch(self, automatic: bool) -> None:
+        self._control.setEnabled(not automatic)
+        self._tell()
+
+    def _tell(self) -> None:
+        self.edited.emit()
+
+
+class _GeneralSpin(QDoubleSpinBox):
+    """Spin box with as few digits as the number needs, e.g. 1e-12 or 200."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setDecimals(_DECIMALS)
+        self.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
+
+    def textFromValue(self, value: float) -> str:  # noqa: N802
+        """Return the number with up to ten digits."""
+        return f"{value:.{_DIGITS}g}"
+
+    def valueFromText(self, text: str) -> float:  # noqa: N802
+        """Return the typed number, with or without its unit."""
+        try:
+            return float(self._bare(text))
+        except ValueError:
+            return self.value()
+
+    def validate(self, text: str, position: int) -> QValidator.State:
+        """Accept every prefix of a number."""
+        try:
+            inside = self.minimum() <= float(self._bare(text)) <= self.maximum()
+        except ValueError:
+            partial = all(c in "+-.0123456789eE" for c in self._bare(text))
+            return QValidator.State.Intermediate if partial else QValidator.State.Invalid
+        return QValidator.State.Acceptable if inside else QValidator.State.Intermediate
+
+    def stepBy(self, steps: int) -> None:  # noqa: N802
+        """Step by the second digit: 0.125 s to 0.135 s, 1e-12 to 1.1e-12."""
+        value = self.value()
+        size = 10.0 ** (math.floor(math.log10(abs(value))) - 1) if value else 0.01
+        self.setValue(round(value + steps * size, _DECIMALS))
+
+    def _bare(self, text: str) -> str:
+        return text.removesuffix(self.suffix()).strip().replace(",", ".")
+
+
+def _without_none(annotation: Any) -> tuple[Any, bool]:
+    """Return the type of an option, and whether it may be None."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        others = [kind for kind in get_args(annotation) if kind is not type(None)]
+        return (others[0] if len(others) == 1 else object), len(others) < len(get_args(annotation))
+    return annotation, False
+
+
+def _bounds(info: FieldInfo) -> tuple[float, float, bool, bool]:
+    """Return the bounds, and whether each is exclusive."""
+    low, high, open_low, open_high = -_UNBOUND, _UNBOUND, False, False
+    for rule in _rules(info):
+        if isinstance(rule, annotated_types.Ge):
+            low = float(rule.ge)  # type: ignore[arg-type]
+        elif isinstance(rule, annotated_types.Gt):
+            low, open_low = float(rule.gt), True  # type: ignore[arg-type]
+        elif isinstance(rule, annotated_types.Le):
+            high = float(rule.le)  # type: ignore[arg-type]
+        elif isinstance(rule, annotated_types.Lt):
+            high, open_high = float(rule.lt), True  # type: ignore[arg-type]
+    return low, high, open_low, open_high
+
+
+def _rules(info: FieldInfo) -> Iterator[object]:
+    for rule in info.metadata:
+        yield from rule if isinstance(rule, annotated_types.Interval) else (rule,)
+
+
+def _inside(limit: float, way: float) -> float:
+    """Return the nearest number inside an exclusive bound."""
+    return limit + way * max(10.0**-_DECIMALS, 1e-9 * abs(limit))
+
+
+__all__ = ["OptionField"]

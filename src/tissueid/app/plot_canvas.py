@@ -1,0 +1,417 @@
+"""Widget that shows plots drawn by the renderer of reports, to zoom, pan, read and save.
+
+matplotlib is imported when the first plot is shown, so that the window starts without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeGuard, cast
+
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
+from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QVBoxLayout, QWidget
+
+from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.units import shown
+from tissueid.app.words import sentence
+from tissueid.language import _, marked
+from tissueid.messages import translated
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backend_bases import MouseButton
+    from mpl_toolkits.mplot3d import Axes3D
+
+    from tissueid.analysis.curves import Plot
+    from tissueid.reports.plot_renderer import DrawnLine, Look
+
+FILES = {
+    ".png": marked("PNG picture (*.png)"),
+    ".svg": marked("SVG drawing (*.svg)"),
+    ".csv": marked("Comma-separated values (*.csv)"),
+}
+_CLOSER = 0.8
+"""Share of the range that is left by one step of the wheel or one key press."""
+_STEP = 0.1
+"""Share of the range by which an arrow key moves."""
+_TURN = 10.0
+"""Angle by which an arrow key turns a surface, degrees."""
+_WIDTH, _HEIGHT = 7.2, 3.2
+"""Size of a saved panel, inches."""
+
+
+class PlotCanvas(QFrame):
+    """A card with plots below each other, or with one surface in space.
+
+    The wheel zooms, where no page has to be scrolled by it or with Ctrl; dragging pans, or turns a surface; a double
+    click shows everything. With the focus, arrow keys move or turn, + and - zoom, 0 shows everything. The menu saves.
+    """
+
+    def __init__(self, name: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self.plots: tuple[Plot, ...] = ()
+        self.axes: list[Axes] = []
+        self._name, self._relief, self._key = name, False, True
+        self._theme: Theme = LIGHT
+        self._canvas: Any = None
+        self._long: list[list[DrawnLine]] = []
+        self._home: list[tuple[Any, ...]] = []
+        self._grabbed: Axes | None = None
+        self._stale = False
+        self._missing = QLabel()
+        self._missing.setProperty("role", "muted")
+        self._missing.setWordWrap(True)
+        self._missing.setMinimumWidth(1)
+        self._missing.setTextFormat(Qt.TextFormat.PlainText)
+        self._missing.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.readout = QLabel(self)
+        self.readout.setProperty("role", "readout")
+        self.readout.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.readout.hide()
+        self._inside = QVBoxLayout(self)
+        self._inside.setContentsMargins(6, 4, 6, 4)
+        self._inside.setSpacing(0)
+        self._inside.addWidget(self._missing, 1)
+        self.setMinimumHeight(150)
+        self.setAccessibleName(name)
+        self.setToolTip(_("Drag to move, turn the wheel to look closer; a double click shows everything"))
+
+    def show_plots(self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True) -> None:
+        """Draw plots, at once or when the widget is shown.
+
+        Args:
+            plots: what to draw, from the top; where all have nothing to draw, the reasons are shown.
+            relief: whether the surface of the first plot is drawn in space.
+            key: whether named curves get a key.
+        """
+        self.plots, self._relief, self._key = tuple(plots), relief, key
+        reasons = dict.fromkeys(sentence(translated(plot.missing)) for plot in plots if plot.missing)
+        empty = not plots or all(plot.missing for plot in plots)
+        self._missing.setText(" ".join(reasons))
+        self._missing.setVisible(empty)
+        self.readout.hide()
+        if self._canvas is not None:
+            self._canvas.setVisible(not empty)
+        self._describe()
+        self._stale = not empty
+        self.axes, self._long, self._home = [], [], []
+        if self._stale and self.isVisible():
+            self._draw()
+
+    def say_missing(self, text: str) -> None:
+        """Show a text in place of plots."""
+        self.show_plots(())
+        self._missing.setText(text)
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Draw in the colours of a theme."""
+        if theme != self._theme:
+            self._theme = theme
+            self._again()
+
+    def take_units(self) -> None:
+        """Draw in the active units."""
+        self._describe()
+        self._again()
+
+    def save(self, path: Path) -> None:
+        """Write the plots as PNG, SVG or PDF on white, or their numbers as CSV, by the suffix of ``path``.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        from tissueid.analysis.curves.plot import as_csv
+        from tissueid.atomic_write import atomic_file
+
+        form = path.suffix.lower().removeprefix(".")
+        with atomic_file(path) as partial:
+            if form == "csv":
+                partial.write_text(as_csv(self.plots), encoding="utf-8")
+            else:
+                from tissueid.reports.plot_renderer import draw_plots, draw_relief
+                from tissueid.reports.style import drawing, new_figure, plain_image
+
+                figure = drawing(new_figure)(_WIDTH, _HEIGHT * max(1, len(self.plots)))
+                if self._relief:
+                    drawing(draw_relief)(figure, self.plots[0], units=shown)
+                else:
+                    drawing(draw_plots)(figure, self.plots, units=shown)
+                plain_image(figure, partial, cast(Any, form), 300.0 if form == "png" else 144.0)
+
+    def show_everything(self) -> None:
+        """Show the whole range again."""
+        for axes, home in zip(self.axes, self._home, strict=True):
+            axes.set_xlim(home[0])
+            axes.set_ylim(home[1])
+            if _in_space(axes):
+                axes.view_init(*home[2])
+                axes.set_box_aspect(None, zoom=1.0)
+        self._follow()
+
+    def zoom(self, factor: float, at: tuple[float, float] | None = None, axes: Axes | None = None) -> None:
+        """Show ``factor`` of the range about a point, pixels from the lower left corner, or about the middle."""
+        for one in self.axes if axes is None else [axes]:
+            if _in_space(one):
+                self._scale /= factor
+                one.set_box_aspect(None, zoom=self._scale)
+                continue
+            box = one.bbox
+            x, y = at or (0.5 * (box.x0 + box.x1), 0.5 * (box.y0 + box.y1))
+            across = 1.0 if axes is None and one is not self.axes[-1] and _joined(one, self.axes[-1]) else factor
+            low = (x - across * (x - box.x0), y - factor * (y - box.y0))
+            high = (x + across * (box.x1 - x), y + factor * (box.y1 - y))
+            _look_at(one, low, high)
+        self._follow()
+
+    # -- events -------------------------------------------------------------------------------------------
+
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802
+        """Draw what was given while hidden."""
+        super().showEvent(event)
+        if self._stale:
+            self._draw()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802
+        """Lay the plots out for the new size."""
+        super().resizeEvent(event)
+        self._again()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802
+        """Zoom, pan and read values by the events of the canvas."""
+        if watched is not self._canvas or not self.axes:
+            return super().eventFilter(watched, event)
+        if isinstance(event, QWheelEvent):
+            return self._wheel(event)
+        if isinstance(event, QContextMenuEvent):
+            self._open_menu(event)
+            return True
+        if isinstance(event, QMouseEvent):
+            return self._mouse(event)
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress:
+            return self._press(event)
+        if event.type() == QEvent.Type.Leave:
+            self.readout.hide()
+        return super().eventFilter(watched, event)
+
+    def _wheel(self, event: QWheelEvent) -> bool:
+        ctrl = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
+        focused = self._canvas is not None and self._canvas.hasFocus()
+        if not (ctrl or focused or not self._scrolled) or event.angleDelta().y() == 0:
+            event.ignore()  # the page scrolls
+            return True
+        at = self._pixels(event.position())
+        axes = self._axes_at(at)
+        if axes is not None:
+            self.zoom(_CLOSER ** (event.angleDelta().y() / 120.0), at, axes)
+        return True
+
+    def _mouse(self, event: QMouseEvent) -> bool:
+        at, kind = self._pixels(event.position()), event.type()
+        axes = self._axes_at(at)
+        if kind == QEvent.Type.MouseButtonDblClick:
+            self.show_everything()
+            return True
+        left = event.button() == Qt.MouseButton.LeftButton
+        if kind == QEvent.Type.MouseButtonPress and left and axes is not None and not _in_space(axes):
+            self._grabbed = axes
+            axes.start_pan(*at, cast("MouseButton", 1))
+        elif kind == QEvent.Type.MouseButtonRelease and self._grabbed is not None:
+            self._grabbed.end_pan()
+            self._grabbed = None
+        elif kind == QEvent.Type.MouseMove:
+            if self._grabbed is not None:
+                self._grabbed.drag_pan(cast("MouseButton", 1), None, *at)
+                self._follow()
+            self._read(axes, at)
+        return False
+
+    def _press(self, event: QKeyEvent) -> bool:
+        key = Qt.Key
+        moves = {key.Key_Left: (-1, 0), key.Key_Right: (1, 0), key.Key_Down: (0, -1), key.Key_Up: (0, 1)}
+        if event.key() in moves:
+            self._move(*moves[key(event.key())])
+        elif event.key() in (key.Key_Plus, key.Key_Equal):
+            self.zoom(_CLOSER)
+        elif event.key() == key.Key_Minus:
+            self.zoom(1.0 / _CLOSER)
+        elif event.key() in (key.Key_0, key.Key_Home):
+            self.show_everything()
+        else:
+            return False
+        return True
+
+    def _move(self, right: int, up: int) -> None:
+        for axes in self.axes:
+            if _in_space(axes):
+                axes.view_init(elev=axes.elev - _TURN * up, azim=axes.azim - _TURN * right)
+                continue
+            box = axes.bbox
+            x, y = _STEP * right * box.width, _STEP * up * box.height
+            _look_at(axes, (box.x0 + x, box.y0 + y), (box.x1 + x, box.y1 + y))
+            if right and _joined(axes, self.axes[-1]):
+                break  # the others follow
+        self._follow()
+
+    def _read(self, axes: Axes | None, at: tuple[float, float]) -> None:
+        """Show the values at the cursor."""
+        self.readout.setVisible(axes is not None and not _in_space(axes))
+        if axes is None or _in_space(axes):
+            return
+        x, y = axes.transData.inverted().transform(at)
+        plot = self.plots[self.axes.index(axes)]
+        ends = ((float(x), plot.x.unit), (float(y), plot.y.unit))
+        self.readout.setText("   ".join(f"{value:.4g} {shown(unit)[0]}".strip() for value, unit in ends))
+        self.readout.adjustSize()
+        self.readout.move(self.width() - self.readout.width() - 10, 6)
+        self.readout.raise_()
+
+    def _open_menu(self, event: QContextMenuEvent) -> None:
+        menu = QMenu(self)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        menu.addAction(_("Show everything"), self.show_everything)
+        menu.addAction(_("Save plot…"), self.ask_where_to_save)
+        menu.popup(event.globalPos())
+
+    def ask_where_to_save(self) -> None:
+        """Ask for a file, and save the plots in it."""
+        dialog = QFileDialog(self, _("Save the figure"), "", ";;".join(_(text) for text in FILES.values()))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("png")
+        dialog.filterSelected.connect(lambda text: dialog.setDefaultSuffix(text.rpartition("*.")[2].rstrip(")")))
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self._save_to)
+        dialog.open()
+
+    def _save_to(self, name: str) -> None:
+        path = Path(name)
+        if path.suffix.lower() not in FILES:
+            path = path.with_name(f"{path.name}.png")
+        try:
+            self.save(path)
+            words = _("Saved in {path}.").format(path=path)
+        except OSError as error:
+            words = str(error)
+        self.readout.setText(words)
+        self.readout.adjustSize()
+        self.readout.move(10, 6)
+        self.readout.show()
+        self.readout.raise_()
+
+    # -- drawing ------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        """Draw everything, and lay it out."""
+        from tissueid.reports.plot_renderer import draw_plots, draw_relief
+
+        canvas = self._make_canvas()
+        figure = canvas.figure
+        self._stale, self._scale, self._grabbed = False, 1.0, None
+        figure.clear()
+        figure.set_facecolor(self._theme.panel)
+        look = _look_of(self._theme, self.font().pointSizeF())
+        if self._relief:
+            self.axes, self._long = [draw_relief(figure, self.plots[0], look, units=shown)], [[]]
+        else:
+            self.axes, self._long = draw_plots(figure, self.plots, look, units=shown, key=self._key)
+        canvas.setVisible(True)
+        self._lay_out()
+        self._home = [
+            (one.get_xlim(), one.get_ylim(), (one.elev, one.azim) if _in_space(one) else None) for one in self.axes
+        ]
+
+    def _make_canvas(self) -> Any:
+        if self._canvas is None:
+            from matplotlib.backends.backend_qtagg import FigureCanvasQTAgg
+            from matplotlib.figure import Figure
+
+            make: Any = FigureCanvasQTAgg  # which has no annotations
+            self._canvas = make(Figure(dpi=self.logicalDpiX()))
+            self._canvas.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            self._canvas.setMouseTracking(True)
+            self._canvas.installEventFilter(self)
+            self._inside.addWidget(self._canvas, 1)
+            self._describe()
+        return self._canvas
+
+    def _again(self) -> None:
+        """Draw again what is shown, now or when it is shown."""
+        if self.plots and not all(plot.missing for plot in self.plots):
+            self._stale = True
+            if self.isVisible():
+                self._draw()
+
+    def _lay_out(self) -> None:
+        """Make room for labels once, not in every frame."""
+        canvas = self._canvas
+        if canvas is not None and canvas.width() > 1 and canvas.height() > 1:
+            canvas.figure.set_layout_engine("constrained")
+            canvas.figure.draw_without_rendering()
+            canvas.figure.set_layout_engine("none")
+            canvas.draw_idle()
+
+    def _follow(self) -> None:
+        """Draw the visible part of long lines, and the frame."""
+        for axes, lines in zip(self.axes, self._long, strict=True):
+            for line in lines:
+                low, high = sorted(axes.get_xlim())
+                line.show(low, high, max(2, int(axes.bbox.width)))
+        if self._canvas is not None:
+            self._canvas.draw_idle()
+
+    def _describe(self) -> None:
+        """Give the canvas its accessible name."""
+        names = [self._name] if self._name else [translated(plot.title) for plot in self.plots]
+        title = ", ".join(dict.fromkeys(filter(None, names)))
+        units = ", ".join(dict.fromkeys(filter(None, (shown(plot.y.unit)[0] for plot in self.plots))))
+        text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
+        for widget in [self] if self._canvas is None else [self, self._canvas]:
+            widget.setAccessibleName(text.format(title=title, unit=units))
+
+    @property
+    def _scrolled(self) -> bool:
+        """Whether the widget lies on a page that scrolls."""
+        parent = self.parentWidget()
+        while parent is not None:
+            if isinstance(parent, QScrollArea):
+                return True
+            parent = parent.parentWidget()
+        return False
+
+    def _pixels(self, position: QPointF) -> tuple[float, float]:
+        """Return a position on the canvas in the pixels of the figure, from its lower left corner."""
+        assert self._canvas is not None
+        x, y = self._canvas.mouseEventCoords(position)
+        return float(x), float(y)
+
+    def _axes_at(self, at: tuple[float, float]) -> Axes | None:
+        return next((axes for axes in self.axes if axes.bbox.contains(*at)), None)
+
+
+def _in_space(axes: Axes) -> TypeGuard[Axes3D]:
+    return axes.name == "3d"
+
+
+def _joined(one: Axes, other: Axes) -> bool:
+    return bool(one.get_shared_x_axes().joined(one, other))
+
+
+def _look_at(axes: Axes, low: tuple[float, float], high: tuple[float, float]) -> None:
+    """Show what lies between two corners, in pixels of the figure."""
+    back = axes.transData.inverted()
+    (x0, y0), (x1, y1) = back.transform(low), back.transform(high)
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y0, y1)
+
+
+def _look_of(theme: Theme, font_size: float) -> Look:
+    """Return the colours of a theme for the renderer."""
+    from tissueid.reports.plot_renderer import Look
+
+    return Look(theme.text, theme.muted, theme.line, theme.panel, max(7.0, 0.85 * font_size), asdict(theme))
+
+
+__all__ = ["FILES", "PlotCanvas"]

@@ -1,0 +1,147 @@
+"""The quality gate after a test: traffic light, findings, advice, and a button to run the test again."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QAccessible, QAccessibleEvent
+from PySide6.QtWidgets import QFrame, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.small_window import FoldingBox
+from tissueid.app.views.clinician.repeat_bar import RepeatBar
+from tissueid.app.views.clinician.sitting import Sitting
+from tissueid.language import _, marked
+from tissueid.messages import translated
+from tissueid.sessions.quality import Quality, Verdict
+
+if TYPE_CHECKING:
+    from tissueid.reports import verdict as report
+
+_LEVELS: dict[Verdict, str] = {"good": "good", "look": "check", "repeat": "poor"}
+_ONE_ROW = 640
+MOST_SHOWN = 3
+"""Number of findings that are shown at first; a button shows the others."""
+UNJUDGED = marked("The quality gate did not judge this test when it was made.")
+
+
+class QualityGate(QFrame):
+    """The verdict on a test, hidden until it is over.
+
+    ``again`` is sent by the button that is there when the test should be repeated, ``judge`` by the one that is there
+    when the gate never judged it.
+    """
+
+    again = Signal()
+    judge = Signal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "verdict")
+        self._quality: Quality | None = None
+        self.light = QLabel("●")
+        self.light.setProperty("role", "headline")
+        self.headline = QLabel()
+        self.headline.setProperty("role", "headline")
+        self.headline.setWordWrap(True)
+        self.headline.setMinimumWidth(1)
+        self.more = QPushButton()
+        self.more.setCheckable(True)
+        self.more.setAccessibleName(_("All findings"))
+        self.run_again = QPushButton(_("Run again"))
+        self.run_again.setToolTip(_("The same test once more, into a file of its own"))
+        self.judge_now = QPushButton(_("Judge this test"))
+        self.judge_now.setToolTip(_("Let the quality gate look at the recorded signals; the file stays as it is"))
+        said, offered = QHBoxLayout(), QHBoxLayout()
+        said.setSpacing(8)
+        said.addWidget(self.light)
+        said.addWidget(self.headline, 1)
+        self.repeats = RepeatBar()
+        offered.setSpacing(8)
+        offered.addStretch(1)
+        for part in (self.repeats, self.more, self.judge_now, self.run_again):
+            offered.addWidget(part)
+        top = FoldingBox(_ONE_ROW)
+        top.setSpacing(4)
+        top.addLayout(said, 1)
+        top.addLayout(offered)
+        self._grid = QGridLayout()
+        self._grid.setHorizontalSpacing(12)
+        self._grid.setVerticalSpacing(2)
+        self._grid.setColumnStretch(0, 1)
+        self._grid.setColumnStretch(1, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(12, 5, 10, 5)
+        layout.setSpacing(3)
+        layout.addLayout(top)
+        layout.addLayout(self._grid)
+        self.more.toggled.connect(self._fill)
+        self.run_again.clicked.connect(self.again)
+        self.judge_now.clicked.connect(self.judge)
+        self.hide()
+
+    def show_quality(self, quality: Quality | None, *, can_repeat: bool, verdict: report.Verdict | None = None) -> None:
+        """Show the verdict and findings of the quality gate; None for a test that was not judged.
+
+        These are the gate's until the ``verdict`` on the analysed test, which has the gate's findings in it, is known.
+        ``can_repeat`` is whether a test can be run now.
+        """
+        self._quality = quality
+        level = "" if quality is None else _LEVELS[quality.verdict]
+        headline = "" if quality is None else quality.headline
+        if verdict is not None:
+            level, headline = verdict.level, verdict.headline
+        for widget in (self, self.light, self.headline):
+            widget.setProperty("level", level)
+            widget.style().unpolish(widget)
+            widget.style().polish(widget)
+        self.headline.setText(_(headline) if headline else _("Not judged"))
+        self.run_again.setVisible(level == "poor" and can_repeat)
+        self.judge_now.setVisible(quality is None and verdict is not None)
+        self.repeats.hide()
+        self.more.setChecked(False)
+        self._fill()
+        self.setAccessibleName(" ".join([_("Quality gate:"), self.headline.text() + ".", *self.words]))
+        self.show()
+        if level in ("check", "poor"):
+            QAccessible.updateAccessibility(QAccessibleEvent(self, QAccessible.Event.Alert))
+
+    def show_sitting(self, sitting: Sitting | None) -> None:
+        """Show how far the sitting of the shown test has come; one button repeats it."""
+        self.repeats.show_sitting(sitting)
+        if self.repeats.offers_repeat:
+            self.run_again.hide()
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """All findings, including those that are not shown at first."""
+        return (_(UNJUDGED),) if self._quality is None else tuple(translated(line) for line in self._quality.lines)
+
+    def _fill(self) -> None:
+        while (item := self._grid.takeAt(0)) is not None:
+            if (widget := item.widget()) is not None:
+                widget.hide()
+                widget.deleteLater()
+        if self._quality is None:
+            self._grid.addWidget(_text(_(UNJUDGED), "muted"), 0, 0, 1, 2)
+            self.more.hide()
+            return
+        findings = self._quality.findings
+        hidden = len(findings) - MOST_SHOWN
+        self.more.setVisible(hidden > 0)
+        self.more.setText(_("Fewer") if self.more.isChecked() else _("{count} more").format(count=hidden))
+        shown = findings if self.more.isChecked() else findings[:MOST_SHOWN]
+        for row, finding in enumerate(shown):
+            self._grid.addWidget(_text(translated(finding.words), ""), row, 0)
+            self._grid.addWidget(_text(translated(finding.advice), "muted"), row, 1)
+
+
+def _text(text: str, role: str) -> QLabel:
+    label = QLabel(text)
+    label.setProperty("role", role)
+    label.setWordWrap(True)
+    label.setMinimumWidth(1)
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label

@@ -1,0 +1,59 @@
+"""The report of the shown result: write it next to its session once, open it, and show its path."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+from PySide6.QtCore import QObject
+
+from tissueid.app.context import AppContext
+from tissueid.app.findings import Findings
+from tissueid.app.guidance import Guidance
+from tissueid.app.notice import Notice
+from tissueid.app.session_jobs import write_test_report
+from tissueid.language import _, marked
+
+_OPENED = marked("The report is saved in {path}.")
+_NOT_OPENED = marked("The report is saved in {path}; open it in a browser.")
+_PDF_NOT_OPENED = marked(
+    "The report is saved in {path}. No program here shows a PDF: open that file with one that does, here or on "
+    "another computer."
+)
+
+
+class Reports(QObject):
+    """Writes and opens reports for the window and its pages."""
+
+    def __init__(self, context: AppContext, notice: Notice, guidance: Guidance, parent: QObject) -> None:
+        super().__init__(parent)
+        self._context, self._notice, self._guidance = context, notice, guidance
+        self._findings: Findings | None = None
+        self._written: Path | None = None
+
+    def show_findings(self, findings: Findings | None) -> None:
+        """Take the result that is shown now; its report is not written yet."""
+        self._findings, self._written = findings, None
+
+    def open(self) -> None:
+        """Write the report of the shown result next to its session, and open it."""
+        if self._findings is None or self._context.busy:
+            return
+        if self._written is not None and self._written.exists():
+            self.show(self._written)
+            return
+        self._guidance.say(_("Writing the report."))
+        work = functools.partial(write_test_report, self._findings)
+        self._context.jobs.do(work, self._show_written, self._context.say_failed)
+
+    def show(self, path: Path) -> None:
+        """Open a report and show its path."""
+        opened = self._context.services.show_file(path)
+        words = _OPENED if opened else _PDF_NOT_OPENED if path.suffix.lower() == ".pdf" else _NOT_OPENED
+        show_folder = functools.partial(self._context.services.show_file, path.parent)
+        self._notice.say(_(words).format(path=path), offer=_("Open folder"), act=show_folder)
+
+    def _show_written(self, path: Path) -> None:
+        self._written = path
+        self._context.show_idle()
+        self.show(path)

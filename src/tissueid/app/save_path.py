@@ -1,0 +1,72 @@
+"""Paths of new sessions: checked before a coil is energised."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from tissueid.acquisition import journal_path
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
+
+SUFFIX = ".h5"
+
+
+def unused_path(path: Path) -> Path:
+    """Return ``path`` if there is no such file, else the first unused one of ``name-2.ext``, ``name-3.ext``, ..."""
+    free, number = path, 2
+    while free.exists() or free.is_symlink():
+        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return free
+
+
+def check_save_path(path: Path) -> None:
+    """Check that a new session can be saved to a path. Nothing is written.
+
+    Raises:
+        UnusableInputError: it cannot; the message says why.
+    """
+    if not path.name:
+        raise UnusableInputError(Message("save_path.empty", "enter the file of the session"))
+    if path.is_dir():
+        raise UnusableInputError(Message("save_path.folder", "{path} is a folder; name a session file", path=str(path)))
+    if path.suffix.lower() != SUFFIX:
+        raise UnusableInputError(
+            Message("save_path.suffix", "the name of a session ends in .h5, {name} does not", name=path.name)
+        )
+    if not path.parent.is_dir():
+        raise UnusableInputError(
+            Message(
+                "save_path.no_folder",
+                "there is no folder {folder}: make it, or choose another one",
+                folder=str(path.parent),
+            )
+        )
+    if path.exists():
+        raise UnusableInputError(
+            Message(
+                "save_path.exists",
+                "{path} is there already; files are never overwritten: choose another name",
+                path=str(path),
+            )
+        )
+    if journal_path(path).exists():
+        raise UnusableInputError(
+            Message(
+                "save_path.unfinished",
+                "an unfinished test is left at {path}: recover it on the page Start, or choose another name",
+                path=str(path),
+            )
+        )
+    try:
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise UnusableInputError(
+            Message(
+                "save_path.not_writable",
+                "the folder {folder} cannot be written to ({problem}): choose another one",
+                folder=str(path.parent),
+                problem=error.strerror or str(error),
+            )
+        ) from error

@@ -1,0 +1,178 @@
+"""Tab "How far": the gap before and after, the noise floor, and recorded against simulated signals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import QRectF, QSize, Qt
+from PySide6.QtGui import QColor, QPainter, QPaintEvent
+from PySide6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from tissueid.app.plotting import PlotCard
+from tissueid.app.small_window import FoldingBox
+from tissueid.app.theme import LIGHT, Theme
+from tissueid.app.views.gap.labels import plain_label
+from tissueid.formatting import number
+from tissueid.language import _, marked
+from tissueid.messages import translated
+
+if TYPE_CHECKING:
+    from tissueid.app.views.gap.page_content import Overlay, PageContent
+
+_KEY = {marked("recorded"): "muted", marked("baseline twin"): "model", marked("with the effect"): "measured"}
+_NOTHING = np.zeros(0)
+_TWICE = 1.96
+_SIDE, _ONE_ROW = 270, 660
+"""Least width of the figures, and the width below which the plots stand below them, pixels."""
+
+
+class ClosureTab(QWidget):
+    """Bars of the gap on the left; one signal and its residual on the right."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._overlays: tuple[Overlay, ...] = ()
+        self.bars = _GapBars()
+        self.closing = plain_label()
+        self.channel = QComboBox()
+        self.channel.setAccessibleName(_("Signal to look at"))
+        self.channel.currentIndexChanged.connect(self._show_chosen)
+        self.signal = PlotCard(_("Recorded and simulated"), "", "", key={_(name): role for name, role in _KEY.items()})
+        self.left = PlotCard(_("Recorded less simulated"), _("Time (s)"), "", key={_("95 % of the noise"): "check"})
+        self._recorded = self.signal.line("muted", width=4, alpha=140)
+        self._before, self._after = self.signal.line("model"), self.signal.line("measured")
+        self._noise = self.left.band("check", alpha=70)
+        self._left_before, self._left_after = self.left.line("model"), self.left.line("measured")
+        self.cards = (self.signal, self.left)
+        self.signal.setToolTip(_("A quarter of a second of held-out data"))
+        self._arrange()
+
+    def show_story(self, story: PageContent) -> None:
+        """Draw the result of a diagnosis."""
+        self.bars.show_gap(*story.gap)
+        self.closing.setText(translated(story.closing))
+        self._overlays = story.overlays
+        self.channel.blockSignals(True)
+        self.channel.clear()
+        self.channel.addItems([_(item.channel.capitalize()) for item in story.overlays])
+        self.channel.blockSignals(False)
+        self.channel.setEnabled(len(story.overlays) > 1)
+        for card in self.cards:
+            card.say_missing(
+                ""
+                if story.overlays
+                else _("Every sample was used for the fit: there is no held-out data to compare with.")
+            )
+        self._show_chosen()
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self.bars.apply_theme(theme)
+        for card in self.cards:
+            card.apply_theme(theme)
+
+    def _show_chosen(self) -> None:
+        place = self.channel.currentIndex()
+        if not 0 <= place < len(self._overlays):
+            return
+        shown = self._overlays[place]
+        self.signal.retitle(_(shown.channel.capitalize()), shown.unit)
+        self.left.retitle(_("Recorded less simulated"), shown.fine_unit)
+        time = shown.time
+        self._recorded.setData(time, shown.recorded)
+        self._before.setData(time, shown.before)
+        self._left_before.setData(time, shown.left_before)
+        for item, values in ((self._after, shown.after), (self._left_after, shown.left_after)):
+            item.setData(_NOTHING, _NOTHING) if values is None else item.setData(time, values)
+        for edge, sign in zip(self._noise, (-_TWICE, _TWICE), strict=True):
+            edge.setData(time, np.full(time.size, sign * shown.noise))
+        most = float(np.nanmax(np.abs(shown.left_before), initial=_TWICE * shown.noise))
+        if shown.left_after is not None:
+            most = max(most, float(np.nanmax(np.abs(shown.left_after), initial=0.0)))
+        self.left.plot.setYRange(-most, most, padding=0.05)
+        for card in self.cards:
+            card.plot.setXRange(float(time[0]), float(time[-1]), padding=0.01)
+
+    def _arrange(self) -> None:
+        label = QLabel(_("Signal"))
+        label.setBuddy(self.channel)
+        choice = QHBoxLayout()
+        choice.addWidget(label)
+        choice.addWidget(self.channel, 1)
+        side = QFrame()
+        side.setProperty("role", "card")
+        side.setMinimumWidth(_SIDE)
+        column = QVBoxLayout(side)
+        column.setContentsMargins(12, 8, 12, 10)
+        column.setSpacing(8)
+        heading = QLabel(_("Gap on held-out data"))
+        heading.setProperty("role", "heading")
+        heading.setWordWrap(True)
+        heading.setToolTip(_("Error of the free run over the signals' deviation"))
+        for widget in (heading, self.bars, self.closing):
+            column.addWidget(widget)
+        column.addStretch(1)
+        column.addLayout(choice)
+        plots = QVBoxLayout()
+        plots.setSpacing(8)
+        for card, share in zip(self.cards, (3, 2), strict=True):
+            card.setMinimumHeight(140)
+            plots.addWidget(card, share)
+        row = FoldingBox(_ONE_ROW, self)
+        row.setContentsMargins(0, 6, 0, 0)
+        row.setSpacing(8)
+        row.addWidget(side)
+        row.addLayout(plots, 1)
+
+
+class _GapBars(QWidget):
+    """Bars with values: gap before, gap after, noise alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._theme = LIGHT
+        self._rows: list[tuple[str, float, str]] = []
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def show_gap(self, before: float, after: float | None, noise: float) -> None:
+        """Show the shares; ``after`` is None if no effect was fitted."""
+        self._rows = [(_("Before"), before, "model")]
+        if after is not None:
+            self._rows.append((_("After"), after, "measured"))
+        self._rows.append((_("Noise alone"), noise, "check"))
+        values = ", ".join(f"{name} {_percent(share)}" for name, share, _level in self._rows)
+        self.setAccessibleName(_("Gap: {values}").format(values=values))
+        self.updateGeometry()
+        self.update()
+
+    def apply_theme(self, theme: Theme) -> None:
+        """Apply the colours of a theme."""
+        self._theme = theme
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return a height of one line per bar."""
+        return QSize(220, 26 * max(len(self._rows), 3))
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802
+        """Draw the bars."""
+        painter = QPainter(self)
+        known = [share for _, share, _ in self._rows if np.isfinite(share)]
+        most = max(known, default=1.0) or 1.0
+        letters = self.fontMetrics()
+        name_width = 8.0 + max((letters.horizontalAdvance(name) for name, _, _ in self._rows), default=0)
+        figure_width = 62.0
+        room = max(self.width() - name_width - figure_width, 10.0)
+        for place, (name, share, role) in enumerate(self._rows):
+            top = 26.0 * place
+            painter.setPen(QColor(self._theme.text))
+            painter.drawText(QRectF(0, top, name_width, 22), Qt.AlignmentFlag.AlignVCenter, name)
+            width = max(room * share / most, 1.0) if np.isfinite(share) else 0.0
+            painter.fillRect(QRectF(name_width, top + 4, width, 14), QColor(getattr(self._theme, role)))
+            figure = QRectF(name_width + width + 6, top, figure_width, 22)
+            painter.drawText(figure, Qt.AlignmentFlag.AlignVCenter, _percent(share))
+
+
+def _percent(share: float) -> str:
+    return f"{number(100.0 * share, 3)} %" if np.isfinite(share) else _("unknown")

@@ -1,0 +1,159 @@
+"""List of diagnoses: session, verdict, stage and effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtWidgets import QLabel, QListWidget, QListWidgetItem, QPushButton, QVBoxLayout, QWidget
+
+from tissueid.app.views.gap.diagnosis_result import DiagnosisResult, State
+from tissueid.app.views.gap.displayed_text import STAGE_TITLES, STATE_TITLES, VERDICT_TITLES, as_title
+from tissueid.formatting import clean
+from tissueid.language import _
+
+_WIDTH, _LEAST_WIDTH = 196, 120
+_MOST = 20
+_LONGEST = 40
+
+
+class DiagnosisList(QWidget):
+    """Diagnoses, newest first. ``chosen`` is emitted when the selection changes.
+
+    ``removed`` and ``returned`` carry one that was removed, or brought back.
+    """
+
+    chosen = Signal()
+    removed = Signal(object)
+    returned = Signal(object)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setMinimumWidth(_LEAST_WIDTH)
+        self.setMaximumWidth(_WIDTH)
+        self._results: list[DiagnosisResult] = []
+        self._states: list[State] = []
+        self.list = QListWidget()
+        self.list.setAccessibleName(_("Diagnoses, newest first"))
+        self.list.setWordWrap(True)
+        self.list.setSpacing(2)
+        self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.list.currentRowChanged.connect(self._tell)
+        self.remove = QPushButton(_("Remove"))
+        self.remove.setAccessibleName(_("Remove the chosen diagnosis from the list"))
+        self.remove.setToolTip(_("Delete does the same; Ctrl+Z brings it back"))
+        self.remove.clicked.connect(self._remove)
+        self._removed: tuple[int, DiagnosisResult] | None = None
+        for keys, slot in (
+            (QKeySequence.StandardKey.Delete, self._remove),
+            (QKeySequence.StandardKey.Undo, self._undo),
+        ):
+            shortcut = QShortcut(QKeySequence(keys), self)
+            shortcut.setContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            shortcut.activated.connect(slot)
+        heading = QLabel(_("Diagnoses"))
+        heading.setProperty("role", "heading")
+        column = QVBoxLayout(self)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.setSpacing(6)
+        column.addWidget(heading)
+        column.addWidget(self.list, 1)
+        column.addWidget(self.remove)
+        self._tell()
+
+    @property
+    def result(self) -> DiagnosisResult | None:
+        """The selected diagnosis."""
+        row = self.list.currentRow()
+        return self._results[row] if 0 <= row < len(self._results) else None
+
+    @property
+    def state(self) -> State:
+        """State of the session file of the selected diagnosis."""
+        row = self.list.currentRow()
+        return self._states[row] if 0 <= row < len(self._states) else ""
+
+    def add(self, result: DiagnosisResult) -> None:
+        """Add a diagnosis at the top and select it; remove the oldest beyond the maximum."""
+        self._put(0, result)
+
+    def restore(self, results: Sequence[DiagnosisResult]) -> None:
+        """Append stored diagnoses, newest first; the selection stays."""
+        there = {result.key for result in self._results}
+        self.list.blockSignals(True)
+        for result in results:
+            if result.key not in there and len(self._results) < _MOST:
+                self._insert(len(self._results), result)
+        self.list.blockSignals(False)
+
+    def look(self) -> None:
+        """Check the session files again."""
+        for row, result in enumerate(self._results):
+            if (state := result.state) != self._states[row]:
+                self._states[row] = state
+                self._show_words(row)
+                if row == self.list.currentRow():
+                    self.chosen.emit()
+
+    def _put(self, place: int, result: DiagnosisResult) -> None:
+        self.list.blockSignals(True)
+        self._insert(place, result)
+        while len(self._results) > _MOST:
+            self._results.pop()
+            self._states.pop()
+            self.list.takeItem(len(self._results))
+        self.list.setCurrentRow(min(place, len(self._results) - 1))
+        self.list.blockSignals(False)
+        self._tell()
+
+    def _insert(self, place: int, result: DiagnosisResult) -> None:
+        self._results.insert(place, result)
+        self._states.insert(place, result.state)
+        self.list.insertItem(place, QListWidgetItem())
+        self._show_words(place)
+
+    def _show_words(self, row: int) -> None:
+        result, item = self._results[row], self.list.item(row)
+        words = _words(result, self._states[row])
+        item.setText("\n".join(words))
+        made = _("Diagnosed {when}").format(when=f"{result.when.astimezone():%Y-%m-%d %H:%M}")
+        item.setToolTip(f"{clean(str(result.asked.session))}\n{made}")
+        item.setData(Qt.ItemDataRole.AccessibleTextRole, ", ".join(words))
+
+    def _remove(self) -> None:
+        row = self.list.currentRow()
+        if 0 <= row < len(self._results):
+            self.list.blockSignals(True)
+            self._removed = row, self._results.pop(row)
+            self._states.pop(row)
+            self.list.setFocus()  # the button may have nothing more to do; here the keys for the list are heard
+            self.list.takeItem(row)
+            self.list.blockSignals(False)
+            self._tell()
+            self.removed.emit(self._removed[1])
+
+    def _undo(self) -> None:
+        """Restore the diagnosis that was removed last."""
+        if self._removed is not None:
+            (place, result), self._removed = self._removed, None
+            self._put(min(place, len(self._results)), result)
+            self.returned.emit(result)
+
+    def _tell(self) -> None:
+        self.remove.setEnabled(self.result is not None)
+        self.chosen.emit()
+
+
+def _words(result: DiagnosisResult, state: State) -> list[str]:
+    story = result.story
+    words = [clean(result.asked.session.name)[:_LONGEST], _(VERDICT_TITLES[story.verdict])]
+    if story.at_fault:
+        words[1] += f"  ·  {', '.join(_(STAGE_TITLES[stage]) for stage in story.at_fault)}"
+    if story.effect:
+        words.append(as_title(story.effect))
+    if result.twin is not None:
+        words.append(_("from twin {name}").format(name=result.twin.name))
+    if state:
+        words.append(_(STATE_TITLES[state]))
+    return words

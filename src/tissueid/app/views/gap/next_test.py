@@ -1,0 +1,130 @@
+"""The proposed next test: its purpose, the settings of its form, and what to do by hand."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from itertools import count, pairwise
+from pathlib import Path
+from typing import Any
+
+from tissueid.app.views.gap.displayed_text import as_sentence, as_title
+from tissueid.app.views.gap.page_content import Proposal
+from tissueid.device import DeviceDescription
+from tissueid.formatting import clean
+from tissueid.gap.candidate_tests import candidate_tests
+from tissueid.gap.diagnosis import Diagnosis
+from tissueid.gap.next_experiment import odds
+from tissueid.instrument.twin_list import model_of_file, twin_url, twins_in
+from tissueid.language import _, marked
+from tissueid.messages import Message
+from tissueid.sessions import Session
+from tissueid.stimuli.kinds.noise import Noise
+
+_OPTIONS = {"--min-force": "min_force_n", "--max-force": "max_force_n", "--seconds": "seconds"}
+_PUT = {
+    "spring": marked("Put the calibration spring under the probe in place of the tissue."),
+    "free_air": marked(
+        "Lay the instrument level, with nothing under the probe and nothing in its way, and push the probe to the "
+        "middle of its stroke."
+    ),
+}
+"""Test: what to put under the probe in place of tissue."""
+
+
+def proposal_of(found: Diagnosis, session: Session) -> Proposal | None:
+    """Return the proposed next test; None if there is no doubt or no test would help."""
+    step = found.next_experiment
+    if step is None:
+        return None
+    instructions = {item.kind: item.instruction for item in candidate_tests(found.dataset)}
+    gains = sorted((step.gains or {step.kind: step.gain_nats}).items(), key=lambda item: -item[1])
+    title = instructions.get(step.kind, step.kind.replace("_", " "))
+    fields = _fields(step.command_line, session) if step.command_line else None
+    return Proposal(
+        title,
+        step.why,
+        tuple((instructions.get(kind, kind.replace("_", " ")), gain, odds(gain)) for kind, gain in gains),
+        fields,
+        "" if fields is not None else _by_hand(title),
+        _PUT.get(step.kind, ""),
+    )
+
+
+def session_url(device: DeviceDescription, twin: Path | None, folders: Sequence[Path]) -> str:
+    """Return the URL of the simulated instrument of a session; "" if the instrument is real or not found.
+
+    Args:
+        device: the instrument of the session; the simulation of a twin states its name and version.
+        twin: the twin that the diagnosis began with.
+        folders: folders that are searched for twins.
+    """
+    if twin is not None and model_of_file(twin) == device.model:
+        return twin_url(twin)
+    known = (twins_in(folder).items() for folder in dict.fromkeys(folders))
+    return next((url for found in known for url, model in found if model == device.model), "")
+
+
+def prepared_words(step: Proposal, device: DeviceDescription, url: str) -> str:
+    """Return the notice for a prepared test: its title, what to put under the probe, which instrument.
+
+    Args:
+        step: the test.
+        device: the instrument of the diagnosed session.
+        url: its URL if the form has chosen it; "" if the form keeps its own choice.
+    """
+    fields = step.fields or {}
+    words = as_title(step.title)
+    if "max_force_n" in fields:
+        words = _("{title}, {low:.1f} to {high:.1f} N as far as the limits allow").format(
+            title=words, low=fields.get("min_force_n", 0.0), high=fields["max_force_n"]
+        )
+    if url:
+        instrument = _("The simulation of the session is chosen as the instrument.")
+    elif device.simulated:
+        instrument = _("The session is of an unknown simulation: choose the simulation as the instrument.")
+    else:
+        instrument = _("Choose the instrument of the session: {model}, {serial}.").format(
+            model=clean(device.model), serial=clean(device.serial_number)
+        )
+    parts = (
+        _("Prepared: {title}.").format(title=words),
+        as_sentence(step.put),
+        instrument,
+        _("Check the instrument and the site, then start the test."),
+    )
+    return " ".join(filter(None, parts))
+
+
+def _by_hand(title: str) -> str:
+    return Message(
+        "gap.by_hand",
+        "By hand: {title}. The window cannot run this test: record it with the program of the instrument, then "
+        "diagnose that session.",
+        title=title,
+    )
+
+
+def _fields(command_line: str, session: Session) -> dict[str, Any]:
+    given = dict(pairwise(shlex.split(command_line)))
+    found: dict[str, Any] = {ours: float(given[option]) for option, ours in _OPTIONS.items() if option in given}
+    found["stimulus_kind"] = given.get("--stimulus", Noise.name)
+    found["distribution"] = given.get("--distribution", "uniform")
+    found["under_probe"] = given.get("--kind", "")
+    used = {_seed(test.stimulus) for test in session.tests}
+    found["seed"] = next(seed for seed in count(1) if seed not in used)
+    site = next((test.site for test in session.tests if test.site), "")
+    site = given.get("--site", "") if found["under_probe"] else site
+    if site:
+        found["site"] = clean(site)[:80]
+    if found["under_probe"]:
+        found["pseudonym"] = ""  # no person is measured
+    elif session.subject.pseudonym:
+        found["pseudonym"] = clean(session.subject.pseudonym)[:80]
+    return found
+
+
+def _seed(stimulus: Mapping[str, Any]) -> int | None:
+    played = stimulus.get("stimulus")
+    seed = played.get("seed") if isinstance(played, dict) else None
+    return seed if isinstance(seed, int) else None

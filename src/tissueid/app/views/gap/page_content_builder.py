@@ -1,0 +1,276 @@
+"""Build the content of the page for a diagnosis: texts, shares, and curves in display units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from tissueid.app.views.gap.next_test import proposal_of
+from tissueid.app.views.gap.page_content import (
+    Fitted,
+    Overlay,
+    PageContent,
+    ProfileContent,
+    Rival,
+    SpectrumContent,
+    StageContent,
+)
+from tissueid.errors import UnusableInputError
+from tissueid.formatting import number
+from tissueid.gap.diagnosis import Diagnosis, Ranked, parameters_of
+from tissueid.gap.error_regions import Profile, Spectrum
+from tissueid.gap.evidence import MARGIN
+from tissueid.gap.statement import (
+    effect_title,
+    headline_of,
+    judged_alone,
+    members_of,
+    next_steps_of,
+    ordered_candidates,
+    percent,
+    sentences_of,
+    with_probability,
+)
+from tissueid.gap.twin_export import twin_of
+from tissueid.language import marked
+from tissueid.messages import Listing, Message, sentences
+from tissueid.records import Estimate
+from tissueid.reports.gap_panels import largest_held_out_error, simulated_signal
+from tissueid.sessions import Session
+from tissueid.twin.catalogue import all_effects
+from tissueid.twin.effect import STAGES, Stage
+
+_UNITS = {"voltage": ("V", 1.0, "mV", 1e3), "current": ("A", 1.0, "mA", 1e3), "position": ("mm", 1e3, "µm", 1e6)}
+"""Signal: display unit and factor from SI, then those of its residual."""
+_PROFILES = (("depth_m", 1e3), ("velocity_m_s", 1e3), ("time_s", 1.0))
+_LEAST_ERROR = 0.01
+
+
+def page_content_of(found: Diagnosis, session: Session) -> PageContent:
+    """Return the content of the page for a diagnosis. Its texts are messages, or constants to be translated."""
+    regions = found.where.regions
+    headline, level = headline_of(found)
+    spectra = [item for item in regions.spectra if item.channel == regions.channel]
+    profiles = {name: _profile(regions.profiles[name], scale) for name, scale in _PROFILES if name in regions.profiles}
+    return PageContent(
+        found.verdict,
+        _titles(found.combination),
+        headline,
+        level,
+        tuple(sentences_of(found)),
+        tuple(next_steps_of(found)),
+        found.remarks,
+        tuple(_stage(found, stage) for stage in STAGES),
+        found.at_fault,
+        _spectrum(spectra[0], regions.bands_hz) if spectra else None,
+        profiles,
+        tuple(_rival(found, item) for item in ordered_candidates(found)),
+        (found.gap.before, None if found.verdict == "no_gap" else found.gap.after, found.gap.floor),
+        _closing(found),
+        _overlays(found),
+        proposal_of(found, session),
+        tuple(_offered(found)),
+    )
+
+
+def _titles(names: Sequence[str]) -> str:
+    if not names:
+        return ""
+    return Message("gap.effects", "{names}", names=Listing(tuple(effect_title(name) for name in names)))
+
+
+def _offered(found: Diagnosis) -> Iterator[tuple[str, str, bool]]:
+    for member in members_of(found):
+        for name, share in ((member.effect, member.probability), *member.rivals):
+            yield name, with_probability(name, share), name == member.effect
+
+
+def _stage(found: Diagnosis, stage: Stage) -> StageContent:
+    where = found.where
+    if found.verdict == "no_gap":
+        only_noise = marked("The residual of the simulation is noise: there is no evidence against this stage.")
+        return StageContent(stage, 0.0, False, (only_noise,))
+    lines: list[str] = [
+        Message(
+            "gap.stage_finding",
+            "{finding}: {error} times the noise of the {channel}.",
+            finding=item.what,
+            error=number(item.error / item.floor, 3),
+            channel=item.channel,
+        )
+        for item in where.findings
+        if item.stage == stage
+    ]
+    lines += [
+        Message(
+            "gap.stage_of_effect",
+            "The effect that explains the gap belongs to this stage: {name}.",
+            name=effect_title(name),
+        )
+        for name in found.combination
+        if name in all_effects() and all_effects()[name].stage == stage
+    ]
+    return StageContent(
+        stage, where.shares[stage], stage in found.at_fault, tuple(lines) or (_no_evidence(found, stage),)
+    )
+
+
+def _no_evidence(found: Diagnosis, stage: Stage) -> str:
+    nearest = found.where.evidence.nearest
+    if stage not in nearest:
+        return marked("There is no evidence against this stage.")
+    times = number(nearest[stage], 3)
+    if nearest[stage] <= MARGIN:
+        return Message(
+            "gap.stage_within_noise",
+            "There is no evidence against this stage: its residual is {times} times the noise.",
+            times=times,
+        )
+    return Message(
+        "gap.stage_elsewhere",
+        "There is no evidence against this stage: its residual is {times} times the noise, which another stage "
+        "explains.",
+        times=times,
+    )
+
+
+def _spectrum(found: Spectrum, bands_hz: tuple[tuple[float, float], ...]) -> SpectrumContent:
+    _unit, _scale, unit, scale = _UNITS[found.channel]
+    least = 0.1 * scale * float(np.sqrt(found.noise[0]))
+    lines = {}
+    for name in ("recorded", "residual", "linear", "even", "odd", "noise"):
+        values = scale * np.sqrt(getattr(found, name))
+        lines[name] = np.log10(np.where(values >= least, values, np.nan))
+    bands = tuple((float(np.log10(max(low, 0.1))), float(np.log10(max(high, 0.1)))) for low, high in bands_hz)
+    return SpectrumContent(found.channel, unit, np.log10(np.maximum(found.frequency_hz, 0.1)), lines, bands)
+
+
+def _profile(found: Profile, scale: float) -> ProfileContent:
+    known = np.isfinite(found.error)
+    middle = 0.5 * scale * (found.edges[1:] + found.edges[:-1])
+    error = np.log10(np.maximum(found.error[known], _LEAST_ERROR))
+    return ProfileContent(middle[known], error, np.asarray(found.above[known]))
+
+
+def _rival(found: Diagnosis, item: Ranked) -> Rival:
+    known = all_effects().get(item.effect)
+    return Rival(
+        effect_title(item.effect),
+        item.stage,
+        item.effect in found.combination,
+        item.probability,
+        _odds(found, item) if np.isfinite(item.probability) else "",
+        _closed(found, item),
+        _titles(item.indistinguishable),
+        "" if known is None else known.signature,
+        "" if known is None else known.remedy,
+        _figures(found, item),
+    )
+
+
+def _closed(found: Diagnosis, item: Ranked) -> str:
+    low, high = item.closed_ci
+    if np.isfinite(item.closed) and np.isfinite(low) and np.isfinite(high):
+        values = {"percent": 100.0 * item.closed, "low": 100.0 * low, "high": 100.0 * high}
+        return Message("gap.closed_interval", "{percent:.0f} % ({low:.0f} to {high:.0f} %)", **values)
+    if np.isfinite(item.closed):
+        return Message("gap.share", "{percent:.0f} %", percent=100.0 * item.closed)
+    if item.effect in found.combination and np.isfinite(found.gap.closed):
+        return Message("gap.closed_together", "{percent:.0f} % together", percent=100.0 * found.gap.closed)
+    return marked("not determined")
+
+
+def _odds(found: Diagnosis, item: Ranked) -> str:
+    share = percent(item.probability)
+    if judged_alone(found, item.effect):
+        return Message("gap.probability_alone", "{share} % alone", share=share)
+    return f"{share} %"
+
+
+def _figures(found: Diagnosis, item: Ranked) -> tuple[Fitted, ...]:
+    values, stds = item.parameters, {}
+    if item.effect in found.combination and found.best is not None:
+        values = parameters_of(found.best, item.effect)
+        try:
+            stds = twin_of(found.best, "").stds
+        except UnusableInputError:
+            stds = {}
+    known = all_effects().get(item.effect)
+    about: dict[str, Any] = {} if known is None else {parameter.name: parameter for parameter in known.parameters}
+    rows = []
+    for name, value in values.items():
+        meaning = (about[name].meaning if name in about else "") or name.replace("_", " ")
+        std = stds.get(f"{item.effect}.{name}")
+        rows.append(Fitted(meaning, Estimate(value, std), about[name].unit if name in about else ""))
+    return tuple(rows)
+
+
+def _closing(found: Diagnosis) -> str:
+    gap = found.gap
+    if found.verdict == "no_gap":
+        return marked("There is no gap to close: the residual is noise.")
+    if not np.isfinite(gap.closed):
+        return marked("No candidate was fitted to the gap.")
+    low, high = gap.closed_ci
+    values = {"percent": 100.0 * gap.closed, "predicted": 100.0 * gap.predicted_closed}
+    if np.isfinite(low) and np.isfinite(high):
+        closed = Message(
+            "gap.closed_percent_interval",
+            "Closed: {percent:.0f}\u00a0% of what noise does not explain (95 %: {low:.0f} to {high:.0f}\u00a0%); "
+            "{predicted:.0f}\u00a0% predicted on the data used for the choice.",
+            low=100.0 * low,
+            high=100.0 * high,
+            **values,
+        )
+    else:
+        closed = Message(
+            "gap.closed_percent",
+            "Closed: {percent:.0f}\u00a0% of what noise does not explain; "
+            "{predicted:.0f}\u00a0% predicted on the data used for the choice.",
+            **values,
+        )
+    if not np.isfinite(found.ceiling):
+        return closed
+    ceiling = Message(
+        "gap.ceiling",
+        "The most that any model closed, physical or not: {percent:.0f}\u00a0%.",
+        percent=100.0 * found.ceiling,
+    )
+    return sentences(closed, ceiling)
+
+
+def _overlays(found: Diagnosis) -> tuple[Overlay, ...]:
+    """Return every signal, the one with the largest gap first; none if every sample was fitted."""
+    worst = found.where.regions.channel
+    if worst not in found.dataset.channels:
+        return ()
+    try:
+        test, first, last = largest_held_out_error(found, worst)
+    except UnusableInputError:
+        return ()
+    shown = slice(first, last)
+    time = np.arange(first, last) / test.sample_rate_hz
+    best = found.best if found.verdict != "no_gap" else None
+    overlays = []
+    for name in sorted(found.dataset.channels, key=lambda name: name != worst):
+        unit, scale, fine_unit, fine = _UNITS[name]
+        recorded = test.signals[name][shown]
+        before = simulated_signal(found.found.baseline, test, name)[shown]
+        after = None if best is None else simulated_signal(best, test, name)[shown]
+        overlays.append(
+            Overlay(
+                name,
+                unit,
+                fine_unit,
+                time,
+                scale * recorded,
+                scale * before,
+                None if after is None else scale * after,
+                fine * (recorded - before),
+                None if after is None else fine * (recorded - after),
+                fine * found.dataset.noise[name],
+            )
+        )
+    return tuple(overlays)

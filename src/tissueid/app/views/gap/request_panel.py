@@ -1,0 +1,348 @@
+"""Input panel of the Gap page: session, baseline twin, and the tests to fit and to check."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from PySide6.QtCore import QObject, QSettings, Qt, Signal
+from PySide6.QtWidgets import (
+    QComboBox,
+    QFileDialog,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QProgressBar,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from tissueid.app.buttons import BigButton
+from tissueid.app.small_window import FoldingBox
+from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest
+from tissueid.app.views.gap.diagnosis_run import parse_test_numbers
+from tissueid.app.views.gap.session_titles import unique_titles
+from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.formatting import clean
+from tissueid.language import _, current_language, marked
+
+NOMINAL = marked("Nominal twin")
+_NEWEST = 20
+"""Maximum number of listed files of the folder."""
+_RECENT = 10
+"""Maximum number of listed files from other folders."""
+_LONGEST = 120
+_SETTING = "gap"
+_ONE_ROW = 640
+_FIELDS_IN_A_ROW = 480
+
+
+class RequestPanel(QFrame):
+    """Input of a diagnosis. Signals: ``wanted`` for Run, ``unwanted`` for Cancel, ``changed`` for the selection."""
+
+    wanted = Signal()
+    unwanted = Signal()
+    changed = Signal()
+
+    def __init__(self, folder: Path, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setProperty("role", "card")
+        self._folder = folder
+        self.session = _FileChoice(_("Session"), _("Open a session"), _("Sessions (*.h5);;All files (*)"), folder)
+        self.twin = _FileChoice(
+            _("Baseline twin"), _("Open a twin"), _("Twins (*.toml);;All files (*)"), folder, first=_(NOMINAL)
+        )
+        self.run = BigButton(_("Run"))
+        self.run.setAccessibleName(_("Run the diagnosis"))
+        self.run.setToolTip(_("Find out where simulated and recorded differ, and why (half a minute to some minutes)"))
+        self.stop = QPushButton(_("Cancel"))
+        self.stop.setAccessibleName(_("Cancel the diagnosis"))
+        self.fold = QToolButton()
+        self.fold.setText(_("Advanced"))
+        self.fold.setProperty("role", "fold")
+        self.fold.setCheckable(True)
+        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.fold.setAccessibleName(_("Advanced: which tests to fit and to check"))
+        self.fit, self.check = QLineEdit(), QLineEdit()
+        self.more = QWidget()
+        self.doing = QLabel()
+        self.doing.setProperty("role", "muted")
+        self.bar = QProgressBar()
+        self.bar.setTextVisible(False)
+        self.bar.setAccessibleName(_("Progress of the diagnosis"))
+        self._arrange()
+        self.run.clicked.connect(self.wanted)
+        self.stop.clicked.connect(self.unwanted)
+        self.fold.toggled.connect(self._unfold)
+        self.session.changed.connect(self.changed)
+        self._unfold(False)
+        self.clear()
+        self.look()
+
+    @property
+    def fields(self) -> list[QWidget]:
+        """Widgets in tab order."""
+        first = [self.session.choice, self.session.open, self.twin.choice, self.twin.open]
+        return [*first, self.run, self.stop, self.fold, self.fit, self.check]
+
+    def asked(self) -> DiagnosisRequest:
+        """Return the current request.
+
+        Raises:
+            UnusableInputError: what is typed are no numbers of tests.
+        """
+        fit, check = (
+            parse_test_numbers(self.fit.text(), _("tests to fit")),
+            parse_test_numbers(self.check.text(), _("to check")),
+        )
+        session, twin = self.session.path or Path(), self.twin.path
+        return DiagnosisRequest(
+            session.absolute(), None if twin is None else twin.absolute(), fit, check, current_language()
+        )
+
+    def put(self, asked: DiagnosisRequest) -> None:
+        """Select the values of an earlier request."""
+        self.session.choose(asked.session)
+        if asked.twin is None:
+            self.twin.choice.setCurrentIndex(0)
+        else:
+            self.twin.choose(asked.twin)
+        for field, numbers in ((self.fit, asked.fit), (self.check, asked.check)):
+            field.setText(", ".join(map(str, numbers)))
+        self.fold.setChecked(bool(asked.fit or asked.check))
+
+    def look(self) -> None:
+        """List the newest files of the folder; the selection stays."""
+        self.session.offer(_newest(self._folder, ".h5"))
+        self.twin.offer(_newest(self._folder, ".toml"))
+
+    def take(self, path: Path) -> None:
+        """Select a dropped file: a twin by its suffix, else a session."""
+        (self.twin if path.suffix == ".toml" else self.session).choose(path)
+
+    def on_session_saved(self, path: Path) -> None:
+        """List a file that was saved."""
+        (self.twin if path.suffix == ".toml" else self.session).add_recent(path)
+        self.look()
+
+    def tell(self, what: str, done: int, total: int) -> None:
+        """Show the progress; a ``total`` of 0 means that the total is unknown."""
+        known = total > 1
+        self.doing.setText(
+            _("{what}: {done} of {total}").format(what=_(what), done=done, total=total) if known else f"{_(what)}…"
+        )
+        self.bar.setRange(0, total if known else 0)
+        self.bar.setValue(done if known else 0)
+
+    def clear(self) -> None:
+        """Hide the progress."""
+        self.doing.hide()
+        self.bar.hide()
+        self.stop.hide()
+
+    def begin(self) -> None:
+        """Show the progress of a new diagnosis."""
+        for widget in (self.doing, self.bar, self.stop):
+            widget.show()
+        self.stop.setEnabled(True)
+        self.tell(_("Starting"), 0, 0)
+
+    def update_enabled(self, *, busy: bool, testing: bool) -> None:
+        """Enable or disable the controls."""
+        for widget in (*self.session.fields, *self.twin.fields, self.fold, self.fit, self.check):
+            widget.setEnabled(not testing)
+        self.run.setEnabled(not busy and self.session.path is not None)
+
+    def restore(self, settings: QSettings) -> None:
+        """Restore the selection of the last start, as far as its files exist."""
+        for name, choice in (("session", self.session), ("twin", self.twin)):
+            for recent in reversed(load_texts(settings, f"{_SETTING}/recent_{name}s")[:_RECENT]):
+                choice.add_recent(Path(recent))
+            kept = str(settings.value(f"{_SETTING}/{name}", ""))
+            if kept and Path(kept).is_file():
+                choice.choose(Path(kept))
+        self.look()
+        self.fit.setText(str(settings.value(f"{_SETTING}/fit", "")))
+        self.check.setText(str(settings.value(f"{_SETTING}/check", "")))
+        self.fold.setChecked(bool(self.fit.text() or self.check.text()))
+
+    def save(self, settings: QSettings) -> None:
+        """Save the selection."""
+        settings.setValue(f"{_SETTING}/session", str(self.session.path or ""))
+        settings.setValue(f"{_SETTING}/twin", str(self.twin.path or ""))
+        for name, choice in (("session", self.session), ("twin", self.twin)):
+            save_texts(settings, f"{_SETTING}/recent_{name}s", [str(path) for path in choice.recent])
+        settings.setValue(f"{_SETTING}/fit", self.fit.text())
+        settings.setValue(f"{_SETTING}/check", self.check.text())
+
+    def _unfold(self, opened: bool) -> None:
+        self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
+        self.more.setVisible(opened)
+
+    def _arrange(self) -> None:
+        choices = FoldingBox(_ONE_ROW)
+        choices.setSpacing(8)
+        for choice, share in ((self.session, 3), (self.twin, 2)):
+            label = QLabel(choice.choice.accessibleName())
+            label.setProperty("role", "field")
+            row = QHBoxLayout()
+            row.setSpacing(6)
+            row.addWidget(choice.choice, 1)
+            row.addWidget(choice.open)
+            column = QVBoxLayout()
+            column.setSpacing(2)
+            column.addWidget(label)
+            column.addLayout(row)
+            choices.addLayout(column, share)
+        choices.addWidget(self.run, 0, Qt.AlignmentFlag.AlignBottom | Qt.AlignmentFlag.AlignRight)
+        inside = FoldingBox(_FIELDS_IN_A_ROW, self.more)
+        inside.setContentsMargins(0, 0, 0, 0)
+        for words, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check)):
+            label = QLabel(words)
+            label.setBuddy(field)
+            field.setAccessibleName(_("{field}, numbers with commas between").format(field=words))
+            field.setPlaceholderText(_("chosen by itself"))
+            field.setMaxLength(200)
+            field.setFixedWidth(130)
+            pair = QHBoxLayout()
+            pair.addWidget(label)
+            pair.addWidget(field)
+            pair.addSpacing(10)
+            inside.addLayout(pair)
+        below = QHBoxLayout()
+        below.setSpacing(10)
+        below.addWidget(self.fold)
+        below.addWidget(self.more)
+        below.addStretch(1)
+        below.addWidget(self.doing)
+        self.bar.setFixedWidth(150)
+        below.addWidget(self.bar)
+        below.addWidget(self.stop)
+        rows = QVBoxLayout(self)
+        rows.setContentsMargins(12, 6, 12, 6)
+        rows.setSpacing(4)
+        rows.addLayout(choices)
+        rows.addLayout(below)
+
+
+class _FileChoice(QObject):
+    """A list of files and a button that opens others.
+
+    ``recent`` are files from outside the folder that were saved or opened, newest first.
+    """
+
+    changed = Signal()
+
+    def __init__(self, name: str, title: str, kinds: str, folder: Path, first: str = "") -> None:
+        super().__init__()
+        self._title, self._kinds, self._folder, self._first = title, kinds, folder, first
+        self._titles: dict[Path, str] = {}
+        self.recent: list[Path] = []
+        self.choice = QComboBox()
+        self.choice.setAccessibleName(name)
+        self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.choice.setMinimumContentsLength(12)
+        self.choice.setPlaceholderText(_("No session: open one, or drop its file here"))
+        self.open = QPushButton(_("Open…"))
+        self.open.setAccessibleName(f"{title}…")
+        self.open.clicked.connect(self._ask)
+        self.choice.currentIndexChanged.connect(self._tell)
+        if first:
+            self.choice.addItem(first, "")
+
+    @property
+    def fields(self) -> tuple[QWidget, ...]:
+        """The controls."""
+        return self.choice, self.open
+
+    @property
+    def path(self) -> Path | None:
+        """The selected file; None for no selection or the first entry."""
+        found = self.choice.currentData()
+        return Path(found) if found else None
+
+    @property
+    def untitled(self) -> list[Path]:
+        """Listed files whose titles were not read yet."""
+        return [path for path in self._offered if path not in self._titles]
+
+    def offer(self, paths: list[Path]) -> None:
+        """List recent files from other folders, then ``paths``; the selection stays."""
+        kept = self.path
+        self.choice.blockSignals(True)
+        self.choice.clear()
+        if self._first:
+            self.choice.addItem(self._first, "")
+        for path in dict.fromkeys([*(path for path in self.recent if path not in paths), *paths]):
+            self.choice.addItem("", str(path))
+        self._show_titles()
+        place = self.choice.findData(str(kept)) if kept else -1
+        self.choice.setCurrentIndex(place if place >= 0 else 0 if self.choice.count() else -1)
+        self.choice.blockSignals(False)
+        self._tell()
+
+    def choose(self, path: Path) -> None:
+        """Select a file from any folder."""
+        place = self.choice.findData(str(path))
+        if place < 0:
+            self.add_recent(path)
+            place = 1 if self._first else 0
+            self.choice.insertItem(place, "", str(path))
+            self._show_titles()
+        self.choice.setCurrentIndex(place)
+
+    def add_recent(self, path: Path) -> None:
+        """Add a file from another folder, and mark its title for reading."""
+        self._titles.pop(path, None)
+        if path.parent != self._folder:
+            self.recent = [path, *(other for other in self.recent if other != path)][:_RECENT]
+
+    def entitle(self, titles: Mapping[Path, str | None]) -> None:
+        """Show titles in place of file names; remove missing files (None) from the recent ones."""
+        self._titles |= {path: title or "" for path, title in titles.items()}
+        self.recent = [path for path in self.recent if titles.get(path, "") is not None]
+        self._show_titles()
+
+    @property
+    def _offered(self) -> list[Path]:
+        return [Path(found) for place in range(self.choice.count()) if (found := self.choice.itemData(place))]
+
+    def _show_titles(self) -> None:
+        called = unique_titles({path: self._titles.get(path, "") for path in self._offered})
+        for place in range(self.choice.count()):
+            if found := self.choice.itemData(place):
+                self.choice.setItemText(place, called[Path(found)][:_LONGEST])
+                self.choice.setItemData(place, clean(found), Qt.ItemDataRole.ToolTipRole)
+
+    def _tell(self) -> None:
+        self.choice.setToolTip(clean(str(self.path or "")))
+        self.changed.emit()
+
+    def _ask(self) -> None:
+        dialog = QFileDialog(self.open, self._title, str((self.path or self._folder / "x").parent), self._kinds)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self._take)
+        dialog.open()
+
+    def _take(self, path: str) -> None:
+        self.choose(Path(path))
+
+
+def _newest(folder: Path, suffix: str) -> list[Path]:
+    """Return the newest files with a suffix; none if the folder cannot be read."""
+    dated = []
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.endswith(suffix) and not entry.name.startswith("."):
+                    with contextlib.suppress(OSError):  # it has just gone
+                        dated.append((entry.stat().st_mtime, Path(entry.path)))
+    except OSError:
+        return []
+    return [path for _, path in sorted(dated, reverse=True)][:_NEWEST]

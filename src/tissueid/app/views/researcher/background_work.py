@@ -1,0 +1,109 @@
+"""Work in a thread with progress and cancellation, and the strip that shows it."""
+
+from __future__ import annotations
+
+import threading
+
+from PySide6.QtCore import QSize, QTimer
+from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
+
+from tissueid.app.elided_label import ElidedLabel
+from tissueid.errors import CancelledError
+from tissueid.language import _
+
+_LOOK_MS = 60
+_STEPS = 1000
+_WIDTH = 240
+"""Pixels of the strip; its words are cut before its button is."""
+
+
+class BackgroundWork:
+    """Work with progress. Its thread reports the ``fraction`` done and stops soon after a cancellation."""
+
+    def __init__(self, words: str) -> None:
+        self.words = words
+        self.fraction = 0.0
+        self._cancelled = threading.Event()
+
+    def tell(self, fraction: float) -> None:
+        """Report the fraction done, 0 to 1.
+
+        Raises:
+            CancelledError: the work was cancelled.
+        """
+        self.fraction = fraction
+        if self._cancelled.is_set():
+            raise CancelledError("cancelled")
+
+    def cancel(self) -> None:
+        """Request cancellation."""
+        self._cancelled.set()
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether cancellation was requested."""
+        return self._cancelled.is_set()
+
+
+class ProgressStrip(QWidget):
+    """Progress bar of the running work with a button that cancels it; hidden when idle."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._errand: BackgroundWork | None = None
+        self._words = ElidedLabel()
+        self._words.setProperty("role", "muted")
+        self._bar = QProgressBar()
+        self._bar.setRange(0, _STEPS)
+        self._bar.setTextVisible(False)
+        self._bar.setAccessibleName(_("Progress"))
+        self.stop = QPushButton(_("Cancel"))
+        self.stop.setProperty("role", "small")  # it stands in the corner of a bar of tabs
+        self.stop.setAccessibleName(_("Cancel the running work"))
+        self.stop.clicked.connect(self.cancel)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(self._words, 2)
+        row.addWidget(self._bar, 1)
+        row.addWidget(self.stop)
+        self._timer = QTimer(self)
+        self._timer.setInterval(_LOOK_MS)
+        self._timer.timeout.connect(self._look)
+        keep = self.sizePolicy()
+        keep.setRetainSizeWhenHidden(True)
+        self.setSizePolicy(keep)
+        self.hide()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Return a fixed width, because the corner of the tabs cuts a wider widget."""
+        return QSize(_WIDTH, super().sizeHint().height())
+
+    def watch(self, errand: BackgroundWork) -> None:
+        """Show the progress of work until :meth:`clear`."""
+        self._errand = errand
+        self.stop.setEnabled(True)
+        self._words.setText(errand.words)
+        self._bar.setAccessibleName(errand.words)
+        self._bar.setValue(0)
+        self._timer.start()
+        self.show()
+
+    def clear(self) -> None:
+        """Hide the strip."""
+        self._errand = None
+        self._timer.stop()
+        self.hide()
+
+    def cancel(self) -> None:
+        """Request cancellation."""
+        if self._errand is not None:
+            self._errand.cancel()
+            self.stop.setEnabled(False)
+            self._words.setText(_("Stopping…"))
+
+    def _look(self) -> None:
+        if self._errand is not None:
+            self._bar.setValue(round(_STEPS * self._errand.fraction))
+
+
+__all__ = ["BackgroundWork", "ProgressStrip"]

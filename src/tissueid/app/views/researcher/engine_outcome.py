@@ -1,0 +1,92 @@
+"""Result of an engine on a test, without the record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from tissueid.analysis import Analysis
+from tissueid.app.file_stamp import Stamp
+from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels, short_label
+from tissueid.app.views.researcher.plot_data import PlotData
+from tissueid.app.views.researcher.plot_data_builder import plot_data_of
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.identification import FitReport, engine_label
+from tissueid.language import _
+
+_NOTHING = PlotData({}, {}, (), {})
+
+
+@dataclass(frozen=True, eq=False)
+class EngineOutcome:
+    """Result of an engine on one test, or on several fitted together; ``refused`` is the reason if there is none.
+
+    ``signals`` names input and output. ``stamp`` is that of the file when it was fitted; ``changed`` says that the file
+    is another one now. ``recommended`` marks the engine that a comparison recommends.
+    """
+
+    engine: str
+    options: dict[str, Any]
+    tests: tuple[SelectedTest, ...]
+    signals: tuple[str, str]
+    report: FitReport | None = None
+    validated_on: str = ""
+    plots: PlotData = field(default=_NOTHING)
+    findings: tuple[str, ...] = ()
+    refused: str = ""
+    stamp: Stamp | None = None
+    recommended: bool = False
+    changed: bool = False
+
+    @classmethod
+    def of(
+        cls, analysis: Analysis, options: dict[str, Any], tests: Sequence[SelectedTest], signals: tuple[str, str]
+    ) -> EngineOutcome:
+        """Return the result of an analysis."""
+        pictures, findings = plot_data_of(analysis)
+        report = analysis.model.report
+        validated_on = analysis.validated_on
+        return cls(report.engine, options, tuple(tests), signals, report, validated_on, pictures, findings)
+
+    def bare(self) -> EngineOutcome:
+        """Return a copy without curves."""
+        without = _("There are too many results to keep all curves: run this test alone.")
+        pictures = PlotData({}, self.plots.units, (), dict.fromkeys((*self.plots.lines, *self.plots.missing), without))
+        return replace(self, plots=pictures)
+
+    @property
+    def without_curves(self) -> bool:
+        """Whether the result was stored without its curves."""
+        return self.report is not None and not self.plots.lines and not self.plots.images
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Identity of a result: a later result with the same key replaces it."""
+        return self.engine, repr(self.options), tuple((test.path, test.number) for test in self.tests), self.signals
+
+    @property
+    def test_label(self) -> str:
+        """Date, time and number of the first test, or its label."""
+        first = short_label(self.tests[0])
+        return (
+            first
+            if len(self.tests) == 1
+            else _("{first} and {count} more").format(first=first, count=len(self.tests) - 1)
+        )
+
+    @property
+    def label(self) -> str:
+        """Engine and tests."""
+        return f"{engine_label(self.engine)}, {distinguishing_labels([self.tests])[1][0]}"
+
+
+def keys_of(outcomes: Sequence[EngineOutcome]) -> tuple[str, list[str]]:
+    """Return what outcomes have in common and the name of each in a legend: engine, and what distinguishes its test."""
+    common, labels = distinguishing_labels([outcome.tests for outcome in outcomes])
+    engines = [engine_label(outcome.engine) for outcome in outcomes]
+    if len(outcomes) > 1 and len(set(labels)) == 1:
+        return labels[0], engines
+    if len(outcomes) > 1 and len(set(engines)) == 1:
+        return ", ".join(filter(None, [engines[0], common])), labels
+    return common, [", ".join(filter(None, pair)) for pair in zip(engines, labels, strict=True)]

@@ -1,0 +1,225 @@
+"""Results of analyses in a file of JSON lines. Its content is validated when it is read.
+
+Specifications, scores and parameters are kept, curves are not: those are fitted again when they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from tissueid.app.file_stamp import Stamp, stamp_of
+from tissueid.app.views.researcher.analysis_task import MOST_TESTS, Name, TestRef, Text, Value
+from tissueid.app.views.researcher.engine_outcome import EngineOutcome
+from tissueid.app.views.researcher.plot_data import PlotData
+from tissueid.app.views.researcher.plot_panels import PANELS
+from tissueid.app.views.researcher.selected_test import SelectedTest
+from tissueid.atomic_write import atomic_file, open_regular, private_folder
+from tissueid.identification import FitReport
+from tissueid.language import _
+from tissueid.messages import message_from, stored
+from tissueid.records import Estimate
+
+NAME = "results.jsonl"
+MOST_RESULTS = 5000
+_LONGEST_LINE = 500_000
+_LONGEST_FILE = 100_000_000
+"""Bytes; a result takes some two thousand."""
+_Words = Annotated[tuple[Annotated[str, Field(max_length=5000)], ...], Field(max_length=200)]
+_Messages = Annotated[
+    dict[str, Annotated[tuple[dict[str, Any] | None, ...], Field(max_length=200)]], Field(max_length=8)
+]
+"""Code, template and values of texts by the name of their field, next to the texts; None for plain text."""
+_Number = float | None
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Report(_Line):
+    """The stored form of a ``FitReport``; values that are not finite are None."""
+
+    engine: Name
+    options: Annotated[dict[Name, Any], Field(max_length=60)]
+    n_samples: Annotated[int, Field(ge=0)]
+    n_parameters: Annotated[int, Field(ge=0)]
+    vaf_percent: _Number
+    vaf_validation_percent: _Number
+    validation_p_value: _Number
+    vaf_scheduled_percent: _Number
+    aic: _Number
+    aicc: _Number
+    parameters: Annotated[dict[Name, tuple[_Number, _Number]], Field(max_length=200)]
+    seconds: _Number
+    warnings: _Words
+    findings: _Words
+    details: Annotated[dict[Name, _Number], Field(max_length=200)]
+    messages: _Messages = {}
+
+    @classmethod
+    def of(cls, report: FitReport) -> _Report:
+        """Return the stored form of a report."""
+        plain = {field.name: getattr(report, field.name) for field in fields(report)}
+        numbers = {name: _finite(value) for name, value in plain.items() if isinstance(value, float)}
+        plain["parameters"] = {name: (_finite(e.value), _finite(e.std)) for name, e in report.parameters.items()}
+        plain["details"] = {name: _finite(value) for name, value in report.details.items()}
+        plain["messages"] = _stored(warnings=report.warnings, findings=report.findings)
+        return cls(**plain | numbers)
+
+    @property
+    def report(self) -> FitReport:
+        """The report."""
+        plain = {name: getattr(self, name) for name in type(self).model_fields if name != "messages"}
+        plain |= {name: _restored(self.messages, name, plain[name]) for name in ("warnings", "findings")}
+        plain["vaf_percent"] = math.nan if self.vaf_percent is None else self.vaf_percent
+        plain["parameters"] = {
+            name: Estimate(math.nan if value is None else value, std) for name, (value, std) in self.parameters.items()
+        }
+        plain["details"] = {name: math.nan if value is None else value for name, value in self.details.items()}
+        return FitReport(**plain)
+
+
+class _Result(_Line):
+    """The stored form of an ``EngineOutcome``, without curves."""
+
+    engine: Name
+    options: Annotated[dict[Name, Value], Field(max_length=60)]
+    tests: Annotated[tuple[TestRef, ...], Field(min_length=1, max_length=MOST_TESTS)]
+    signals: tuple[Name, Name]
+    report: _Report | None
+    validated_on: Text
+    units: Annotated[dict[Name, Annotated[str, Field(max_length=40)]], Field(max_length=40)]
+    findings: _Words
+    refused: Annotated[str, Field(max_length=5000)]
+    stamp: Stamp | None
+    recommended: bool
+    messages: _Messages = {}
+
+    @classmethod
+    def of(cls, outcome: EngineOutcome) -> _Result:
+        """Return the stored form of a result."""
+        return cls(
+            engine=outcome.engine,
+            options=outcome.options,
+            tests=tuple(map(TestRef.of, outcome.tests)),
+            signals=outcome.signals,
+            report=None if outcome.report is None else _Report.of(outcome.report),
+            validated_on=outcome.validated_on,
+            units={str(panel): unit for panel, unit in outcome.plots.units.items()},
+            findings=outcome.findings,
+            refused=outcome.refused,
+            stamp=outcome.stamp,
+            recommended=outcome.recommended,
+            messages=_stored(
+                validated_on=(outcome.validated_on,), findings=outcome.findings, refused=(outcome.refused,)
+            ),
+        )
+
+    def outcome(self, stamp: Stamp | None) -> EngineOutcome:
+        """Return the result; ``stamp`` is the current one of its file."""
+        words = dict.fromkeys(PANELS, _("Kept from an earlier start, without its curves: Refit draws them."))
+        units = {panel: self.units[panel] for panel in PANELS if panel in self.units}
+        tests: tuple[SelectedTest, ...] = tuple(test.chosen for test in self.tests)
+        return EngineOutcome(
+            self.engine,
+            dict(self.options),
+            tests,
+            self.signals,
+            None if self.report is None else self.report.report,
+            _restored(self.messages, "validated_on", (self.validated_on,))[0],
+            PlotData({}, units, (), words),
+            _restored(self.messages, "findings", self.findings),
+            _restored(self.messages, "refused", (self.refused,))[0],
+            self.stamp,
+            self.recommended,
+            changed=stamp != self.stamp,
+        )
+
+
+@dataclass(frozen=True)
+class StoredResults:
+    """Results in the order of the table, and the number of unreadable lines."""
+
+    outcomes: tuple[EngineOutcome, ...]
+    bad: int
+
+
+def write_results(path: Path, outcomes: Sequence[EngineOutcome]) -> None:
+    """Write results, readable by their owner only; results that would not pass validation are skipped.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    private_folder(path.parent)
+    with atomic_file(path) as partial, partial.open("wb") as file:
+        for line in _lines(outcomes[-MOST_RESULTS:]):
+            file.write(line)
+
+
+def _lines(outcomes: Sequence[EngineOutcome]) -> Iterator[bytes]:
+    size = 0
+    for outcome in outcomes:
+        try:
+            line = _Result.of(outcome).model_dump_json().encode() + b"\n"
+        except (ValidationError, ValueError):
+            continue
+        size += len(line)
+        if len(line) <= _LONGEST_LINE and size <= _LONGEST_FILE:
+            yield line
+
+
+def read_results(path: Path) -> StoredResults:
+    """Read results and check whether their sessions have changed. A missing file is empty.
+
+    Raises:
+        OSError: it is there and cannot be read.
+    """
+    try:
+        with open_regular(path) as file:
+            data = file.read(_LONGEST_FILE)
+    except FileNotFoundError:
+        return StoredResults((), 0)
+    outcomes: list[EngineOutcome] = []
+    stamps: dict[str, Stamp | None] = {}
+    bad = 0
+    for line in data.split(b"\n"):
+        if not line.strip():
+            continue
+        try:
+            if len(line) > _LONGEST_LINE or len(outcomes) >= MOST_RESULTS:
+                raise ValueError("too long")
+            result = _Result.model_validate_json(line)
+        except (ValidationError, ValueError, RecursionError):
+            bad += 1
+            continue
+        first = result.tests[0].path
+        if first not in stamps:
+            stamps[first] = stamp_of(Path(first))
+        outcomes.append(result.outcome(stamps[first]))
+    return StoredResults(tuple(outcomes), bad)
+
+
+def _stored(**texts: Sequence[str]) -> dict[str, tuple[dict[str, Any] | None, ...]]:
+    """Return code, template and values of texts, by the name of their field."""
+    return {name: tuple(map(stored, values)) for name, values in texts.items()}
+
+
+def _restored(messages: Mapping[str, Sequence[Any]], name: str, texts: Sequence[str]) -> tuple[str, ...]:
+    """Return the texts of a field as the messages that were stored with them; a text without one stays as it is."""
+    found = messages.get(name, ())
+    if len(found) != len(texts):
+        return tuple(texts)
+    return tuple(message_from(message, text) for message, text in zip(found, texts, strict=True))
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+__all__ = ["MOST_RESULTS", "NAME", "StoredResults", "read_results", "write_results"]

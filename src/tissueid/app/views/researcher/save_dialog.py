@@ -1,0 +1,110 @@
+"""Dialogs that save a table or figure. A file is replaced only after a question."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from PySide6.QtCore import QObject, Qt
+from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
+
+from tissueid.app.context import AppContext
+from tissueid.app.views.researcher.saved_files import FIGURES, free_name, write_figure, write_table
+from tissueid.language import _, marked
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_TABLES = {".csv": marked("Comma-separated values (*.csv)")}
+Write = Callable[[Path], Path]
+
+
+class SavableFigure(Protocol):
+    """A figure that can be saved; its title becomes the file name."""
+
+    @property
+    def title(self) -> str:
+        """Title of the figure."""
+
+    def draw(self) -> Figure:
+        """Draw the figure; called in the thread that writes the file."""
+
+
+class SaveDialog(QObject):
+    """Saves tables and figures through a dialog, and reports the result in the window."""
+
+    def __init__(self, context: AppContext, parent: QWidget) -> None:
+        super().__init__(parent)
+        self._context = context
+        self._over = parent
+        self._write: Write | None = None
+        self._path = Path()
+
+    def save_table(self, rows: Sequence[Sequence[str]]) -> None:
+        """Ask for a file, and write rows into it as CSV."""
+        self._write = functools.partial(write_table, rows=rows)
+        self._ask(_("Save the table of results"), _TABLES, _("results"))
+
+    def save_figure(self, figure: SavableFigure, folder: Path | None = None) -> None:
+        """Ask for a file, and draw a figure into it."""
+        self._write = functools.partial(write_figure, draw=figure.draw)
+        self._ask(_("Save the figure"), FIGURES, figure.title, folder)
+
+    def _ask(self, title: str, kinds: Mapping[str, str], name: str, folder: Path | None = None) -> None:
+        where, endings = folder or self._context.services.folder, list(kinds)
+        words = {_(text): ending for ending, text in kinds.items()}
+        dialog = QFileDialog(self._over, title, str(where), ";;".join(words))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setOption(QFileDialog.Option.DontConfirmOverwrite)  # asked here, the same way on every system
+        dialog.setDefaultSuffix(endings[0][1:])
+        dialog.selectFile(free_name(where, name, endings[0]))
+        dialog.filterSelected.connect(functools.partial(_take_ending, dialog, words))
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self._chosen)
+        dialog.open()
+
+    def _chosen(self, name: str) -> None:
+        self._path = Path(name)
+        if not self._path.exists():
+            self._begin()
+            return
+        question = QMessageBox(
+            QMessageBox.Icon.Warning,
+            _("Replace the file?"),
+            _("{name} is there already. Replace it?").format(name=self._path.name),
+            QMessageBox.StandardButton.Cancel,
+            self._over,
+        )
+        question.setTextFormat(Qt.TextFormat.PlainText)
+        replace = question.addButton(_("Replace"), QMessageBox.ButtonRole.DestructiveRole)
+        question.setDefaultButton(QMessageBox.StandardButton.Cancel)
+        question.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        replace.clicked.connect(self._begin)
+        question.open()
+
+    def _begin(self) -> None:
+        if self._context.busy or self._write is None:
+            self._context.say(_("Not saved: other work is running. Try again."), problem=True)
+            return
+        self._context.jobs.do(functools.partial(self._write, self._path), self._written, self._failed)
+
+    def _written(self, path: Path) -> None:
+        self._context.say(_("Saved in {path}.").format(path=path))
+
+    def _failed(self, words: str) -> None:
+        self._context.say(words, problem=True)
+
+
+def _take_ending(dialog: QFileDialog, words: Mapping[str, str], kind: str) -> None:
+    """Set the suffix of the file name to that of the selected filter."""
+    ending = words.get(kind, "")
+    dialog.setDefaultSuffix(ending[1:])
+    for name in dialog.selectedFiles()[:1]:
+        path = Path(name)
+        if path.suffix.lower() in FIGURES and ending:
+            dialog.selectFile(path.with_suffix(ending).name)
+
+
+__all__ = ["SavableFigure", "SaveDialog"]

@@ -1,0 +1,74 @@
+"""The state of the window between two starts: everything except subject and site."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QByteArray, QSettings
+from PySide6.QtWidgets import QMainWindow, QWidget
+
+from tissueid.app.form import PlanForm
+from tissueid.audit import ROLES, Role
+from tissueid.formatting import clean
+
+_GEOMETRY = "window/geometry"
+_PANELS = "window/panels"
+_HELP = "window/help"
+_PAGE = "window/page"
+_ROLE = "window/role"
+_FOLD = "window/settings-unfolded"
+_INSTRUMENT = "test/instrument"
+_LIMITS = "test/limits"
+_LONGEST = 200
+_VERSION = 3
+
+
+def saved_role(settings: QSettings) -> Role:
+    """Return the role of the last start; "clinician" at the first start."""
+    kept = _text(settings, _ROLE)
+    return next((role for role in ROLES if role == kept), "clinician")
+
+
+def save_role(settings: QSettings, role: Role) -> None:
+    """Save a role at once, so that it is restored after a crash, too."""
+    settings.setValue(_ROLE, role)
+    settings.sync()
+
+
+def saved_page(settings: QSettings) -> str:
+    """Return the name of the last page; empty at the first start."""
+    return _text(settings, _PAGE)
+
+
+def save_window_state(
+    window: QMainWindow, form: PlanForm, help_panel: QWidget, page: str, role: Role, settings: QSettings
+) -> None:
+    """Save the window state. Write errors are ignored."""
+    settings.setValue(_GEOMETRY, window.saveGeometry())
+    settings.setValue(_PANELS, window.saveState(_VERSION))
+    settings.setValue(_HELP, "no" if help_panel.isHidden() else "yes")
+    settings.setValue(_PAGE, page)
+    settings.setValue(_ROLE, role)
+    settings.setValue(_FOLD, "yes" if form.fold.isChecked() else "no")
+    settings.setValue(_INSTRUMENT, form.instrument.url)
+    settings.remove("test/subject")  # kept by earlier versions
+    settings.setValue(_LIMITS, form.limits.currentData())
+
+
+def restore_window_state(window: QMainWindow, form: PlanForm, help_panel: QWidget, settings: QSettings) -> None:
+    """Restore the window state except page and role. Values that are no longer valid are ignored."""
+    geometry, panels = settings.value(_GEOMETRY), settings.value(_PANELS)
+    if isinstance(geometry, QByteArray):
+        window.restoreGeometry(geometry)
+    if isinstance(panels, QByteArray):
+        window.restoreState(panels, _VERSION)
+    help_panel.setHidden(_text(settings, _HELP) != "yes")
+    form.fold.setChecked(_text(settings, _FOLD) == "yes")
+    if url := _text(settings, _INSTRUMENT):
+        form.instrument.choose(url)
+    if (place := form.limits.findData(_text(settings, _LIMITS))) >= 0:
+        form.limits.setCurrentIndex(place)
+
+
+def _text(settings: QSettings, key: str) -> str:
+    """Return a setting as one line of text; the file may contain anything."""
+    kept = settings.value(key, "")
+    return clean(kept).strip()[:_LONGEST] if isinstance(kept, str) else ""

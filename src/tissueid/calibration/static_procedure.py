@@ -1,0 +1,416 @@
+"""Steps of a static calibration, and the instructions to the person who sets up the fixture for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.acquisition.background_work import run_while_polling
+from tissueid.calibration.coil import Spring, electrical_findings, force_by_spring, force_by_weights, spring_line
+from tissueid.calibration.findings import Findings
+from tissueid.calibration.line_fit import Line
+from tissueid.calibration.sensors import (
+    acceleration_findings,
+    position_findings,
+    position_line,
+    supply_findings,
+    temperature_findings,
+)
+from tissueid.calibration.step_levels import Levels, at_rest, hold_levels, mean
+from tissueid.calibration.stroke import Crossing, carrying_current, move_gently, range_findings
+from tissueid.device import GRAVITY_M_S2
+from tissueid.errors import FirmwareFaultError, LimitError, UnusableInputError
+from tissueid.instrument import CLINICAL, Instrument, Limits
+from tissueid.language import marked
+from tissueid.messages import Action, Listing, Message, Quantity
+from tissueid.records import Estimate
+from tissueid.wire import Fault
+
+LEVELS_V = (0.0, 4.0, 8.0, 12.0, 8.0, 4.0, 0.0, -4.0, -8.0, -12.0, -8.0, -4.0, 0.0)
+"""Voltages of both signs, V, at most 3 N. Each level but the outermost is reached from below and from above."""
+PUSHED_V = (0.0, 3.0, 6.0, 9.0, 12.0, 9.0, 6.0, 3.0, 0.0)
+"""Voltages, V, for a spring that is not fixed to the probe."""
+HOLD_S = 0.45
+"""Time at each voltage, s."""
+RISE_S = 0.05
+"""Duration of the raised cosine between two voltages, s."""
+REST_S = 2.0
+"""Duration of the readings at rest, s."""
+PLACE_S = 0.4
+"""Duration of the readings at each position, s."""
+PLACES = 9
+"""Positions along the stroke with a motorised stage."""
+WEIGHT_STD = 0.1
+"""Relative standard deviation of the nominal weight of the moving part, where it was not measured."""
+STEPS = ("electrical", "force", "position", "range", "temperature", "acceleration", "supply")
+_MOST_GRAVITY = 10.5
+"""Largest gravity, m/s², that the accelerometer is believed to measure."""
+_MOST_GAUGE_M = 0.2
+"""Largest height of a gauge block, m."""
+_RELEASED_S = 0.05
+"""Time after a run until its release ramp is over, s."""
+_ROOM_M = 4.0e-3
+"""Least distance of the probe from the ends of the stroke, m: more than its travel at the largest voltage."""
+
+Show = Callable[[str, float], None]
+Ask = Callable[[str], None]
+"""Shows an instruction to a person and returns when it is done."""
+
+SPRING_WORDS = Message(
+    "calibration.ask.spring",
+    "Put the calibration spring under the probe and fix it there, so that the probe stands in mid-stroke.",
+)
+FREE_WORDS = Message(
+    "calibration.ask.free",
+    "Take everything away from under the probe: it will move from end to end, with 2 N at most.",
+)
+BARE_WORDS = Message("calibration.ask.bare", "Take the weight off the probe.")
+OVER_WORDS = Message(
+    "calibration.ask.over", "Turn the instrument over, so that the probe points the other way, and hold it still."
+)
+BACK_WORDS = Message("calibration.ask.back", "Turn the instrument back to its previous orientation.")
+
+
+def gauge_words(height_m: float) -> Message:
+    """Return the instruction for a gauge block."""
+    return Message(
+        "calibration.ask.gauge",
+        "Put the gauge block of {height:g} mm under the probe, so that the probe rests on it.",
+        height=1e3 * height_m,
+    )
+
+
+def weight_words(mass_kg: float) -> Message:
+    """Return the instruction for a weight."""
+    return Message(
+        "calibration.ask.weight",
+        "Put the weight of {mass:g} g on the probe, so that it hangs freely.",
+        mass=1e3 * mass_kg,
+    )
+
+
+PUSH_ONLY = Action(
+    "calibrate.push_only",
+    "tissueid calibrate static --push-only",
+    marked("clear “Spring fixed to the probe” on the page Calibration"),
+)
+
+
+@dataclass(frozen=True)
+class StaticPlan:
+    """Steps and references of a static calibration.
+
+    ``gauges_m`` are heights of gauge blocks, for instruments without a stage. With ``in_place`` the spring is already
+    under the probe and nothing is asked: steps that need a person are left out. With ``push_only`` the probe is not
+    fixed to the spring and only pushes it. With ``turn_over`` the accelerometer is also read upside down.
+
+    Raises:
+        UnusableInputError: a step is unknown, or a value is out of its range.
+    """
+
+    steps: tuple[str, ...] = STEPS
+    spring: Spring = field(default_factory=Spring)
+    weights_kg: tuple[float, ...] = ()
+    gauges_m: tuple[float, ...] = ()
+    ambient_c: float | None = None
+    turn_over: bool = False
+    in_place: bool = False
+    push_only: bool = False
+    repeats: int = 1
+    valid_days: int = 90
+    limits: Limits = CLINICAL
+
+    def __post_init__(self) -> None:
+        steps = Listing(STEPS)
+        for step in self.steps:
+            if step not in STEPS:
+                raise UnusableInputError(
+                    Message(
+                        "calibration.step", "there is no step '{step}': choose from {steps}", step=step, steps=steps
+                    )
+                )
+        if not self.steps:
+            raise UnusableInputError(Message("calibration.no_step", "choose at least one step of {steps}", steps=steps))
+        if not 1 <= self.repeats <= 100:
+            raise UnusableInputError(Message("calibration.repeats", "the number of repeats must be 1 to 100"))
+        self.spring.check()
+        if any(not 0.001 <= mass <= 0.3 for mass in self.weights_kg) or len(self.weights_kg) > 20:
+            raise UnusableInputError(Message("calibration.weights", "give at most 20 weights of 1 to 300 g"))
+        if self.gauges_m and (len(set(self.gauges_m)) < 3 or len(self.gauges_m) > 50):
+            raise UnusableInputError(Message("calibration.gauges", "give gauge blocks of 3 to 50 different heights"))
+        if not all(0.0 <= height <= _MOST_GAUGE_M for height in self.gauges_m):
+            raise UnusableInputError(
+                Message(
+                    "calibration.gauge_height",
+                    "the height of a gauge block must be 0 to {limit:g} mm",
+                    limit=1e3 * _MOST_GAUGE_M,
+                )
+            )
+        if self.ambient_c is not None and not -10.0 <= self.ambient_c <= 50.0:
+            raise UnusableInputError(Message("calibration.ambient", "the room temperature must be -10 to 50 °C"))
+
+
+class Procedure:
+    """Runs the steps on one instrument. ``has_stage`` is true until the instrument reports that it has none."""
+
+    def __init__(
+        self, instrument: Instrument, plan: StaticPlan, ask: Ask | None, show: Show, cancelled: Callable[[], bool]
+    ) -> None:
+        self.has_stage = True
+        self._instrument = instrument
+        self._device = instrument.nominal
+        self._plan = plan
+        self._ask = ask
+        self._show = show
+        self._cancelled = cancelled
+        self._run = 1
+
+    def run(self, number: int) -> Findings:
+        """Run all wanted and possible steps once; ``number`` counts the repeats from 1.
+
+        Raises:
+            UnusableInputError: something is missing, samples were lost, or a channel does not respond.
+            CancelledError, LimitError, InstrumentError: the coil is released.
+        """
+        self._run = number
+        plan, wanted = self._plan, self._plan.steps
+        self._place_spring()
+        rest = self._rest(Message("calibration.step.rest", "at rest"))
+        levels = self._levels(Message("calibration.step.levels", "voltage to current to force"))
+        electrical = electrical_findings(levels, rest, self._device)
+        found = electrical if "electrical" in wanted else Findings()
+        zero_a = electrical.value("current_offset_a")
+        if "temperature" in wanted:
+            found += temperature_findings(rest, levels, plan.ambient_c)
+        turned = self._turned() if "acceleration" in wanted and plan.turn_over else None
+        acceleration = acceleration_findings(rest, turned)
+        gravity = acceleration.value("gravity_along_stroke_m_s2")
+        if "acceleration" in wanted:
+            found += acceleration
+        if abs(gravity) > _MOST_GRAVITY:
+            gravity = GRAVITY_M_S2
+        weighed = [levels, *self._weighed()] if "force" in wanted and plan.weights_kg else []
+        places, line = self._places() if "position" in wanted else (np.zeros(0), None)
+        crossings = self._crossings(gravity) if "range" in wanted else ()
+        found += self._skipped(line, crossings)
+        slope = spring_line(levels, zero_a).slope.value
+        offset = None
+        gain = None if line is None else line.slope
+        if line is not None:
+            offset, shared = self._offset(line, crossings, slope, gravity, zero_a)
+            found += position_findings(places, line, offset)
+            found += Findings(shared={"position_offset_m": shared})
+        force = force_by_spring(levels, self._device, plan.spring, gain, zero_a, known=not weighed)
+        if weighed:
+            along = gravity / GRAVITY_M_S2
+            force += force_by_weights(weighed, (0.0, *plan.weights_kg), self._device, along, zero_a)
+        if "force" in wanted:
+            zero = Findings({"current_offset_a": electrical.quantities["current_offset_a"]})  # k was found with it
+            found += force + zero
+        if crossings:
+            found += range_findings(
+                crossings,
+                self._device,
+                position_gain=1.0 if gain is None else gain.value,
+                position_offset=offset or Estimate(0.0),
+                force_constant_n_per_a=force.value("force_constant_n_per_a"),
+                zero_a=zero_a,
+            )
+        if "supply" in wanted:
+            put_back = bool(crossings) or line is not None
+            if put_back:
+                self._place_spring()
+            again = self._rest(Message("calibration.step.rest_again", "at rest again"))
+            last_levels = self._levels(Message("calibration.step.levels_again", "voltage to current again"))
+            last = electrical_findings(last_levels, again, self._device)
+            same_place = self.has_stage or not put_back
+            found += supply_findings(electrical, last, rest, again, self._device, same_place=same_place)
+        self.drain_release()
+        return found
+
+    # -- what the steps need ------------------------------------------------------------------------------
+
+    def drain_release(self) -> None:
+        """Read on until the release ramp of the previous run is over."""
+        at_rest(self._instrument, _RELEASED_S, cancelled=self._cancelled)
+
+    def _move(self, position_m: float | None, words: str) -> None:
+        """Move the fixture by the stage, or ask a person to.
+
+        Raises:
+            UnusableInputError: there is neither.
+        """
+        self.drain_release()
+        if self.has_stage and self._instrument.move_stage(position_m):
+            self._instrument.poll(0.0)  # discard the samples from while the stage was moving
+            return
+        self.has_stage = False
+        if not self._plan.in_place:
+            self._ask_person(words)
+
+    def _ask_person(self, words: str) -> None:
+        ask = self._ask
+        if ask is None:
+            raise UnusableInputError(
+                Message(
+                    "calibration.no_person",
+                    "this instrument has no motorised stage, and no person is present to put the spring under the "
+                    "probe: run the command in a terminal, or give --in-place if the spring is already there",
+                )
+            )
+        run_while_polling(self._instrument, lambda: ask(words), self._cancelled)
+
+    def _show_step(self, step: Message, fraction: float) -> None:
+        repeats = self._plan.repeats
+        if repeats > 1:
+            step = Message("calibration.step.run", "{step} ({run} of {runs})", step=step, run=self._run, runs=repeats)
+        self._show(step, fraction)
+
+    def _place_spring(self) -> None:
+        """Have the spring under the probe, in mid-stroke.
+
+        Raises:
+            UnusableInputError: the probe stands where the spring has no room.
+        """
+        stroke = self._device.stroke_m
+        self._move(0.5 * stroke, SPRING_WORDS)
+        stands = mean(at_rest(self._instrument, 0.1, cancelled=self._cancelled), "position")
+        if not _ROOM_M < stands < stroke - _ROOM_M:
+            raise UnusableInputError(
+                Message(
+                    "calibration.spring_place",
+                    "the probe stands at {position}: put the spring so that it stands between {low:g} and {high:g} mm, "
+                    "best in mid-stroke",
+                    position=Quantity(1e3 * stands, "mm", 1),
+                    low=1e3 * _ROOM_M,
+                    high=1e3 * (stroke - _ROOM_M),
+                )
+            )
+
+    def _rest(self, step: Message) -> NDArray[np.void]:
+        return at_rest(
+            self._instrument,
+            REST_S,
+            progress=lambda fraction: self._show_step(step, fraction),
+            cancelled=self._cancelled,
+        )
+
+    def _levels(self, step: Message) -> Levels:
+        try:
+            return hold_levels(
+                self._instrument,
+                np.array(PUSHED_V if self._plan.push_only else LEVELS_V),
+                self._plan.limits,
+                hold_s=HOLD_S,
+                rise_s=RISE_S,
+                progress=lambda fraction: self._show_step(step, fraction),
+                cancelled=self._cancelled,
+            )
+        except (LimitError, FirmwareFaultError) as error:
+            if isinstance(error, FirmwareFaultError) and not error.faults & Fault.STROKE:
+                raise
+            raise type(error)(
+                Message(
+                    "calibration.spring_missing",
+                    "{problem}. Check that the calibration spring is under the probe. If it is not fixed to the probe: "
+                    "{action}",
+                    problem=error.message,
+                    action=PUSH_ONLY,
+                )
+            ) from error
+
+    def _turned(self) -> NDArray[np.void]:
+        self._ask_person(OVER_WORDS)
+        turned = self._rest(Message("calibration.step.turned", "turned over"))
+        self._ask_person(BACK_WORDS)
+        return turned
+
+    def _weighed(self) -> list[Levels]:
+        series = []
+        for mass in self._plan.weights_kg:
+            self._ask_person(weight_words(mass))
+            series.append(self._levels(Message("calibration.step.weight", "{mass:g} g on the probe", mass=1e3 * mass)))
+        self._ask_person(BARE_WORDS)
+        return series
+
+    def _places(self) -> tuple[NDArray[np.float64], Line | None]:
+        """Return known positions (n,), m, rising with the reading, and the line of the readings there."""
+        stroke, gauges = self._device.stroke_m, self._plan.gauges_m
+        if self.has_stage:
+            truth = np.linspace(0.1, 0.9, PLACES) * stroke
+            rests = [self._rest_at(number, place, "") for number, place in enumerate(truth)]
+        elif gauges and not self._plan.in_place:
+            truth = -np.array(gauges)
+            rests = [self._rest_at(number, None, gauge_words(height)) for number, height in enumerate(gauges)]
+        else:
+            return np.zeros(0), None
+        return truth, position_line(truth, rests)
+
+    def _rest_at(self, number: int, place_m: float | None, words: str) -> NDArray[np.void]:
+        self._move(place_m, words)
+        places = len(self._plan.gauges_m) if words else PLACES
+        samples = at_rest(self._instrument, PLACE_S, cancelled=self._cancelled)
+        self._show_step(Message("calibration.step.position", "position along the stroke"), (number + 1) / places)
+        return samples
+
+    def _crossings(self, gravity: float) -> tuple[Crossing, ...]:
+        if self._plan.in_place and not self.has_stage:
+            return ()
+        self._move(None, FREE_WORDS)
+        try:
+            return move_gently(
+                self._instrument,
+                gravity,
+                progress=lambda fraction: self._show_step(
+                    Message("calibration.step.range", "range of motion"), fraction
+                ),
+                cancelled=self._cancelled,
+            )
+        except LimitError as error:
+            raise LimitError(
+                Message(
+                    "calibration.range_limit",
+                    "{problem}, in free air. Remove what is in the way of the probe, or leave this step out by --steps",
+                    problem=error.message,
+                )
+            ) from error
+
+    def _offset(
+        self, line: Line, crossings: Sequence[Crossing], slope_m_per_a: float, gravity: float, zero_a: float
+    ) -> tuple[Estimate | None, float]:
+        """Return the reading at position zero, without the weight of the coil, which lengthens the spring.
+
+        The second value is the part of its standard deviation that is common to all repeats, m.
+        """
+        shared = 0.0
+        if not self.has_stage:
+            return None, shared
+        if crossings:
+            carrying = carrying_current(tuple(crossings))
+            current, current_std = carrying.value - zero_a, carrying.std or 0.0
+        else:
+            current = -self._device.moving_mass_kg * gravity / self._device.force_constant_n_per_a
+            current_std = WEIGHT_STD * abs(current)
+            shared = abs(slope_m_per_a) * current_std
+        std = float(np.hypot(line.intercept.std or 0.0, slope_m_per_a * current_std))
+        return Estimate(line.intercept.value + slope_m_per_a * current, std), shared
+
+    def _skipped(self, line: Line | None, crossings: Sequence[Crossing]) -> Findings:
+        """Return notes on the steps that were wanted but not possible."""
+        notes = []
+        if "position" in self._plan.steps and line is None:
+            notes.append(
+                Message(
+                    "calibration.skipped.position",
+                    "the position along the stroke was left out: it needs a motorised stage, or gauge blocks (--gauge "
+                    "MM)",
+                )
+            )
+        if "range" in self._plan.steps and not crossings:
+            notes.append(
+                Message("calibration.skipped.range", "the range of motion was left out: the spring stays in place")
+            )
+        return Findings(notes=tuple(notes))

@@ -1,0 +1,96 @@
+"""Parameters of a command, made from the options that a plan declares."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import types
+from collections.abc import Callable
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import typer
+from pydantic.fields import FieldInfo
+
+from tissueid.procedures.plan_options import Option, Plan, bounds_of, option_of
+
+
+def plan_command(command: Callable[..., None]) -> Callable[..., None]:
+    """Replace each parameter of a command whose type is a plan by the options of the plan, in their order.
+
+        @app.command("test")
+        @plan_command
+        def run_test(plan: TestPlan, json_file: JsonFile = None) -> None:
+
+    The command is called with the plan. The types of the parameters must be known where the command is defined.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    plans: dict[str, type[Plan]] = {}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in signature.parameters.items():
+        if isinstance(parameter.annotation, type) and issubclass(parameter.annotation, Plan):
+            plans[name] = parameter.annotation
+            parameters += [_parameter(*item) for item in _options(parameter.annotation).items()]
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(command)
+    def run(**values: Any) -> None:
+        for name, plan in plans.items():
+            values[name] = plan(**{field: _value(item, values.pop(field)) for field, item in _options(plan).items()})
+        command(**values)
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return run
+
+
+def _options(plan: type[Plan]) -> dict[str, FieldInfo]:
+    return {name: field for name, field in plan.model_fields.items() if option_of(field) is not None}
+
+
+def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
+    option = option_of(field) or Option()
+    least, most = (None if bound is None else _shown(bound, option) for bound in bounds_of(field))
+    names = (option.name,) if option.name else ()
+    kind: Any = _type(field.annotation, option)
+    if option.argument:
+        info = typer.Argument(metavar=option.metavar, help=option.help, min=least, max=most)
+    else:
+        info = typer.Option(*names, metavar=option.metavar, help=option.help, min=least, max=most)
+    default = inspect.Parameter.empty if field.is_required() else _default(field, option)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
+
+
+def _type(annotation: Any, option: Option) -> Any:
+    """Return the type that typer reads: a list for a tuple of any length, a text where the plan reads it."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        others = [kind for kind in get_args(annotation) if kind is not type(None)]
+        return _type(others[0], option) | None
+    if get_origin(annotation) is tuple and get_args(annotation)[1:] == (...,):
+        return list[get_args(annotation)[0] if option.read is None else str] | None  # type: ignore[misc]
+    return annotation if option.read is None else str
+
+
+def _default(field: FieldInfo, option: Option) -> Any:
+    default = field.get_default(call_default_factory=True)
+    if default == ():
+        return None
+    return _shown(default, option) if isinstance(default, int | float) and not isinstance(default, bool) else default
+
+
+def _shown(value: float, option: Option) -> float:
+    """Return a value of the field in the unit of the command line."""
+    return value if option.scale == 1.0 else float(f"{value / option.scale:.12g}")
+
+
+def _value(field: FieldInfo, given: Any) -> Any:
+    """Return the value of a field from the value that typer read."""
+    option = option_of(field) or Option()
+    several = isinstance(given, list)
+    if given is None:
+        return () if field.default == () else None
+    values = given if several else [given]
+    if option.read is not None:
+        values = [option.read(value) for value in values]
+    elif option.scale != 1.0:
+        values = [float(f"{value * option.scale:.12g}") for value in values]
+    return tuple(values) if several else values[0]

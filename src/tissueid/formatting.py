@@ -1,0 +1,260 @@
+"""Formatting of numbers, names and units for people. All other modules use SI."""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import datetime
+from typing import Any
+
+from tissueid.language import _
+from tissueid.messages import MISSING, signed
+from tissueid.records import Estimate
+
+_ARITHMETIC = 1e-12
+"""Share of a value below which a deviation is rounding of the arithmetic."""
+_LARGEST_INTEGER = 10**15
+_MOST_ITEMS = 12
+_LONGEST_TEXT = 1000
+_LONGEST_LABEL = 40
+_DEEPEST = 4
+_DIGEST = re.compile(r"[0-9a-f]{40,128}")
+_DIGITS = 16
+"""Digits of a hash that are shown."""
+
+_UNITS = {
+    "m": ("mm", 1e3),
+    "kg": ("g", 1e3),
+    "H": ("mH", 1e3),
+    "A": ("A", 1.0),
+    "N/A": ("N per A", 1.0),
+    "degC": ("°C", 1.0),
+    "ohm": ("Ω", 1.0),
+    "m s-2": ("m/s²", 1.0),
+    "rad/s": ("Hz", 0.5 / math.pi),
+    "rad": ("°", 180.0 / math.pi),
+    "N s/m": ("N·s/m", 1.0),
+    "N s/m²": ("N·s/m²", 1.0),
+    "N s²/m²": ("N·s²/m²", 1.0),
+    "1": ("", 1.0),
+}
+"""Displayed unit of each SI unit and the factor to it. Other units are shown unchanged."""
+
+_SUFFIXES = {
+    "n_s2_per_m2": "N s²/m²",
+    "n_s_per_m2": "N s/m²",
+    "n_per_root_hz": "N/√Hz",
+    "n_per_m2": "N/m²",
+    "kg_per_m": "kg/m",
+    "n_s_per_m": "N s/m",
+    "n_per_m": "N/m",
+    "n_per_a": "N/A",
+    "m_per_s": "m/s",
+    "m_s2": "m/s²",
+    "rad_per_s": "rad/s",
+    "per_n": "1/N",
+    "per_m": "1/m",
+    "percent": "%",
+    "years": "years",
+    "kg": "kg",
+    "db": "dB",
+    "hz": "Hz",
+    "ohm": "ohm",
+    "rad": "rad",
+    "deg": "°",
+    "s2": "s²",
+    "m": "m",
+    "n": "N",
+    "v": "V",
+    "a": "A",
+    "h": "H",
+    "s": "s",
+    "c": "degC",
+}
+"""Suffixes of names, longest first, and their SI units."""
+
+_ASSUMED_UNITS = {"memory": "s", "window": "s", "seconds": "s", "sample_rate": "Hz"}
+"""SI units of names without a suffix."""
+
+_LABELS = {
+    "natural_frequency_rad_per_s": "Natural frequency",
+    "c1_m": "Nonlinear constant C₁",
+    "c2_per_n": "Nonlinear constant C₂",
+    "c3_n": "Load beyond the measured one, C₃",
+    "c1": "C₁",
+    "c2": "C₂",
+    "c3": "C₃",
+    "seconds": "Length",
+    "surface_position_m": "Surface of the tissue",
+    "clipped": "Share held at the ends of the range",
+    "vaf_linear_percent": "VAF of the linear stage alone",
+    "vaf_parametric_percent": "VAF of the second-order model",
+}
+
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def display_unit(si_unit: str) -> tuple[str, float]:
+    """Return the displayed unit of an SI unit and the factor to it."""
+    return _UNITS.get(si_unit, (si_unit, 1.0))
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a number with its unit, separated by a space also before % and °, as in SI."""
+    return f"{text} {unit}" if unit else text
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return a number with ``digits`` significant digits, never in the form 1e-05; a dash if it is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0.0:
+        return "0"
+    mantissa, _mark, power = f"{value:.{digits - 1}e}".partition("e")
+    exponent = int(power)
+    if not -4 <= exponent < 7:
+        return f"{signed(_trimmed(mantissa))} × 10{superscript(exponent)}"
+    decimals = digits - 1 - exponent
+    return signed(_trimmed(f"{round(value, decimals):.{max(0, decimals)}f}"))
+
+
+def superscript(exponent: int) -> str:
+    """Return an exponent in superscript digits."""
+    return str(exponent).translate(_SUPERSCRIPT)
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """Return a number with ``decimals`` decimals; a dash if it is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return signed(f"{value:.{decimals}f}")
+
+
+def grouped(value: float | None) -> str:
+    """Return a whole number with thin spaces between thousands; a dash if it is not finite."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return signed(f"{round(value):,}".replace(",", "\u202f"))
+
+
+def estimate(found: Estimate, scale: float = 1.0) -> tuple[str, str, str]:
+    """Return a value, its deviation and their common power of ten: "4740", "160", "" or "1.837", "0.017", "10⁻⁵".
+
+    The deviation has two digits and the value as many decimals. The deviation is "" where there is none.
+    """
+    if not math.isfinite(found.value):
+        return MISSING, "", ""
+    value = found.value * scale
+    std = 0.0 if found.std is None else abs(found.std * scale)
+    if not math.isfinite(std) or std <= _ARITHMETIC * abs(value):
+        return number(value), "", ""
+    exponent = math.floor(math.log10(max(abs(value), std)))
+    power = 0 if -3 <= exponent < 6 else exponent
+    decimals = min(8, 1 - math.floor(math.log10(std)) + power)
+    shown = [signed(f"{round(part / 10.0**power, decimals):.{max(0, decimals)}f}") for part in (value, std)]
+    return shown[0], shown[1], f"10{superscript(power)}" if power else ""
+
+
+def plus_minus(found: Estimate, scale: float = 1.0) -> str:
+    """Return value ± standard deviation, or the value alone."""
+    value, std, power = estimate(found, scale)
+    if not std:
+        return value
+    return f"({value} ± {std}) × {power}" if power else f"{value} ± {std}"
+
+
+def label_and_unit(name: str) -> tuple[str, str]:
+    """Split a name such as ``mass_kg`` into its label and SI unit ("" without one)."""
+    if name in _ASSUMED_UNITS:
+        return _LABELS.get(name, _plain(name)), _ASSUMED_UNITS[name]
+    for suffix, unit in _SUFFIXES.items():
+        if name.endswith(f"_{suffix}"):
+            return _LABELS.get(name, _plain(name.removesuffix(f"_{suffix}"))), unit
+    return _LABELS.get(name, _plain(name)), ""
+
+
+def axis_label(name: str, unit: str) -> str:
+    """Return the label of a quantity in the active language, with its displayed unit in brackets."""
+    label = _(label_and_unit(name)[0])
+    label = label if len(label) <= _LONGEST_LABEL else label[:_LONGEST_LABEL] + "…"
+    return f"{label} ({unit})" if unit else label
+
+
+def label_and_value(name: str, value: Any, depth: int = 0) -> tuple[str, str]:
+    """Return the label and text of a named setting. Numbers are shown in the unit of the name."""
+    if isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool)):
+        label, unit = label_and_unit(name)
+        shown, scale = display_unit(unit)
+        if scale == 1.0:
+            text = plain_text(value)
+        else:
+            text = number(value * scale, 6) if abs(value) < _LARGEST_INTEGER else plain_text(value)
+        return label, text if text == MISSING else with_unit(text, _(shown))
+    return label_and_unit(name)[0], plain_text(value, depth)
+
+
+def plain_text(value: Any, depth: int = 0) -> str:
+    """Return any JSON value as one line of text; deep nesting and long texts are cut off."""
+    if value is None:
+        return "not set"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int) and abs(value) >= _LARGEST_INTEGER:
+        return plain_text(str(value))
+    if isinstance(value, int):
+        return signed(str(value))
+    if isinstance(value, float):
+        return number(value, 6)
+    if isinstance(value, dict | list | tuple) and depth >= _DEEPEST:
+        return "…"
+    if isinstance(value, dict):
+        pairs = [label_and_value(str(name), item, depth + 1) for name, item in list(value.items())[:_MOST_ITEMS]]
+        return "; ".join(f"{label}: {text}" for label, text in pairs) + _and_more(value)
+    if isinstance(value, list | tuple):
+        return ", ".join(plain_text(item, depth + 1) for item in value[:_MOST_ITEMS]) + _and_more(value)
+    text = clean(str(value))
+    if _DIGEST.fullmatch(text):
+        return f"{text[:_DIGITS]}…"
+    return (text[:_LONGEST_TEXT] + " …" if len(text) > _LONGEST_TEXT else text) or MISSING
+
+
+def local_time(created: str) -> datetime | None:
+    """Return an ISO 8601 date in the time zone of this computer; None if it is invalid or has no zone."""
+    try:
+        moment = datetime.fromisoformat(created)
+        return moment.astimezone() if moment.tzinfo is not None else None
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def local_minute(created: str) -> str:
+    """Return an ISO 8601 date in local time, such as "2026-11-23 14:32"; empty if it is invalid."""
+    moment = local_time(created)
+    return "" if moment is None else f"{moment:%Y-%m-%d %H:%M}"
+
+
+def zone_offset(moment: datetime) -> str:
+    """Return the UTC offset of an aware date, such as "UTC+01:00", or "UTC"."""
+    offset = f"{moment:%z}"
+    return "UTC" if offset in ("", "+0000", "-0000") else f"UTC{offset[:3]}:{offset[3:5]}"
+
+
+def clean(text: str) -> str:
+    """Return a text with control and other unprintable characters replaced by a space or U+FFFD."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
+def _and_more(items: dict[Any, Any] | list[Any] | tuple[Any, ...]) -> str:
+    return f" … ({len(items)} in all)" if len(items) > _MOST_ITEMS else ""
+
+
+def _plain(name: str) -> str:
+    text = clean(name).replace("_", " ").strip()
+    return text[:1].upper() + text[1:] if text else "Unnamed"
+
+
+def _trimmed(text: str) -> str:
+    return text.rstrip("0").rstrip(".") if "." in text else text

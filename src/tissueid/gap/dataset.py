@@ -1,0 +1,127 @@
+"""The dataset of a diagnosis: the tests of a session, with the purpose of each sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cached_property
+from hashlib import blake2b
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.device import DeviceDescription
+from tissueid.gap.equivalent_oscillator import Equivalent
+from tissueid.gap.excitation import UPSTREAM, DrivenBy
+
+FloatArray = NDArray[np.float64]
+Fixture = Literal["tissue", "spring", "air"]
+
+CHANNELS = ("voltage", "current", "position")
+"""Recorded signals that the chain predicts, in downstream order."""
+AT_SURFACE_M = 1e-4
+LEAST_NOISE = {"voltage": 1e-4, "current": 1e-5, "position": 1e-8}
+"""Least noise of a channel, SI: a channel without visible noise would get infinite weight."""
+
+
+class Purpose(IntEnum):
+    """Purpose of a sample. A sample that was not received has none."""
+
+    NOTHING = 0
+    FIT = 1
+    CHOICE = 2
+    """Held out of every fit; candidates are chosen by it."""
+    CHECK = 3
+    """Held out of fit and choice; the stated closed share is verified on it."""
+
+
+@dataclass(frozen=True)
+class DatasetTest:
+    """One test: command and recorded signals, shape (n,), SI.
+
+    ``signals`` holds the recorded ones of ``CHANNELS``, NaN where a sample was not received. ``purpose``, shape (n,),
+    is the purpose of each sample.
+    """
+
+    number: int
+    kind: str
+    fixture: Fixture
+    command: FloatArray = field(repr=False)
+    signals: dict[str, FloatArray] = field(repr=False)
+    purpose: NDArray[np.int8] = field(repr=False)
+    sample_rate_hz: float
+    surface_m: float
+    repeat_of: int | None = None
+    driven_by: DrivenBy = "command"
+    """Kind of signal in ``command``: the command (V), the recorded voltage (V) across the coil, the recorded current
+    (A) through it, or an input as the force (N) on an equivalent oscillator."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Recorded signals downstream of the excitation, which the chain predicts."""
+        return tuple(name for name in CHANNELS if name in self.signals and name not in UPSTREAM[self.driven_by])
+
+    @cached_property
+    def played(self) -> tuple[float, bytes]:
+        """Sample rate and hash of the command: equal for a test and its repeats."""
+        return self.sample_rate_hz, blake2b(self.command.tobytes(), digest_size=16).digest()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether the test has no stimulus."""
+        return self.kind == "quiet"
+
+    @property
+    def starts_at_surface(self) -> bool:
+        """Whether the probe rests at the surface when the test begins; otherwise the surface is less certain."""
+        position = self.signals["position"]
+        first = position[np.isfinite(position)][:3]
+        return bool(first.size) and abs(float(np.median(first)) - self.surface_m) < AT_SURFACE_M
+
+    def serving(self, purpose: Purpose) -> NDArray[np.bool_]:
+        """Return True for samples of a purpose, shape (n,)."""
+        return np.asarray(self.purpose == purpose)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of a coordinate in fitted units; without ``std`` a starting value only."""
+
+    value: float
+    std: float | None = None
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """All tests of a session that the diagnosis uses, the nominal instrument and the noise of each channel.
+
+    ``noise`` is the standard deviation of each channel's sensor noise, SI.
+    """
+
+    instrument: DeviceDescription
+    tests: tuple[DatasetTest, ...]
+    noise: dict[str, float]
+    remarks: tuple[str, ...] = ()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    """Priors of coordinates from a saved twin, by name."""
+    equivalent: Equivalent | None = None
+    """Conversion of input-output records to force and motion; None where the instrument is known."""
+    impulsive: Mapping[str, float] = field(default_factory=dict)
+    """Noise with outliers of channels that have outliers; ``noise`` is then without."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that are predicted in every test."""
+        return tuple(name for name in CHANNELS if all(name in test.channels for test in self.tests))
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """Channels that every test has, predicted or used as the excitation."""
+        return tuple(name for name in CHANNELS if all(name in test.signals for test in self.tests))
+
+    @property
+    def full(self) -> bool:
+        """Whether there is more than one kind of test."""
+        return len({test.kind for test in self.tests}) > 1

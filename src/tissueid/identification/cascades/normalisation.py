@@ -1,0 +1,161 @@
+"""Normalised blocks: gains moved to where they have a meaning, and the uncertainty of the normalised blocks.
+
+A gain can be moved from one block of a cascade to the next without a trace in the output. Reported is therefore
+fixed: a kernel sums to one where it has a steady-state gain and has a root-sum-square of one where it has none; the
+last curve carries the output's unit, or in a linear system the kernel does; the inner curve of NLN spreads its argument
+as much as the input; every curve is zero at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from tissueid.identification.base import Array
+from tissueid.identification.cascades.blocks import Blocks, CascadeData, Structure, run, slopes
+from tissueid.identification.cascades.curves import at_zero, scaled, stretched
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.static_nonlinearity import StaticNonlinearity
+
+_CERTAIN = 3.0
+"""Threshold of the sum of a kernel as a divisor, in standard deviations from zero."""
+
+_UNFELT, _UNDETERMINED = 1e-12, 1e-9
+"""Shares of the strongest effect below which a parameter, or a direction in parameter space, is undetermined."""
+
+_STEP = 0.01
+"""Step of numerical derivatives, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Normalised:
+    """A cascade with its gains where they mean something; blocks that the structure lacks are None.
+
+    ``inner`` maps the absolute input, ``outer`` what leaves the first kernel; both are zero at rest. The kernels, each
+    (lags,), are per sample.
+    """
+
+    structure: Structure
+    inner: StaticNonlinearity | None
+    first: Array
+    outer: StaticNonlinearity | None
+    second: Array | None
+    offset: float
+    input_mean: float
+
+    def simulate(self, u: Array) -> Array:
+        """Return the free run on an input (n,), at rest before the first sample; NaN where the memory holds a NaN."""
+        u = np.asarray(u, dtype=np.float64)
+        signal = convolve_at_rest(self.first, u - self.input_mean if self.inner is None else self.inner(u))
+        if self.outer is not None:
+            signal = self.outer(signal)
+        if self.second is not None:
+            signal = convolve_at_rest(self.second, signal)
+        return np.asarray(self.offset + signal, dtype=np.float64)
+
+    def small_signal_kernel(self) -> Array:
+        """Return the kernel of small movements about rest, (lags,) or (2 lags - 1,) for LNL, per sample."""
+        kernel = self.first if self.second is None else np.convolve(self.first, self.second)
+        gain = 1.0
+        if self.inner is not None:
+            gain *= float(self.inner.slope(np.array([self.input_mean]))[0])
+        if self.outer is not None:
+            gain *= float(self.outer.slope(np.zeros(1))[0])
+        return np.asarray(gain * kernel)
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Covariance (r, r) of the r directions (p, r) of :attr:`Blocks.vector` that a record determines."""
+
+    blocks: Blocks
+    directions: Array
+    covariance: Array
+
+    def of(self, figure: Callable[[Blocks], Array]) -> Array:
+        """Return the covariance (k, k), to first order, of figures (k,) that do not depend on where a gain stands."""
+        by_direction = []
+        for direction, variance in zip(self.directions.T, np.diag(self.covariance), strict=True):
+            step = _STEP * float(np.sqrt(max(variance, 0.0)))
+            if step == 0.0:
+                by_direction.append(np.zeros_like(figure(self.blocks)))
+                continue
+            above = figure(self.blocks.with_vector(self.blocks.vector + step * direction))
+            below = figure(self.blocks.with_vector(self.blocks.vector - step * direction))
+            by_direction.append((above - below) / (2.0 * step))
+        slope = np.array(by_direction)  # (r, k)
+        return np.asarray(slope.T @ self.covariance @ slope, dtype=np.float64)
+
+
+def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
+    """Return the covariance of fitted blocks for residuals of any colour that need not be noise (White 1982).
+
+    Directions that leave the output alone, such as a gain moved from one block to the next, are left out.
+    """
+    signals = run(blocks, data)
+    by_all = slopes(blocks, data, signals)  # (p, rows)
+    error = data.measured - signals.output[data.rows]
+    size = np.linalg.norm(by_all, axis=1)
+    size[size <= _UNFELT * float(np.max(size))] = np.inf
+    by_all /= size[:, None]
+    values, vectors = linalg.eigh(by_all @ by_all.T)
+    kept = values > _UNDETERMINED * values[-1]
+    influence = ((vectors[:, kept] / values[kept]).T @ by_all) * error  # (r, rows)
+    block = dependence_samples(error, data.prepared.record.sample_rate_hz)
+    n = data.rows.size
+    covariance = long_run_covariance(influence.T, block) * n / max(1, n - blocks.n_parameters)
+    return Uncertainty(blocks, vectors[:, kept] / size[:, None], covariance)
+
+
+def steady(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool, bool]:
+    """Return whether the first and the second kernel have a steady-state gain that differs from zero for certain."""
+
+    def shares(some: Blocks) -> Array:
+        kernels = [data.bank.basis @ weights for weights in (some.first, some.second) if weights is not None]
+        return np.array([kernel.sum() / np.linalg.norm(kernel) for kernel in kernels])
+
+    certain = np.abs(shares(blocks)) > _CERTAIN * np.sqrt(np.diag(known.of(shares)))
+    return bool(certain[0]), bool(certain[-1])
+
+
+def normalised(blocks: Blocks, data: CascadeData, steady_gains: tuple[bool, bool]) -> Normalised:
+    """Return blocks with their gains moved to the reported place; the output is unchanged."""
+    inner, outer = blocks.inner, blocks.outer
+    first = data.bank.basis @ blocks.first
+    second = None if blocks.second is None else data.bank.basis @ blocks.second
+    if inner is not None:
+        inner = at_zero(inner, data.rest)
+        if outer is not None:
+            spread = _spread(inner, data)
+            inner, first = scaled(inner, 1.0 / spread), first * spread
+    if inner is not None or outer is not None:
+        gain = _gain(first, steady_gains[0])
+        first = first / gain
+        if outer is not None:
+            outer = at_zero(stretched(outer, 1.0 / gain), 0.0)
+        elif inner is not None:
+            inner = scaled(inner, gain)
+    if second is not None and outer is not None:
+        gain = _gain(second, steady_gains[1])
+        second, outer = second / gain, scaled(outer, gain)
+    return Normalised(blocks.structure, inner, first, outer, second, blocks.offset, data.rest)
+
+
+def _gain(kernel: Array, is_steady: bool) -> float:
+    if is_steady:
+        return float(kernel.sum())
+    peak = float(kernel[int(np.argmax(np.abs(kernel)))])
+    return float(np.copysign(np.linalg.norm(kernel), peak))
+
+
+def _spread(inner: StaticNonlinearity, data: CascadeData) -> float:
+    """Return the spread of the curve's values as a share of the input's, negative where the curve mostly falls."""
+    x = data.input[data.rows] - data.rest
+    values = inner(data.input[data.rows])
+    falling = float(x @ (values - values.mean())) < 0.0
+    share = float(np.std(values) / np.std(x))
+    return -share if falling else share

@@ -1,0 +1,370 @@
+"""Selection of the block structure that a record supports, and whether it is complete.
+
+Every structure is judged by the error of its free run on samples that it was not fitted to: the record is cut into a
+few stretches, and each is simulated by the structure as fitted to the others. Two structures meet on the same samples,
+so what is tested is the mean difference of their squared errors, with the dependence of neighbours carried along. A
+structure is only called by its name when nothing is left in its error that its own signals explain: a system that is
+none of them is still fitted best by one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, linalg, stats
+
+from tissueid.identification.base import Array
+from tissueid.identification.cascades.blocks import (
+    INSIDE,
+    STRUCTURES,
+    Blocks,
+    CascadeData,
+    Signals,
+    Structure,
+    run,
+    slopes,
+)
+from tissueid.identification.cascades.fit import fit_linear
+from tissueid.identification.cascades.refinement import Fitted, refine
+from tissueid.identification.cascades.starting_points import solved
+from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
+from tissueid.identification.validation import aicc
+from tissueid.language import marked
+from tissueid.messages import Listing, Message
+
+_HIGHEST = 3
+"""Degree of the products."""
+
+_UNDETERMINED = 1e-9
+"""Share of the largest eigenvalue below which a combination of products is linearly dependent."""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """How much of a cascade's error products of its signals explain, beyond what they would explain of noise.
+
+    ``share`` is of the error's variance; ``p_value`` the chance that noise of that colour shows as much.
+    """
+
+    share: float
+    p_value: float
+
+
+def unexplained(blocks: Blocks, data: CascadeData) -> Remainder:
+    """Test the error that fitted blocks leave on the rows they were fitted to."""
+    signals = run(blocks, data)
+    error = data.measured - signals.output[data.rows]
+    by_all = slopes(blocks, data, signals)
+    gram = by_all @ by_all.T
+    products = _products(signals, blocks, data)
+    products -= solved(gram, by_all @ products.T).T @ by_all  # what the blocks could do themselves
+    error = error - solved(gram, by_all @ error) @ by_all
+    size = np.linalg.norm(products, axis=1)
+    products /= np.where(size > 0.0, size, 1.0)[:, None]
+    values, vectors = linalg.eigh(products @ products.T)
+    kept = values > _UNDETERMINED * values[-1]
+    products = (vectors[:, kept] / np.sqrt(values[kept])).T @ products  # orthonormal, (k, rows)
+    score = products @ error
+    n, k = data.rows.size, int(kept.sum())
+    free = n - blocks.n_parameters
+    if free <= 2 * k:
+        return Remainder(0.0, 1.0)
+    covariance = _covariance(products, error, data) * n / free
+    statistic = float(score @ linalg.solve(covariance, score, assume_a="pos")) / k
+    by_chance = float(np.trace(covariance))
+    share = max(0.0, float(score @ score) - by_chance) / float(error @ error)
+    return Remainder(share, float(stats.f.sf(statistic, k, free - k)))
+
+
+def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
+    """Covariance (k, k) of sums of products (k, rows) with noise that has the error's autocovariance, by FFT."""
+    lags = dependence_samples(error, data.prepared.record.sample_rate_hz)
+    if lags == 1:
+        return np.asarray(products @ products.T * float(error @ error) / error.size)
+    n = data.input.size
+    length = fft.next_fast_len(2 * n, real=True)
+    placed, known = np.zeros(n), np.zeros(n)
+    placed[data.rows], known[data.rows] = error, 1.0
+    pairs = fft.irfft(np.abs(fft.rfft(known, length)) ** 2, length)
+    together = fft.irfft(np.abs(fft.rfft(placed, length)) ** 2, length)
+    lag = np.minimum(np.arange(length), length - np.arange(length))
+    weights = np.maximum(0.0, 1.0 - lag / lags)  # Bartlett's, so that the answer is never indefinite
+    power = np.maximum(fft.rfft(together / np.maximum(pairs, 1.0) * weights, length).real, 0.0)
+    spread = np.zeros((products.shape[0], n))
+    spread[:, data.rows] = products
+    coloured = fft.irfft(fft.rfft(spread, length) * power, length)[:, :n]
+    return np.asarray(coloured @ spread.T)
+
+
+def _products(passing: Signals, blocks: Blocks, data: CascadeData) -> Array:
+    """Products (k, rows) of the input, the modelled output and its velocity, as they are and through the dynamics."""
+    output = passing.output
+    signals = [data.input - data.rest, output - blocks.offset, np.gradient(output)]
+    signals = [signal / (float(np.std(signal[data.rows])) or 1.0) for signal in signals]
+    products = [
+        np.prod([signals[k] for k in places], axis=0)
+        for degree in range(1, _HIGHEST + 1)
+        for places in combinations_with_replacement(range(len(signals)), degree)
+    ]
+    plain = np.array(products)  # (k, n)
+    weights = blocks.first if blocks.second is None else blocks.second
+    return np.concatenate([plain, data.bank.apply(weights, plain)])[:, data.rows]
+
+
+NAMES: Mapping[Structure, str] = {
+    "linear": marked("a linear system"),
+    "wiener": marked("a Wiener system"),
+    "hammerstein": marked("a Hammerstein system"),
+    "lnl": marked("an LNL system"),
+    "nln": marked("an NLN system"),
+}
+"""Names of the structures in findings."""
+
+_ORDERS: Mapping[Structure, str] = {
+    "linear": marked("one kernel"),
+    "wiener": marked("linear dynamics and then a static curve"),
+    "hammerstein": marked("a static curve and then linear dynamics"),
+    "lnl": marked("a static curve between linear dynamics"),
+    "nln": marked("linear dynamics between static curves"),
+}
+
+_AND = marked(" and ")
+
+_FOLDS = 4
+_FOLD_STEPS, _FOLD_SETTLED = 8, 1e-5
+
+_CLEAR = 2.33
+"""Threshold of a lead, in standard errors: exceeded by chance with a probability of 1 %."""
+
+_WORTH = 2e-4
+"""Smallest lead, as a share of the output's variance: curves of finite degree differ by less."""
+
+_FAR = 2.0
+"""Ratio to the smallest squared error above which a structure is rejected whatever the spread of its errors."""
+
+_LEAST_PERCENT = 10.0
+"""Smallest held-out VAF, %, at which a structure is named."""
+
+_CHANCE = 0.01
+"""Significance level of the test that the error of a structure is noise."""
+
+
+@dataclass(frozen=True)
+class StructureCandidate:
+    """One structure: VAF of its free run on samples it was not fitted to, and how it compares with the best.
+
+    ``behind`` is by how many standard errors the mean squared error exceeds that of the best structure, and
+    ``lost_percent`` by how much of the output's variance; ``alike`` is true where this is not significant.
+    ``unexplained_percent`` is how much of its error products of its own signals explain, ``unexplained_p_value`` the
+    chance that they explain as much of noise; None where not alike.
+    """
+
+    structure: Structure
+    vaf_held_out_percent: float
+    aicc: float
+    behind: float
+    lost_percent: float
+    alike: bool
+    unexplained_percent: float | None = None
+    unexplained_p_value: float | None = None
+
+    @property
+    def complete(self) -> bool:
+        """True when nothing to speak of is left in its error that its own signals explain."""
+        if self.unexplained_p_value is None or self.unexplained_percent is None:
+            return False
+        worth = self.unexplained_percent * (1.0 - 0.01 * self.vaf_held_out_percent)
+        return self.unexplained_p_value > _CHANCE or worth < 100.0 * _WORTH
+
+
+@dataclass(frozen=True)
+class StructureChoice:
+    """The structure chosen among those that were tried.
+
+    ``alike`` are the structures that the record does not distinguish: as good as the best, with nothing left in their
+    errors. The chosen one is the simplest of them. If there is none, the best is chosen and ``complete`` is False: the
+    system has another structure. ``determined`` is True when no other structure of the same rank is alike, and the
+    chosen one beats its special cases, also by AICc, and explains a share of the output.
+    """
+
+    structure: Structure
+    candidates: tuple[StructureCandidate, ...]
+    alike: tuple[Structure, ...]
+    determined: bool
+    complete: bool
+
+    @property
+    def chosen(self) -> StructureCandidate:
+        """The chosen structure's figures."""
+        return next(one for one in self.candidates if one.structure == self.structure)
+
+    @property
+    def confident(self) -> bool:
+        """True when the record may be called by the name of the chosen structure."""
+        return self.determined and self.complete
+
+
+def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureChoice:
+    """Compare fitted structures on samples that they were not fitted to.
+
+    Args:
+        found: the structures, each fitted to all rows of the data.
+        data: the record.
+    """
+    folds = np.array_split(np.arange(data.rows.size), _FOLDS)
+    refitted = {structure: _refitted(fitted, data, folds) for structure, fitted in found.items()}
+    errors = {structure: _held_out_errors(parts, data, folds) for structure, parts in refitted.items()}
+    variance = float(np.var(data.measured))
+    sizes = {structure: float(np.mean(error**2)) for structure, error in errors.items()}
+    best = min(sizes, key=lambda structure: sizes[structure])
+    rate = data.prepared.record.sample_rate_hz
+    candidates = []
+    for structure in STRUCTURES:
+        if structure not in errors:
+            continue
+        lost = errors[structure] ** 2 - errors[best] ** 2
+        behind, share = _ahead(lost, rate), float(np.mean(lost)) / variance
+        error = data.measured - run(found[structure].blocks, data).output[data.rows]
+        one = StructureCandidate(
+            structure=structure,
+            vaf_held_out_percent=100.0 * (1.0 - sizes[structure] / variance),
+            aicc=aicc(error, found[structure].blocks.n_parameters),
+            behind=behind,
+            lost_percent=100.0 * share,
+            alike=share < _WORTH or (behind < _CLEAR and sizes[structure] < _FAR * sizes[best]),
+        )
+        if one.alike:
+            left = unexplained(found[structure].blocks, data)
+            one = replace(one, unexplained_percent=100.0 * left.share, unexplained_p_value=left.p_value)
+        candidates.append(one)
+    alike = [one for one in candidates if one.alike and one.complete]
+    simplest = [one for one in alike if not any(other.structure in INSIDE[one.structure] for other in alike)]
+    leading = next(one for one in candidates if one.structure == best)
+    chosen = max(simplest, key=lambda one: one.vaf_held_out_percent, default=leading)
+    return StructureChoice(
+        structure=chosen.structure,
+        candidates=tuple(candidates),
+        alike=tuple(one.structure for one in alike),
+        determined=len(simplest) == 1
+        and chosen.vaf_held_out_percent > _LEAST_PERCENT
+        and not _unbeaten(chosen, candidates),
+        complete=bool(alike),
+    )
+
+
+def _unbeaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidate]) -> list[Structure]:
+    """Return special cases of a structure that it does not beat both on samples it was not fitted to and by AICc."""
+    simpler = [one for one in candidates if one.structure in INSIDE[chosen.structure]]
+    return [
+        one.structure
+        for one in simpler
+        if one.aicc <= chosen.aicc or one.vaf_held_out_percent >= chosen.vaf_held_out_percent
+    ]
+
+
+def findings_of(choice: StructureChoice) -> tuple[str, ...]:
+    """Return one sentence on the chosen structure; it is named only where the record determines it."""
+    chosen = choice.chosen
+    values: dict[str, Any] = {"name": NAMES[choice.structure], "percent": chosen.vaf_held_out_percent}
+    if chosen.vaf_held_out_percent <= _LEAST_PERCENT:
+        return (
+            Message(
+                "cascade.nothing_explained",
+                "no block structure explains this record: {name} is the closest (held-out free run {percent:.1f} %)",
+                **values,
+            ),
+        )
+    if not choice.complete:
+        return (
+            Message(
+                "cascade.none_complete",
+                "none of the block structures: {name} is the closest (held-out free run {percent:.1f} %), but products "
+                "of its own signals explain {left:.0f} % of its error",
+                left=chosen.unexplained_percent or 0.0,
+                **values,
+            ),
+        )
+    if not choice.determined:
+        level = [NAMES[one] for one in choice.alike if not any(other in INSIDE[one] for other in choice.alike)]
+        simpler = [NAMES[one] for one in _unbeaten(chosen, choice.candidates)]
+        return (
+            Message(
+                "cascade.undetermined",
+                "the record does not distinguish {names} (held-out free run {percent:.1f} %)",
+                names=Listing((*simpler, *level), _AND),
+                percent=chosen.vaf_held_out_percent,
+            ),
+        )
+    rivals = [one for one in choice.candidates if one.structure not in choice.alike]
+    if not rivals:
+        return (
+            Message(
+                "cascade.best",
+                "{name}: no other block structure does better (held-out free run {percent:.1f} %)",
+                **values,
+            ),
+        )
+    near = max(rivals, key=lambda one: one.vaf_held_out_percent)
+    return (
+        Message(
+            "cascade.determined",
+            "{name}, {order} (held-out free run {percent:.1f} %; {rival} {other:.1f} %, {errors:.1f} standard errors "
+            "behind)",
+            order=_ORDERS[choice.structure],
+            rival=NAMES[near.structure],
+            other=near.vaf_held_out_percent,
+            errors=near.behind,
+            **values,
+        ),
+    )
+
+
+def doubts_of(choice: StructureChoice) -> tuple[str, ...]:
+    """Return a warning where the error of the chosen structure is not noise."""
+    if choice.complete:
+        return ()
+    return (
+        Message(
+            "cascade.incomplete",
+            "the error of the {structure} cascade is not noise: the system is none of the block structures; parameters "
+            "that vary with depth would look like this",
+            structure=choice.structure,
+        ),
+    )
+
+
+def _refitted(fitted: Fitted, data: CascadeData, folds: list[NDArray[np.intp]]) -> list[Blocks]:
+    """Return the blocks as fitted to all but each stretch."""
+    answers = []
+    for fold in folds:
+        held_out = np.zeros(data.input.size, dtype=np.bool_)
+        held_out[data.rows[fold]] = True
+        others = data.without(held_out)
+        if fitted.blocks.structure == "linear":
+            answers.append(fit_linear(others).blocks)
+        else:
+            answers.append(refine(fitted.blocks, others, _FOLD_STEPS, _FOLD_SETTLED).blocks)
+    return answers
+
+
+def _held_out_errors(refitted: list[Blocks], data: CascadeData, folds: list[NDArray[np.intp]]) -> Array:
+    """Return the errors (rows,) of the free run, each stretch by the blocks as fitted to the others."""
+    errors = np.empty(data.rows.size)
+    for fold, blocks in zip(folds, refitted, strict=True):
+        errors[fold] = data.measured[fold] - run(blocks, data).output[data.rows[fold]]
+    return errors
+
+
+def _ahead(gains: Array, sample_rate_hz: float) -> float:
+    """Return the mean of dependent gains (n,) in units of its standard error; 0 when there is nothing to compare."""
+    spread = float(np.std(gains))
+    if spread == 0.0:
+        return 0.0
+    centred = gains - gains.mean()
+    variance = float(long_run_covariance(centred[:, None], dependence_samples(centred, sample_rate_hz))[0, 0])
+    return float(gains.sum()) / float(np.sqrt(variance))

@@ -1,0 +1,1 @@
+"""What is shown of an identification while a test runs, its precision, and the rule that stops the test."""

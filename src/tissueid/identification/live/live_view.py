@@ -1,0 +1,325 @@
+"""What can be said of a tissue while its test still runs: the linear response, its curve, and its parameters so far.
+
+An identifier holds the response (:mod:`~tissueid.identification.online`); looking at it changes nothing and takes a
+few milliseconds, so that it can be done several times a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from scipy import fft
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import convolve_at_rest
+from tissueid.identification.engines.als import Als, AlsIdentifier
+from tissueid.identification.engines.lms import Lms
+from tissueid.identification.engines.rls import Rls, RlsIdentifier
+from tissueid.identification.engines.spectral import Spectral
+from tissueid.identification.external_spring import without_spring
+from tissueid.identification.impulse_response import kernel_std
+from tissueid.identification.live.precision import PARAMETERS, Parameter, Precision
+from tissueid.identification.live.sliding import SlidingLms
+from tissueid.identification.online.identifier import RECENT_S
+from tissueid.identification.preparation import Prepared, prepare
+from tissueid.identification.second_order_fit import SecondOrderFit
+from tissueid.identification.static_nonlinearity import fit_exponential
+from tissueid.identification.validation import vaf_percent
+from tissueid.messages import Listing, Message
+from tissueid.records import Estimate, Record
+
+Method = Literal["sliding", "rls", "als"]
+METHODS: tuple[Method, ...] = get_args(Method)
+LiveIdentifier = SlidingLms | RlsIdentifier | AlsIdentifier
+
+_LONGEST_SEGMENT_S = 0.5
+_SEGMENTS = 3.0
+"""Lengths of a segment that a record must have; overlapping by half, these are five segments."""
+
+_EXCITED = 0.03
+"""Share of the input's greatest power density below which a frequency counts as not excited."""
+
+_LEVELS = 16
+_SAMPLES_PER_LEVEL = 40
+_CURVE_POINTS = 64
+_DEPTHS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class LiveBode:
+    """Frequency response (bins,) of the response so far, and the coherence of its input and output (Eq. 3.1).
+
+    ``magnitude`` is in output units per input unit, ``phase_rad`` is unwrapped from the lowest frequency. ``coherence``
+    is insignificant (5 %) below ``coherence_floor``. Frequencies that the input does not excite are left out.
+    """
+
+    frequency_hz: Array
+    magnitude: Array
+    phase_rad: Array
+    coherence: Array
+    coherence_floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class LiveCurve:
+    """Measured output against the linear prediction, both in output units.
+
+    ``predicted`` (levels,) and ``measured`` are means over parts of the prediction with equal counts, ``measured_std``
+    the standard deviation of the single outputs there. ``curve_x`` (m,) and ``curve_y`` are the exponential of Eq. 3.26
+    through all of them. Where the tissue is linear, all lie on the diagonal.
+    """
+
+    predicted: Array
+    measured: Array
+    measured_std: Array
+    curve_x: Array
+    curve_y: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LiveDepths:
+    """How often the output stood where: ``share`` (k,) of the samples between the ``edges`` (k + 1,), output units."""
+
+    edges: Array
+    share: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LiveCourse:
+    """How the parameters came about: at each look, shape (looks,) and (looks, 3) for mass, damping, stiffness.
+
+    ``values`` and ``std`` are in kg, N s/m, N/m; a standard deviation that cannot be had is infinite.
+    """
+
+    seconds: Array
+    values: Array
+    std: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LiveView:
+    """One look at a running test, after ``seconds`` of record.
+
+    ``impulse_response`` (lags,) is in output units per input unit and second at ``lag_s`` (lags,), empty until there is
+    one; ``impulse_response_std`` its standard deviations, None for a response that adapts. ``second_order`` is the fit
+    behind ``parameters``. ``vaf_percent`` is that of the response run free over the samples that it is judged on: the
+    window of the sliding method, the latest ten seconds otherwise. ``missing`` says in one line what is not there yet
+    and why, and is empty when nothing is missing.
+    """
+
+    method: Method
+    seconds: float
+    lag_s: Array
+    impulse_response: Array
+    impulse_response_std: Array | None
+    second_order: SecondOrderFit | None
+    parameters: dict[Parameter, Estimate]
+    vaf_percent: float | None
+    bode: LiveBode | None
+    curve: LiveCurve | None
+    depths: LiveDepths | None
+    course: LiveCourse
+    missing: str = ""
+
+    def without_spring(self, spring_n_per_m: float) -> LiveView:
+        """Return a copy with a parallel spring subtracted from the stiffness; responses still include it."""
+        values = self.course.values.copy()
+        if values.size:
+            values[:, PARAMETERS.index("stiffness")] -= spring_n_per_m
+        return replace(
+            self,
+            parameters=without_spring(self.parameters, spring_n_per_m),
+            course=replace(self.course, values=values),
+        )
+
+
+def start_identifier(
+    method: Method, sample_rate_hz: float, memory: float = 0.125, window_s: float | None = RECENT_S
+) -> LiveIdentifier:
+    """Return an identifier of force to position that knows nothing yet.
+
+    Args:
+        method: sliding least squares, recursive least squares, or adaptive least squares.
+        sample_rate_hz: of the samples to come.
+        memory: how long the impulse response lasts, s.
+        window_s: of the sliding method: how much of the latest samples counts; all of them when None.
+
+    Raises:
+        UnusableInputError: no such method, or the sample rate is not positive.
+    """
+    if method == "sliding":
+        return SlidingLms(Lms(memory=memory), sample_rate_hz, window_s)
+    if method == "rls":
+        return Rls(memory=memory).start(sample_rate_hz)
+    if method == "als":
+        return Als(memory=memory).start(sample_rate_hz)
+    raise UnusableInputError(
+        Message(
+            "online.unknown_method",
+            "there is no live method '{method}': choose one of {methods}",
+            method=method,
+            methods=Listing(METHODS),
+        )
+    )
+
+
+def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveView:
+    """Return what the live panel shows of an identifier; ``looks`` are the parameter estimates so far, oldest first.
+
+    What cannot be had yet is left out, and ``missing`` says why.
+    """
+    newest = looks[-1] if looks else None
+    response: _Response | None = None
+    bode: LiveBode | None = None
+    missing = ""
+    try:
+        response = _respond(identifier)
+        bode = _bode(response)
+    except UnusableInputError as error:
+        missing = error.message
+    return LiveView(
+        method=_method(identifier),
+        seconds=identifier.samples / identifier.sample_rate_hz,
+        lag_s=identifier.lag_s if response else np.zeros(0),
+        impulse_response=response.kernel * identifier.sample_rate_hz if response else np.zeros(0),
+        impulse_response_std=response.std * identifier.sample_rate_hz
+        if response and response.std is not None
+        else None,
+        second_order=newest.second_order if newest else None,
+        parameters=newest.estimates if newest else {},
+        vaf_percent=response.vaf_percent if response else None,
+        bode=bode,
+        curve=_curve(response) if response else None,
+        depths=_depths(response.prepared.record) if response else None,
+        course=_course(looks),
+        missing=missing,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """A response per sample (lags,) with its standard deviations, and what it makes of the latest samples (n,)."""
+
+    kernel: Array
+    std: Array | None
+    modelled: Array
+    prepared: Prepared
+
+    @property
+    def pairs(self) -> tuple[Array, Array]:
+        """Linear prediction and measured output, where there are both."""
+        used = self.prepared.used & np.isfinite(self.modelled)
+        return self.modelled[used], self.prepared.record.output[used]
+
+    @property
+    def vaf_percent(self) -> float | None:
+        """Variance accounted for, or None where the output does not vary."""
+        predicted, measured = self.pairs
+        share = vaf_percent(measured, predicted)
+        return share if np.isfinite(share) else None
+
+
+def _method(identifier: LiveIdentifier) -> Method:
+    if isinstance(identifier, SlidingLms):
+        return "sliding"
+    return "rls" if isinstance(identifier, RlsIdentifier) else "als"
+
+
+def _respond(identifier: LiveIdentifier) -> _Response:
+    """Return what the engine of the identifier would report of its response.
+
+    Raises:
+        UnusableInputError: too little was received yet, or nothing varies.
+    """
+    if isinstance(identifier, SlidingLms):
+        solved = identifier.solve()
+        prepared = solved.prepared
+        x, modelled, residuals = _run(solved.kernel, prepared, prepared.input_mean, prepared.output_mean)
+        std = kernel_std(solved.inverse, x, residuals)[: solved.kernel.size]
+        return _Response(solved.kernel, std, modelled, prepared)
+    prepared = prepare(identifier.recent(), None, identifier.options.memory)
+    if isinstance(identifier, AlsIdentifier):
+        kernel = identifier.average_response / identifier.sample_rate_hz
+        _, modelled, residuals = _run(kernel, prepared, identifier.centre, 0.0)
+        return _Response(kernel, None, modelled + float(np.nanmean(residuals)), prepared)
+    kernel = identifier.impulse_response / identifier.sample_rate_hz
+    x, modelled, residuals = _run(kernel, prepared, identifier.input_mean, identifier.offset)
+    std = identifier.options.response_std(identifier, identifier.covariance, x, residuals, prepared.part)
+    return _Response(kernel, std, modelled, prepared)
+
+
+def _run(kernel: Array, prepared: Prepared, centre: float, offset: float) -> tuple[Array, Array, Array]:
+    """Return the input less its centre, free run, and residuals where they count and NaN elsewhere; each (n,)."""
+    record = prepared.record
+    x = record.input - centre
+    modelled = offset + convolve_at_rest(kernel, x)
+    return x, modelled, np.where(prepared.used, record.output - modelled, np.nan)
+
+
+def _bode(response: _Response) -> LiveBode:
+    """Return the transform of the response, with the coherence of segments as long as the record can spare.
+
+    Raises:
+        UnusableInputError: the record is too short, or has too many gaps, for two segments of a memory's length.
+    """
+    record, lags = response.prepared.record, response.kernel.size
+    rate = record.sample_rate_hz
+    segment = min(_LONGEST_SEGMENT_S, len(record) / rate / _SEGMENTS)
+    if round(segment * rate) < lags:
+        raise UnusableInputError(
+            Message(
+                "online.short_for_coherence",
+                "coherence needs {segments:g} memories of {memory:g} s: wait for more data",
+                segments=_SEGMENTS,
+                memory=lags / rate,
+            )
+        )
+    spectra = Spectral(window=segment).spectra(response.prepared)
+    shown = (spectra.frequency_hz > 0.0) & (spectra.input_psd > _EXCITED * np.max(spectra.input_psd[1:]))
+    transform = fft.rfft(response.kernel, round(segment * rate))
+    return LiveBode(
+        frequency_hz=spectra.frequency_hz[shown],
+        magnitude=np.abs(transform)[shown],
+        phase_rad=np.unwrap(np.angle(transform))[shown],
+        coherence=spectra.coherence[shown],
+        coherence_floor=spectra.coherence_floor,
+    )
+
+
+def _curve(response: _Response) -> LiveCurve | None:
+    """Return binned means and the exponential through all samples; None while there are too few."""
+    predicted, measured = response.pairs
+    levels = min(_LEVELS, predicted.size // _SAMPLES_PER_LEVEL)
+    if levels < 4 or not float(np.ptp(predicted)) > 0.0:
+        return None
+    order = np.argsort(predicted)
+    parts = np.array_split(order, levels)
+    fitted = fit_exponential(predicted, measured)
+    x = np.linspace(fitted.low, fitted.high, _CURVE_POINTS)
+    return LiveCurve(
+        predicted=np.array([predicted[part].mean() for part in parts]),
+        measured=np.array([measured[part].mean() for part in parts]),
+        measured_std=np.array([measured[part].std() for part in parts]),
+        curve_x=x,
+        curve_y=fitted(x),
+    )
+
+
+def _depths(record: Record) -> LiveDepths:
+    received = record.output[np.isfinite(record.output)]
+    counts, edges = np.histogram(received, bins=_DEPTHS)
+    return LiveDepths(edges=edges, share=counts / max(1, received.size))
+
+
+def _course(looks: Sequence[Precision]) -> LiveCourse:
+    values = np.full((len(looks), len(PARAMETERS)), np.nan)
+    std = np.full((len(looks), len(PARAMETERS)), np.inf)
+    for row, look in enumerate(looks):
+        for column, estimate in enumerate(look.estimates.values()):
+            values[row, column] = estimate.value
+            std[row, column] = np.inf if estimate.std is None else estimate.std
+    return LiveCourse(np.array([look.seconds for look in looks]), values, std)

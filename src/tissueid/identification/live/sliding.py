@@ -1,0 +1,290 @@
+"""Least mean squares over the latest seconds: correlations that slide with the samples, solved when asked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg, signal
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.correlation import condition_number, toeplitz_inverse, toeplitz_solve
+from tissueid.identification.engines.lms import Lms, LmsModel
+from tissueid.identification.impulse_response import BEYOND_S, RIDGE, beyond_memory, factor_input
+from tissueid.identification.lagged_gram import LaggedRegressors
+from tissueid.identification.live import sliding_sums
+from tissueid.identification.preparation import Prepared, memory_in_samples, prepare
+from tissueid.messages import Message
+from tissueid.records import Record
+
+_FIRST_ROOM_S = 8.0
+"""Seconds that there is room for at first where the window has no end."""
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingSolution:
+    """The answer over the window as it stood.
+
+    ``kernel`` (lags,) is the response per sample; ``prepared`` is the window looked over for the fit. The correlation
+    matrix R (estimated, estimated) that it was found with, of a response somewhat longer than is kept, is held by its
+    first column, as a whole, or by its pseudo-inverse.
+    """
+
+    kernel: Array
+    prepared: Prepared
+    column: Array | None = None
+    matrix: Array | None = None
+    pseudo_inverse: Array | None = None
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse of R, shape (estimated, estimated), or its pseudo-inverse; what uncertainty takes."""
+        if self.column is not None:
+            return toeplitz_inverse(self.column)
+        if self.matrix is not None:
+            return np.asarray(linalg.inv(self.matrix))
+        assert self.pseudo_inverse is not None
+        return self.pseudo_inverse
+
+
+class SlidingLms:
+    """Least-squares response over the latest ``window_s`` seconds, or over all so far, while samples come in.
+
+    Samples go in one after another or many at once, with the same sums to the last bit. The answer is that of ``lms``
+    over the same window: its Toeplitz solution of tapered correlations while the window has no gap, its sums over
+    complete memories while it has one. Nothing is solved until it is asked for, so there are no prediction errors.
+
+    Args:
+        options: of the engine whose answer this is.
+        sample_rate_hz: of the samples to come.
+        window_s: how much of the latest samples counts; all of them when None.
+        input_unit: of the samples to come.
+        output_unit: likewise.
+
+    Raises:
+        UnusableInputError: the sample rate is not positive, or the window is shorter than two memories.
+    """
+
+    def __init__(
+        self,
+        options: Lms,
+        sample_rate_hz: float,
+        window_s: float | None = None,
+        *,
+        input_unit: str = "N",
+        output_unit: str = "m",
+    ) -> None:
+        if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
+            raise UnusableInputError(
+                Message("record.sample_rate", "the sample rate must be positive, got {rate:g} Hz", rate=sample_rate_hz)
+            )
+        if window_s is not None and not window_s >= 2.0 * options.memory:
+            raise UnusableInputError(
+                Message(
+                    "online.short_window",
+                    "a window of {window:g} s is shorter than two memories of {memory:g} s: lengthen it",
+                    window=window_s,
+                    memory=options.memory,
+                )
+            )
+        self.options = options
+        self.sample_rate_hz = sample_rate_hz
+        self.lags = memory_in_samples(options.memory, sample_rate_hz)
+        self._units = (input_unit, output_unit)
+        self._window = None if window_s is None else round(window_s * sample_rate_hz)
+        summed = self.lags + round(BEYOND_S * sample_rate_hz)
+        room = 2 * self._window if self._window else round(_FIRST_ROOM_S * sample_rate_hz) + summed
+        self._received = np.zeros((2, room))  # input and output as they came
+        self._counted = np.zeros((2, room))  # less the first of each, and nothing where none was received
+        self._first = self._end = self._taken = 0
+        self._origin: tuple[float | None, float | None] = (None, None)
+        self._gained, self._lost = np.zeros((2, summed)), np.zeros((2, summed))
+        self._since_summed = 0
+        self._solution: SlidingSolution | None = None
+
+    def update(self, u: float, y: float) -> None:
+        """Take one input and one output; NaN where it was not received."""
+        self.batch(np.array([u]), np.array([y]))
+
+    def batch(self, u: Array, y: Array) -> None:
+        """Take inputs (n,) and outputs (n,); NaN where one was not received.
+
+        Raises:
+            UnusableInputError: the two differ in shape.
+        """
+        u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        if u.ndim != 1 or u.shape != y.shape:
+            raise UnusableInputError(
+                Message(
+                    "online.lengths",
+                    "inputs and outputs must have the same length, got {inputs} and {outputs}",
+                    inputs=int(u.size),
+                    outputs=int(y.size),
+                )
+            )
+        done = 0
+        while done < u.size:
+            n = u.size - done if self._window is None else min(u.size - done, self._window - self._since_summed)
+            self._take(u[done : done + n], y[done : done + n])
+            done += n
+        self._solution = None if u.size else self._solution
+
+    @property
+    def samples(self) -> int:
+        """How many samples were taken."""
+        return self._taken
+
+    @property
+    def lag_s(self) -> Array:
+        """Times of the lags, s, shape (lags,)."""
+        return np.arange(self.lags) / self.sample_rate_hz
+
+    @property
+    def impulse_response(self) -> Array:
+        """The response over the window, shape (lags,), in output units per input unit and second.
+
+        Raises:
+            UnusableInputError: too little was received yet, or nothing varies.
+        """
+        return self.solve().kernel * self.sample_rate_hz
+
+    def recent(self) -> Record:
+        """Return the window as a record.
+
+        Raises:
+            UnusableInputError: there are no samples in it.
+        """
+        u, y = self._received[:, self._first : self._end].copy()
+        return Record(u, y, self.sample_rate_hz, input_unit=self._units[0], output_unit=self._units[1])
+
+    def model(self) -> LmsModel:
+        """Return the model that ``lms`` makes of the window, scored on it; the sums go on undisturbed.
+
+        Raises:
+            UnusableInputError: too little was received yet, or nothing varies.
+        """
+        return self.options.fit(self.recent())
+
+    def solve(self) -> SlidingSolution:
+        """Return the response over the window and what its uncertainty takes.
+
+        Raises:
+            UnusableInputError: too little was received yet, or nothing varies.
+        """
+        if self._solution is None:
+            prepared = prepare(self.recent(), None, self.options.memory)
+            wide = prepared if self.options.taper == 0.0 else beyond_memory(prepared)
+            try:
+                if self.options.method == "svd":
+                    solution = self._as_a_whole(wide)
+                elif prepared.gapless:
+                    solution = self._from_sums(wide)
+                else:
+                    solution = self._across_gaps(wide)
+            except np.linalg.LinAlgError:
+                solution = self._as_a_whole(wide)
+            self._solution = replace(solution, kernel=solution.kernel[: self.lags], prepared=prepared)
+        return self._solution
+
+    # -- sums ---------------------------------------------------------------------------------------------
+
+    def _take(self, u: Array, y: Array) -> None:
+        self._make_room(u.size)
+        new = slice(self._end, self._end + u.size)
+        self._received[:, new] = u, y
+        origin = []
+        for row, values, known in zip(self._counted, (u, y), self._origin, strict=True):
+            received = np.isfinite(values)
+            if known is None and received.any():
+                known = float(values[received][0])
+            origin.append(known)
+            row[new] = np.where(received, values - (known or 0.0), 0.0)
+        self._origin = (origin[0], origin[1])
+        self._first = self._slide(self._first, self._end, u.size)
+        self._end += u.size
+        self._taken += u.size
+        self._since_summed += u.size
+        if self._since_summed == self._window:
+            # The window has been replaced completely since the last full sum: a new sum removes rounding errors.
+            self._gained[:], self._lost[:] = 0.0, 0.0
+            self._slide(self._first, self._first, self._end - self._first)
+            self._since_summed = 0
+
+    def _slide(self, first: int, end: int, new: int) -> int:
+        x, y = self._counted
+        window = self._window or x.size
+        return int(sliding_sums.slide(x, y, first, end, new, window, self._gained, self._lost))
+
+    def _make_room(self, n: int) -> None:
+        """Let ``n`` samples follow: the window is moved to the front, or where it has no end, into twice the room."""
+        room = self._received.shape[1]
+        if self._end + n <= room:
+            return
+        held = slice(self._first, self._end)
+        size = self._end - self._first
+        wanted = room
+        while wanted < size + n:
+            wanted *= 2
+        moved = []
+        for rows in (self._received, self._counted):
+            target = np.zeros((2, wanted)) if wanted > room else rows
+            target[:, :size] = rows[:, held].copy()
+            moved.append(target)
+        self._received, self._counted = moved
+        self._first, self._end = 0, size
+
+    # -- solutions ----------------------------------------------------------------------------------------
+
+    def _from_sums(self, prepared: Prepared) -> SlidingSolution:
+        """Return the Toeplitz solution, from the sums less the means of the window and with its ends faded.
+
+        Raises:
+            numpy.linalg.LinAlgError: the input does not excite every lag.
+        """
+        record, size, lags = prepared.record, len(prepared.record), prepared.memory_samples
+        origin_u, origin_y = (value or 0.0 for value in self._origin)
+        mean_x, mean_y = prepared.input_mean - origin_u, prepared.output_mean - origin_y
+        x, y = self._counted[:, self._first : self._end]
+        later_x, later_y = _without_first(x, lags), _without_first(y, lags)
+        earlier_x = _without_first(x[::-1], lags)
+        pairs = size - np.arange(lags)
+        raw_auto, raw_cross = (self._gained[:, ::-1] - self._lost)[:, :lags]
+        auto = raw_auto - mean_x * (later_x + earlier_x) + pairs * mean_x * mean_x
+        cross = raw_cross - mean_x * later_y - mean_y * earlier_x + pairs * mean_x * mean_y
+        taper = self.options.taper
+        if taper > 0.0:
+            fade = signal.windows.tukey(size, taper)
+            faded = min(size // 2, int(np.count_nonzero(fade[: size // 2] < 1.0)) + 1)
+            about = record.input - prepared.input_mean, record.output - prepared.output_mean
+            sliding_sums.fade_ends(*about, fade, faded, auto, cross)
+        column = auto / size
+        if taper > 0.0:
+            column[0] *= 1.0 + RIDGE
+        condition_number(column)
+        kernel = toeplitz_solve(column, cross / size)
+        return SlidingSolution(kernel, prepared, column=column)
+
+    def _across_gaps(self, prepared: Prepared) -> SlidingSolution:
+        """Return the least-squares answer over the outputs whose memory was received throughout."""
+        x = prepared.record.input - prepared.input_mean
+        regressors = LaggedRegressors(x[None, :], (prepared.memory_samples,), 1, prepared.used, constant=False)
+        count = int(prepared.used.sum())
+        gram = regressors.gram() / count
+        gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / prepared.memory_samples
+        right = regressors.adjoint(prepared.record.output[prepared.used] - prepared.output_mean) / count
+        kernel = np.asarray(linalg.solve(gram, right, assume_a="pos"))
+        return SlidingSolution(kernel, prepared, matrix=gram)
+
+    def _as_a_whole(self, prepared: Prepared) -> SlidingSolution:
+        """Return the answer by the whole correlation matrix, as the options ask or the input leaves no other."""
+        options = self.options
+        solved = factor_input(prepared, pseudo_inverse=True, tolerance=options.tolerance, taper=options.taper)
+        return SlidingSolution(solved.kernel(prepared.record.output), prepared, pseudo_inverse=solved.inverse)
+
+
+def _without_first(values: Array, lags: int) -> Array:
+    """Return the sums of values (n,) without the first k of them, for k = 0 .. lags - 1, shape (lags,)."""
+    return np.asarray(float(values.sum()) - np.concatenate([[0.0], np.cumsum(values[: lags - 1])]))

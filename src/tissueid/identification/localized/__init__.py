@@ -1,1 +1,0 @@
-"""Linear tests about one level after another."""

@@ -1,0 +1,166 @@
+"""Simulated tissue with the parameters of a partitioned fit, driven by the record's input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tissueid.errors import UnusableInputError
+from tissueid.identification.base import Array
+from tissueid.identification.dpn.simulation import Curves, simulate_dpn
+from tissueid.identification.partitions.cells import Partitions
+from tissueid.identification.partitions.parameters import LocalParameters
+from tissueid.identification.preparation import Prepared
+from tissueid.identification.second_order import Hold
+
+_ROWS = 2049
+_MARGIN = 0.25
+_DEGREE = 2
+_SCATTER = 0.03
+"""Relative deviation that every cell has about the curves, besides its own."""
+
+_LARGEST_CONTRAST = 0.95
+
+_TURNING_SHARE = 0.05
+"""Share of the typical speed over which the direction changes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """Half the difference between the damping on the way in and on the way out, as a share of their mean.
+
+    ``share`` (K,) at each cell, on a line; ``root`` (K, m) of its covariance.
+    """
+
+    share: Array
+    root: Array
+
+    @classmethod
+    def none(cls, count: int) -> Contrast:
+        """Return a contrast of zero without uncertainty for ``cells`` cells."""
+        return cls(np.zeros(count), np.zeros((count, 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Curves through the cells' values: parabolas to simulate along, and lines in which they are corrected.
+
+    A simulation along the cells' own values would sharpen their noise. ``basis`` (K, lines) holds the lines at the
+    cells, ``pick`` (lines, K) fits them; ``weight`` (K,) is that of each cell.
+    """
+
+    position: Array
+    basis: Array
+    pick: Array
+    weight: Array
+
+    @classmethod
+    def through(cls, local: LocalParameters) -> Lines:
+        """Return the lines for these cells, all of which are known."""
+        position = local.position
+        weight = 1.0 / np.sqrt(np.einsum("kim,kim->k", local.root, local.root) / 3.0 + _SCATTER**2)
+        basis = _powers(position, position, min(1, position.size - 1))
+        return cls(position, basis, np.linalg.pinv(basis * weight[:, None]) * weight, weight)
+
+    def unit_changes(self) -> list[Array]:
+        """Return a change of each line of each logarithm by one unit at the cells, (K, 3) each."""
+        changes = []
+        for line in self.basis.T:
+            for value in range(3):
+                change = np.zeros((self.position.size, 3))
+                change[:, value] = line
+                changes.append(change)
+        return changes
+
+    def coefficients(self, values: Array) -> Array:
+        """Return the parabolas (degree + 1, 3) through values (K, 3)."""
+        powers = _powers(self.position, self.position, min(_DEGREE, self.position.size - 1))
+        return np.asarray(np.linalg.pinv(powers * self.weight[:, None]) @ (values * self.weight[:, None]))
+
+    def smooth(self, values: Array) -> Array:
+        """Return the parabolas through values (K, 3) at the cells."""
+        return self.at(self.position, self.coefficients(values))
+
+    def at(self, position: Array, coefficients: Array) -> Array:
+        """Return the parabolas at positions (m,), (m, 3); beyond the cells they go on straight."""
+        degree = coefficients.shape[0] - 1
+        low, high = float(self.position.min()), float(self.position.max())
+        inside = np.clip(position, low, high)
+        value = _powers(inside, self.position, degree) @ coefficients
+        if degree == 0:
+            return np.asarray(value)
+        step = 1e-3 * (high - low)
+        rise = value - _powers(np.clip(inside, low + step, high - step), self.position, degree) @ coefficients
+        return np.asarray(value + rise * (np.abs(position - inside) / step)[:, None], dtype=np.float64)
+
+    def line_at(self, position: Array) -> Array:
+        """Return the lines at positions (m,), (m, lines); beyond the cells they stay."""
+        inside = np.clip(position, self.position.min(), self.position.max())
+        return _powers(inside, self.position, self.basis.shape[1] - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedTissue:
+    """M(y) y'' + B(y) y' + F(y) = u along smooth curves, under the input of a record.
+
+    ``rest`` is the output under the mean input, ``sign`` -1 when the output falls as the input rises.
+    """
+
+    lines: Lines
+    prepared: Prepared
+    low: float
+    high: float
+    rest: float
+    sign: float
+    hold: Hold
+    speed_scale: float
+
+    @classmethod
+    def through(
+        cls, local: LocalParameters, prepared: Prepared, partitions: Partitions, hold: Hold, rest: float
+    ) -> SimulatedTissue:
+        """Return the tissue for a fit whose cells are all known."""
+        low, high = (float(partitions.breakpoints[end]) for end in (0, -1))
+        margin = _MARGIN * (high - low)
+        speed = np.diff(prepared.record.output) * prepared.record.sample_rate_hz
+        scale = _TURNING_SHARE * float(np.nanstd(speed))
+        return cls(Lines.through(local), prepared, low - margin, high + margin, rest, local.sign, hold, scale)
+
+    def output(self, coefficients: Array, contrast: Contrast) -> Array | None:
+        """Return the output (n,), NaN where the record's is; None when these curves cannot be simulated.
+
+        Args:
+            coefficients: parabolas of log M, log B, log K, (degree + 1, 3).
+            contrast: of the damping at the cells.
+        """
+        record = self.prepared.record
+        grid = np.linspace(self.low, self.high, _ROWS)
+        mass, damping, stiffness = np.exp(self.lines.at(grid, coefficients)).T
+        share = self.lines.line_at(grid) @ (self.lines.pick @ contrast.share)
+        direction = np.arctanh(np.clip(share, -_LARGEST_CONTRAST, _LARGEST_CONTRAST))
+        spacing = float(grid[1] - grid[0])
+        force = np.concatenate([[0.0], np.cumsum(0.5 * (stiffness[1:] + stiffness[:-1]) * spacing)])
+        mean = self.sign * self.prepared.input_mean
+        turns = bool(np.any(contrast.share))
+        curves = Curves(
+            low=self.low,
+            spacing=spacing,
+            mass=mass,
+            damping=damping / np.cosh(direction),
+            force=force - float(np.interp(self.rest, grid, force)) + mean,
+            direction=direction if turns else None,
+            speed_scale=self.speed_scale if turns else 0.0,
+        )
+        try:
+            run = simulate_dpn(curves, self.sign * record.input, record.sample_rate_hz, rest_input=mean, hold=self.hold)
+        except UnusableInputError:
+            return None
+        return None if run.diverged_at is not None else np.where(np.isfinite(record.output), run.position, np.nan)
+
+
+def _powers(position: Array, cells: Array, degree: int) -> Array:
+    """Return the Legendre polynomials over the range of the cells' positions, (positions, degree + 1)."""
+    low, high = float(cells.min()), float(cells.max())
+    scaled = (2.0 * position - low - high) / max(high - low, 1e-12)
+    return np.asarray(np.polynomial.legendre.legvander(scaled, degree), dtype=np.float64)

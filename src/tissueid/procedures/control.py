@@ -1,0 +1,57 @@
+"""Progress, cancellation and prompts of a procedure: the one interface to the program that runs it."""
+
+from __future__ import annotations
+
+from tissueid.errors import CancelledError
+from tissueid.messages import Message
+
+CANCELLED = Message("procedure.cancelled", "it was cancelled")
+
+
+class Control:
+    """What a procedure reports and asks; this one shows nothing, is never cancelled and has no person.
+
+    The command line and the window override the methods that they need. All may be called from the thread of the
+    procedure only, except ``cancelled``.
+    """
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Show a step, usually a ``Message``, and its completed share from 0 to 1; None where that is not known."""
+
+    def notice(self, message: str) -> None:
+        """Show a message that does not end the procedure: a warning, or what it chose by itself."""
+
+    def instruct(self, prompt: str) -> None:
+        """Show an instruction that needs no confirmation; "" removes it."""
+
+    @property
+    def attended(self) -> bool:
+        """Whether ``ask`` reaches a person."""
+        return False
+
+    def ask(self, prompt: str) -> None:
+        """Show an instruction, and return when a person has confirmed that it is done.
+
+        Raises:
+            CancelledError: there is no person, or the procedure was cancelled meanwhile.
+        """
+        raise CancelledError(prompt)
+
+    def cancelled(self) -> bool:
+        """Return whether the procedure should end."""
+        return False
+
+    @property
+    def reason(self) -> str:
+        """Why the procedure was cancelled: the text of the error that ``check`` raises."""
+        return CANCELLED
+
+    def check(self) -> bool:
+        """Return False, or raise if the procedure was cancelled; the ``cancelled`` callback of ``acquisition``.
+
+        Raises:
+            CancelledError: it was cancelled.
+        """
+        if self.cancelled():
+            raise CancelledError(self.reason)
+        return False

@@ -1,0 +1,67 @@
+"""Options of a plan: declared once, on its fields, for the command line, the form and the files.
+
+    class SweepPlan(Plan):
+        seconds: Annotated[float, Option("--seconds", metavar="S", help="length of each test"), Field(gt=0.0)] = 4.0
+        step_m: Annotated[float, Option("--step", metavar="MM", scale=1e-3, help="distance between positions")] = 2e-3
+
+``tissueid.cli.plan_command.plan_command`` makes the parameters of a command from them. A field without an ``Option`` is
+no option of the command line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+
+from tissueid.errors import UnusableInputError
+from tissueid.option_errors import option_error
+
+
+@dataclass(frozen=True)
+class Option:
+    """Declaration of an option as an annotation of a field. Default and bounds (``ge``, ``le``) are those of the field.
+
+    Args:
+        name: on the command line, such as "--seconds"; "" for the name of the field, with "--no-" for a switch.
+        metavar: placeholder of the value in the help.
+        help: one phrase in English, which the form translates.
+        title: label in a form, marked for translation; "" for the name of the field.
+        scale: value of the field for 1 on the command line, such as 1e-3 for millimetres.
+        read: returns the value of the field from the text on the command line; may raise UnusableInputError.
+        argument: whether it is an argument by position.
+    """
+
+    name: str = ""
+    metavar: str | None = None
+    help: str = ""
+    title: str = ""
+    scale: float = 1.0
+    read: Callable[[str], Any] | None = None
+    argument: bool = False
+
+
+class Plan(BaseModel):
+    """What a procedure is to do: frozen, checked values in SI units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise UnusableInputError(option_error("the plan", type(self).model_fields, error)) from error
+
+
+def option_of(field: FieldInfo) -> Option | None:
+    """Return the declaration of a field's option; None for a field without one."""
+    return next((item for item in field.metadata if isinstance(item, Option)), None)
+
+
+def bounds_of(field: FieldInfo) -> tuple[float | None, float | None]:
+    """Return the least and greatest value of a field, None where it has no such bound."""
+    least, most = (next((getattr(i, name) for i in field.metadata if hasattr(i, name)), None) for name in ("ge", "le"))
+    return least, most

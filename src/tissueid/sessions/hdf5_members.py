@@ -1,0 +1,262 @@
+"""Groups, datasets and attributes of an untrusted HDF5 file, with checks of types, sizes and links."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tissueid.errors import SessionFormatError
+from tissueid.language import marked
+from tissueid.messages import Action, Message, code_of
+from tissueid.sessions.hdf5_heap_check import check_heaps
+from tissueid.untrusted_input import MAX_CHUNK_BYTES, MAX_MEMBERS, MAX_TEXT, json_value, storable_text
+
+_READABLE = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM)
+"""Types of attributes that are read; others, such as references, belong to other programs."""
+_MOST_TEXTS = 16
+"""Most texts in one attribute; each of them can point at the same large text."""
+_MOST_CHARACTERS = 4 * MAX_TEXT
+"""Most characters of all attributes of one object, which can also point at the same large text."""
+
+RECOVER_PLACE = marked("“Recover” on the page Start")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file for reading; any error of the file becomes a SessionFormatError.
+
+    Raises:
+        SessionFormatError: the file is missing, damaged, or no HDF5 file.
+    """
+    try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise SessionFormatError(Message("file.not_plain", "is not an ordinary file"))
+        check_heaps(path)
+        with h5py.File(path, "r") as file:
+            yield file
+    except SessionFormatError as error:
+        raise SessionFormatError(located(str(path), error.message)) from error
+    except FileNotFoundError as error:
+        raise SessionFormatError(_missing(path)) from error
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
+        # h5py raises any of these for a damaged file.
+        raise SessionFormatError(_damaged(path)) from error
+
+
+def located(place: str, reason: str) -> Message:
+    """Return a message that says where a reason applies, with the code and the values of the reason."""
+    values = dict(reason.values) if isinstance(reason, Message) else {}
+    return Message(code_of(reason), "{path}: {reason}", **values | {"path": place, "reason": reason})
+
+
+def _missing(path: Path) -> Message:
+    if (action := _recovery(path)) is None:
+        return Message("file.missing", "{path}: no such file", path=str(path))
+    return Message(
+        "session.missing_with_journal",
+        "{path}: no such file; its journal exists: {action} makes the session from it",
+        path=str(path),
+        action=action,
+    )
+
+
+def _damaged(path: Path) -> Message:
+    if path.is_dir():
+        return Message("session.folder", "{path} is a folder", path=str(path))
+    if (action := _recovery(path)) is None:
+        return Message("session.damaged", "{path} is damaged, or not an HDF5 session", path=str(path))
+    return Message(
+        "session.damaged_with_journal",
+        "{path} is damaged, or not an HDF5 session; its journal exists: move the file away, and {action} makes the "
+        "session from it",
+        path=str(path),
+        action=action,
+    )
+
+
+def _recovery(path: Path) -> Action | None:
+    """Return the action that makes the session from its journal; None without a journal."""
+    journal = journal_path(path)
+    if not journal.is_file():
+        return None
+    return Action("session.recover", f"tissueid recover {shlex.quote(str(journal))}", RECOVER_PLACE)
+
+
+def journal_path(session: Path) -> Path:
+    """Return the path of the journal of a session, in the same folder."""
+    return session.with_name(session.name + ".journal")
+
+
+def datasets(group: h5py.Group) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Yield the datasets of a group with their names.
+
+    Raises:
+        SessionFormatError: some are elsewhere.
+    """
+    if len(group) > MAX_MEMBERS:
+        raise SessionFormatError(
+            Message(
+                "session.too_many_signals",
+                "{count} signals; at most {most} are read",
+                count=len(group),
+                most=MAX_MEMBERS,
+            )
+        )
+    for name in group:
+        item = _own(group, name)
+        if not isinstance(item, h5py.Dataset):
+            continue  # the format may grow; a reader passes over what it does not know
+        check_dataset(name, item)
+        yield name, item
+
+
+def check_dataset(name: str, dataset: h5py.Dataset) -> None:
+    """Check that a dataset is stored in this file, in chunks that are not too large.
+
+    Raises:
+        SessionFormatError: it is not.
+    """
+    if dataset.external is not None or dataset.is_virtual:
+        raise SessionFormatError(Message("session.points_outside", "{name} points outside the file", name=name[:60]))
+    if dataset.chunks is not None:
+        chunk = math.prod(dataset.chunks) * dataset.dtype.itemsize
+        if chunk > MAX_CHUNK_BYTES:
+            raise SessionFormatError(
+                Message(
+                    "session.chunks",
+                    "{name} is stored in chunks of {size} bytes; at most {most} are read",
+                    name=name[:60],
+                    size=chunk,
+                    most=MAX_CHUNK_BYTES,
+                )
+            )
+
+
+def subgroup(parent: h5py.Group, name: str) -> h5py.Group:
+    """Return a subgroup.
+
+    Raises:
+        SessionFormatError: there is none, or it is elsewhere.
+    """
+    if name not in parent:
+        raise SessionFormatError(Message("session.no_group", "the group {name} is missing", name=name))
+    item = _own(parent, name)
+    if not isinstance(item, h5py.Group):
+        raise SessionFormatError(Message("session.not_a_group", "{name} is not a group", name=name))
+    return item
+
+
+def _own(parent: h5py.Group, name: str) -> Any:
+    """Return a member of this file; links are not followed."""
+    if not isinstance(parent.get(name, getlink=True), h5py.HardLink):
+        raise SessionFormatError(Message("session.link", "{name} is a link", name=name[:60]))
+    return parent[name]
+
+
+def plain_attributes(attributes: h5py.AttributeManager) -> dict[str, str | float]:
+    """Return the attributes of an object as texts and numbers, without those of types that a session does not have.
+
+    Raises:
+        SessionFormatError: there are too many, or one is too large.
+    """
+    if len(attributes) > MAX_MEMBERS:
+        raise SessionFormatError(
+            Message(
+                "session.too_many_attributes",
+                "{count} attributes; at most {most} are read",
+                count=len(attributes),
+                most=MAX_MEMBERS,
+            )
+        )
+    found: dict[str, str | float] = {}
+    length = 0
+    for name in attributes:
+        if (value := _attribute(attributes, name)) is not None:
+            found[storable_text(name)] = value
+            length += len(value) if isinstance(value, str) else 0
+        if length > _MOST_CHARACTERS:
+            raise SessionFormatError(
+                Message(
+                    "session.attributes_too_long",
+                    "attributes of more than {most} characters in one place",
+                    most=_MOST_CHARACTERS,
+                )
+            )
+    return found
+
+
+def _attribute(attributes: h5py.AttributeManager, name: str) -> str | float | None:
+    """Return an attribute as text or number, several values as one text; None for types that sessions do not have.
+
+    Raises:
+        SessionFormatError: it is too large.
+    """
+    stored = attributes.get_id(name)
+    kind = stored.get_type()
+    if kind.get_class() not in _READABLE:
+        return None
+    several = isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str() and stored.shape
+    if stored.get_storage_size() > MAX_TEXT or (several and math.prod(several) > _MOST_TEXTS):
+        raise SessionFormatError(
+            Message(
+                "session.attribute_too_large",
+                "the attribute {name} is too large: at most {most} bytes are read",
+                name=name[:60],
+                most=MAX_TEXT,
+            )
+        )
+    value = attributes[name]
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    if isinstance(value, str):
+        return storable_text(value[:MAX_TEXT])
+    array = np.asarray(value)
+    if array.size == 1 and array.dtype.kind in "fiub":
+        return float(array.item())
+    return storable_text(str(array.tolist())[:MAX_TEXT])
+
+
+def text_of(attributes: h5py.AttributeManager, name: str, default: str | None = None) -> str:
+    """An attribute that is text.
+
+    Raises:
+        SessionFormatError: it is not.
+    """
+    if name not in attributes and default is not None:
+        return default
+    value = _attribute(attributes, name)
+    if not isinstance(value, str):
+        raise SessionFormatError(Message("session.attribute_not_text", "the attribute {name} is not text", name=name))
+    return value
+
+
+def number_of(attributes: h5py.AttributeManager, name: str, default: float | None = None) -> float:
+    """An attribute that is a number.
+
+    Raises:
+        SessionFormatError: it is not.
+    """
+    if name not in attributes and default is not None:
+        return default
+    value = _attribute(attributes, name)
+    if not isinstance(value, float):
+        raise SessionFormatError(
+            Message("session.attribute_not_a_number", "the attribute {name} is not a number", name=name)
+        )
+    return value
+
+
+def json_object(raw: str, name: str) -> dict[str, Any]:
+    """JSON that describes something; what is not an object is kept as text under ``type``."""
+    try:
+        value = json_value(raw)
+    except ValueError:
+        return {"type": raw}
+    return value if isinstance(value, dict) else {"type": raw, "of": name}

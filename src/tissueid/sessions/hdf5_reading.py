@@ -1,0 +1,282 @@
+"""Read and validate the HDF5 session file, version 1.0 (docs/sessions.md)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import SessionFormatError
+from tissueid.messages import Message
+from tissueid.sessions.hdf5_members import (
+    datasets,
+    json_object,
+    located,
+    number_of,
+    opened,
+    plain_attributes,
+    subgroup,
+    text_of,
+)
+from tissueid.sessions.model import SIGNAL_UNITS, STATUSES, Session, Subject, Test
+from tissueid.sessions.outline import Outline, TestOutline
+from tissueid.untrusted_input import MAX_SAMPLES, MAX_TESTS, RATES_HZ, allowed_numbers
+
+FORMAT = "tissueid-session"
+FORMAT_VERSION = "1.0"
+_REQUIRED_TEST = ("kind", "sample_rate_hz")
+
+
+def read_session(path: Path) -> Session:
+    """Read a session in this process, for files that it has just written itself.
+
+    Sizes, types and links are checked before anything is loaded, but the time is not limited (``isolated_reading``).
+
+    Raises:
+        SessionFormatError: missing, not a session, or one that breaks the format.
+    """
+    with opened(path) as file:
+        session = read_all_but_tests(file)
+        tests = subgroup(file, "tests")
+        return replace(session, tests=tuple(read_numbered(name, subgroup(tests, name)) for name in sorted(tests)))
+
+
+def read_session_head(path: Path) -> Session:
+    """Read a session without its tests.
+
+    Raises:
+        SessionFormatError: missing, not a session, or one that breaks the format.
+    """
+    with opened(path) as file:
+        return read_all_but_tests(file)
+
+
+def read_outline(path: Path) -> Outline:
+    """Read a session without its signals, in a few milliseconds for tests of any length.
+
+    Raises:
+        SessionFormatError: missing, not a session, or one that breaks the format.
+    """
+    with opened(path) as file:
+        head = _read_head(file)
+        tests = _tests(file)
+        outline = Outline(head, tuple(_outline(name, subgroup(tests, name)) for name in sorted(tests)))
+        _check_numbers(file, sum(test.samples * len(test.signals) for test in outline.tests))
+        return outline
+
+
+def read_test(path: Path, number: int) -> Test:
+    """Read one test of a session.
+
+    Raises:
+        SessionFormatError: missing, not a session, one that breaks the format, or one without this test.
+    """
+    with opened(path) as file:
+        read_all_but_tests(file)
+        tests = subgroup(file, "tests")
+        name = next((name for name in tests if name.isascii() and name.isdigit() and int(name) == number), None)
+        if name is None:
+            raise SessionFormatError(
+                Message("session.no_test_number", "the session has no test {number}", number=number)
+            )
+        return read_numbered(name, subgroup(tests, name))
+
+
+def read_all_but_tests(file: h5py.File) -> Session:
+    """Return the session of an open file without its tests, after checking the size of the tests.
+
+    Raises:
+        SessionFormatError: the file breaks the format.
+    """
+    head = _read_head(file)
+    tests = _tests(file)
+    _check_numbers(file, sum(dataset.size for name in tests for _, dataset in _signal_datasets(tests, name)))
+    return head
+
+
+def _check_numbers(file: h5py.File, numbers: int) -> None:
+    most = allowed_numbers(file.id.get_filesize())
+    if numbers > most:
+        raise SessionFormatError(
+            Message(
+                "session.too_many_numbers",
+                "the tests hold {numbers} numbers; at most {most} are read from a file of this size",
+                numbers=numbers,
+                most=most,
+            )
+        )
+
+
+def _tests(file: h5py.File) -> h5py.Group:
+    tests = subgroup(file, "tests")
+    if len(tests) > MAX_TESTS:
+        raise SessionFormatError(
+            Message(
+                "session.too_many_tests", "{count} tests; at most {most} are read", count=len(tests), most=MAX_TESTS
+            )
+        )
+    places = {h5py.h5o.get_info(subgroup(tests, name).id).addr for name in tests}
+    if len(places) < len(tests):
+        raise SessionFormatError(Message("session.same_test", "one test has several numbers"))
+    return tests
+
+
+def _read_head(file: h5py.File) -> Session:
+    if text_of(file.attrs, "format", "") != FORMAT:
+        raise SessionFormatError(Message("session.not_one", "not a TissueID session (no format attribute)"))
+    version = text_of(file.attrs, "format_version", "")
+    if version.split(".")[0] != FORMAT_VERSION.split(".")[0]:
+        raise SessionFormatError(
+            Message(
+                "session.version",
+                "format version '{version}'; this software reads {known}",
+                version=version,
+                known=FORMAT_VERSION,
+            )
+        )
+    return Session(
+        instrument=_read_instrument(subgroup(file, "instrument")),
+        subject=_read_subject(file),
+        session_id=text_of(file.attrs, "session_id", ""),
+        created=text_of(file.attrs, "created", ""),
+        software=text_of(file.attrs, "software", ""),
+        audit_head=text_of(file.attrs, "audit_head", ""),
+    )
+
+
+def _read_instrument(group: h5py.Group) -> DeviceDescription:
+    values: dict[str, Any] = {}
+    for field in fields(DeviceDescription):
+        if field.name == "calibration":
+            values["calibration"] = json_object(text_of(group.attrs, "calibration", "{}"), "calibration")
+        elif field.name in group.attrs:
+            read = text_of if field.type == "str" else number_of
+            values[field.name] = read(group.attrs, field.name)
+    return DeviceDescription(**values)
+
+
+def _read_subject(file: h5py.File) -> Subject:
+    if "subject" not in file:
+        return Subject()
+    attributes = subgroup(file, "subject").attrs
+    others = plain_attributes(attributes)
+    others.pop("pseudonym", None)
+    return Subject(text_of(attributes, "pseudonym", "anonymous"), others)
+
+
+def _outline(name: str, group: h5py.Group) -> TestOutline:
+    sizes = {signal: dataset.size for signal, dataset in datasets(subgroup(group, "signals"))}
+    if len(set(sizes.values())) != 1:
+        raise SessionFormatError(
+            Message("session.lengths", "tests/{test}: its signals have different lengths", test=name)
+        )
+    return TestOutline(read_numbered(name, group, signals=False), next(iter(sizes.values())), tuple(sizes))
+
+
+def read_numbered(name: str, group: h5py.Group, *, signals: bool = True) -> Test:
+    """Return the test of a group; without its samples if ``signals`` is false.
+
+    Raises:
+        SessionFormatError: the test breaks the format.
+    """
+    if not (name.isascii() and name.isdigit()):
+        raise SessionFormatError(Message("session.test_name", "tests/{test}: tests are numbered", test=name))
+    attributes = group.attrs
+    try:
+        for required in _REQUIRED_TEST:
+            if required not in attributes:
+                raise SessionFormatError(
+                    Message("session.attribute_missing", "the attribute {name} is missing", name=required)
+                )
+        rate = number_of(attributes, "sample_rate_hz")
+        if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+            raise SessionFormatError(
+                Message(
+                    "session.sample_rate",
+                    "a sample rate of {rate:g} Hz; {low:g} to {high:g} Hz are read",
+                    rate=rate,
+                    low=RATES_HZ[0],
+                    high=RATES_HZ[1],
+                )
+            )
+        preload = max(0.0, number_of(attributes, "preload_s", 0.0))
+        if math.isinf(preload):
+            raise SessionFormatError(Message("session.preload", "a preload of infinite length"))
+        repeat = text_of(attributes, "repeat_of", "")
+        status = text_of(attributes, "status", "completed")
+        known = {"kind", "configuration", "site", "sample_rate_hz", "preload_s", "surface_position_m"}
+        known |= {"stimulus", "seed", "repeat_of", "status"}
+        return Test(
+            number=int(name),
+            kind=text_of(attributes, "kind"),
+            signals=_read_signals(subgroup(group, "signals")) if signals else {},
+            sample_rate_hz=rate,
+            configuration=text_of(attributes, "configuration", "indentation"),
+            site=text_of(attributes, "site", ""),
+            preload_s=preload,
+            surface_position_m=number_of(attributes, "surface_position_m", math.nan),
+            stimulus=json_object(text_of(attributes, "stimulus", "{}"), "stimulus"),
+            seed=int(number_of(attributes, "seed", 0)),
+            repeat_of=int(repeat) if repeat else None,
+            status=status if status in STATUSES else "completed",
+            notes={key: value for key, value in plain_attributes(attributes).items() if key not in known},
+            units=_read_units(subgroup(group, "signals")) if signals else {},
+        )
+    except SessionFormatError as error:
+        raise SessionFormatError(located(f"tests/{name}", error.message)) from error
+
+
+def _read_signals(group: h5py.Group) -> dict[str, np.ndarray]:
+    signals: dict[str, np.ndarray] = {}
+    length: int | None = None
+    for name, dataset in datasets(group):
+        if dataset.ndim != 1 or dataset.dtype.kind not in "fiu":
+            raise SessionFormatError(
+                Message("session.signal_type", "signals/{signal} is not a row of numbers", signal=name)
+            )
+        if not 0 < dataset.size <= MAX_SAMPLES:
+            raise SessionFormatError(
+                Message(
+                    "session.signal_size",
+                    "signals/{signal} has {samples} samples",
+                    signal=name,
+                    samples=int(dataset.size),
+                )
+            )
+        if length is not None and dataset.size != length:
+            raise SessionFormatError(
+                Message(
+                    "session.signal_length",
+                    "signals/{signal} has {samples} samples where others have {others}",
+                    signal=name,
+                    samples=int(dataset.size),
+                    others=length,
+                )
+            )
+        length = dataset.size
+        with np.errstate(invalid="ignore"):  # any bits are a number in a damaged file, or NaN
+            signals[name] = dataset[:].astype(np.float64)
+    if len(set(signals) - {"time"}) < 2:
+        raise SessionFormatError(Message("session.few_signals", "a test needs at least one input and one output"))
+    return signals
+
+
+def _read_units(group: h5py.Group) -> dict[str, str]:
+    """Units of the signals that are none of the format's own; those of the format are SI, and need no reading."""
+    units = {
+        name: text_of(dataset.attrs, "units")
+        for name, dataset in datasets(group)
+        if name not in SIGNAL_UNITS and "units" in dataset.attrs
+    }
+    return {name: unit for name, unit in units.items() if unit not in ("", "1")}
+
+
+def _signal_datasets(tests: h5py.Group, name: str) -> Iterator[tuple[str, h5py.Dataset]]:
+    group = subgroup(tests, name)
+    return datasets(subgroup(group, "signals")) if "signals" in group else iter(())

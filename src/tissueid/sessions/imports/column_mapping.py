@@ -1,0 +1,249 @@
+"""Which column is which signal, in which unit; and whether the sizes can be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Action, Message, Verbatim
+from tissueid.sessions.imports.imported_table import ImportedTable
+from tissueid.sessions.imports.units import Unit, alternatives, known_unit, unit_named
+from tissueid.sessions.model import SIGNAL_UNITS, STAND_INS
+
+ROLES = (*SIGNAL_UNITS, *STAND_INS.values())
+"""What a column can be: time, a signal of the format, or the bare input and output of something else."""
+
+_TIME_NAMES = frozenset({"time", "t", "x_value", "timestamp", "zeit", "temps", "tempo", "elapsed", "elapsed time"})
+_NAMED_LIKE = {
+    "position": ("pos", "disp", "depth", "weg", "indent", "stroke", "auslenkung", "eindr", "deplacement"),
+    "force": ("force", "kraft", "load", "fz", "newton"),
+    "voltage": ("volt", "spannung"),
+    "current": ("curr", "strom", "amp"),
+    "command": ("command", "cmd", "soll"),
+    "temperature": ("temp",),
+}
+"""Parts of names that columns of each signal often carry, in English, German and French."""
+_TIME_UNITS = ("s", "ms", "us", "min")
+
+_PLAUSIBLE = {
+    "force": (0.02, 200.0),
+    "position": (2e-5, 0.2),
+    "command": (0.02, 300.0),
+    "voltage": (0.02, 300.0),
+    "current": (0.002, 50.0),
+}
+"""Between the lowest and the highest value, in SI: what instruments that push on things measure."""
+_LARGEST = {"force": 1000.0, "position": 1.0, "command": 500.0, "voltage": 500.0, "current": 100.0}
+"""Away from zero, for what hardly changes but is too large."""
+_TEMPERATURES = (-40.0, 250.0)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """One signal: the place of its column, from 0, its header, and its unit."""
+
+    role: str
+    place: int
+    header: str
+    unit: Unit
+
+
+def parse_map(options: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """ROLE=COLUMN:UNIT options as column and unit by role; the unit is "" where it is left to the file.
+
+    Raises:
+        UnusableInputError: one that does not read so, or a role that is not known, given twice or missing.
+    """
+    found: dict[str, tuple[str, str]] = {}
+    for option in options:
+        role, equals, rest = option.partition("=")
+        role = role.strip()
+        if not equals or not rest.strip():
+            raise UnusableInputError(f"--map is ROLE=COLUMN:UNIT, such as force=2:N, not {option!r}")
+        if role not in ROLES:
+            raise UnusableInputError(f"--map knows no {role!r}; it knows {', '.join(ROLES)}")
+        if role in found:
+            raise UnusableInputError(f"--map says twice which column is {role}")
+        column, colon, unit = rest.rpartition(":")
+        if not colon or ")" in unit:  # the colon of MATLAB's x(:,2)
+            column, unit = rest, ""
+        if unit:
+            _checked(role, unit_named(unit))
+        found[role] = (column, unit)
+    if len(found.keys() - {"time"}) < 2:
+        raise UnusableInputError("--map has to name at least two signals, an input and an output")
+    return found
+
+
+def mapped(file: ImportedTable, wanted: dict[str, tuple[str, str]]) -> tuple[list[Mapped], list[str]]:
+    """The columns that are wanted, and notices of what the file says otherwise.
+
+    Raises:
+        UnusableInputError: no such column, one for two signals, or no unit.
+    """
+    found: list[Mapped] = []
+    notices: list[str] = []
+    for role, (column, unit) in wanted.items():
+        place = file.place(column)
+        chosen_column = file.columns[place]
+        if any(other.place == place for other in found):
+            raise UnusableInputError(
+                Message("import.column_twice", "column '{column}' is used for two signals", column=Verbatim(column))
+            )
+        if not unit and not chosen_column.unit:
+            raise UnusableInputError(
+                Message(
+                    "import.no_unit",
+                    "column '{column}' does not state its unit: choose it ({action})",
+                    column=Verbatim(chosen_column.header or column),
+                    action=Action("import.unit", f"--map {role}={column}:UNIT", marked("the list Unit")),
+                )
+            )
+        chosen = _checked(role, unit_named(unit or chosen_column.unit))
+        if unit and chosen_column.unit and chosen != known_unit(chosen_column.unit):
+            notices.append(
+                Message(
+                    "import.other_unit",
+                    "{role}: the file says {stated}, and was read in {used}, as requested",
+                    role=role,
+                    stated=Verbatim(chosen_column.unit),
+                    used=chosen.symbol,
+                )
+            )
+        found.append(Mapped(role, place, chosen_column.header or f"column {place + 1}", chosen))
+    return found, notices
+
+
+def guessed_role(file: ImportedTable, place: int) -> str:
+    """Return the role that a column seems to have, by its name or else by its unit; "" where neither tells."""
+    column = file.columns[place]
+    if place == file.time or column.name.casefold() in _TIME_NAMES:
+        return "time"
+    name = column.name.casefold()
+    unit = known_unit(column.unit) if column.unit else None
+    fits = [role for role in _NAMED_LIKE if unit is None or SIGNAL_UNITS[role] == unit.si]
+    named = [role for role in fits if any(part in name for part in _NAMED_LIKE[role])]
+    if named:
+        return named[0]
+    return fits[0] if unit is not None and len(fits) == 1 else ""
+
+
+def time_column(file: ImportedTable, taken: Sequence[Mapped]) -> Mapped | None:
+    """The column that is time by the rules of the format, or by its name; None where none is."""
+    places = [file.time] if file.time is not None else []
+    places += [place for place, column in enumerate(file.columns) if column.name.casefold() in _TIME_NAMES]
+    for place in places:
+        column = file.columns[place]
+        if all(other.place != place for other in taken) and column.unit in ("", *_TIME_UNITS):
+            return Mapped("time", place, column.header, unit_named(column.unit or "s"))
+    return None
+
+
+def doubts(role: str, unit: Unit, values: NDArray[np.float64], *, quiet: bool = False) -> list[str]:
+    """What is doubtful about a signal in SI, shape (n,): one line each.
+
+    Raises:
+        UnusableInputError: it holds no number at all.
+    """
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        raise UnusableInputError(
+            Message(
+                "import.no_numbers",
+                "{role}: none of its {samples} samples is a number",
+                role=role,
+                samples=int(values.size),
+            )
+        )
+    notices: list[str] = []
+    infinite = int(np.isinf(values).sum())
+    if infinite:
+        notices.append(
+            Message(
+                "import.infinite",
+                "{role}: {count} samples are infinite; the analysis treats them as missing",
+                role=role,
+                count=infinite,
+            )
+        )
+    low, high = float(finite.min()), float(finite.max())
+    size, spread = max(abs(low), abs(high)), high - low
+    if spread == 0.0:
+        notices.append(Message("import.constant", "{role} never changes: it is always {value:g}", role=role, value=low))
+    elif size > 1e30:
+        notices.append(
+            Message(
+                "import.too_large", "{role} reaches {value:.3g}, which no instrument measures", role=role, value=size
+            )
+        )
+    elif role == "temperature" and not (_TEMPERATURES[0] <= low and high <= _TEMPERATURES[1]):
+        notices.append(
+            Message(
+                "import.temperature",
+                "temperature ranges from {low:.4g} to {high:.4g} °C: is it in {unit}?",
+                low=low,
+                high=high,
+                unit=unit.symbol,
+            )
+        )
+    elif role in _PLAUSIBLE:
+        least, most = _PLAUSIBLE[role]
+        if spread > most or size > _LARGEST[role] or (spread < least and not quiet):
+            others = _better(unit, spread, least, most)
+            shown = {"role": role, "low": low, "high": high, "si": unit.si, "unit": unit.symbol}
+            if others:
+                notices.append(
+                    Message(
+                        "import.implausible",
+                        "{role} ranges from {low:.4g} to {high:.4g} {si}, which is implausible: is it in {unit}? It "
+                        "would fit {others}.",
+                        **shown,
+                        others=", ".join(others),
+                    )
+                )
+            else:
+                notices.append(
+                    Message(
+                        "import.implausible",
+                        "{role} ranges from {low:.4g} to {high:.4g} {si}, which is implausible: is it in {unit}?",
+                        **shown,
+                    )
+                )
+    return notices
+
+
+def _better(unit: Unit, spread: float, least: float, most: float) -> list[str]:
+    """Return the units in which the range would be plausible."""
+    fits = []
+    for other in alternatives(unit.si):
+        would = spread * unit.divisor / unit.factor * other.factor / other.divisor
+        if other != unit and least <= would <= most:
+            fits.append(other.symbol)
+    return fits
+
+
+def _checked(role: str, unit: Unit) -> Unit:
+    """The unit, if it is one of the signal's quantity.
+
+    Raises:
+        UnusableInputError: it is not.
+    """
+    expected = SIGNAL_UNITS.get(role)
+    if expected is not None and unit.si != expected:
+        known = ", ".join(other.symbol for other in alternatives(expected))
+        raise UnusableInputError(
+            Message(
+                "import.wrong_unit",
+                "{role} is measured in {expected}, not in {unit}; its units are {units}",
+                role=role,
+                expected=expected,
+                unit=unit.symbol,
+                units=known,
+            )
+        )
+    return unit

@@ -1,0 +1,187 @@
+"""A session made of imported tests."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import SessionExistsError, UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Message
+from tissueid.sessions.hdf5_writing import write_session
+from tissueid.sessions.imports.export_attributes import unknown_device
+from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test
+from tissueid.sessions.model import Session, Subject
+from tissueid.untrusted_input import MAX_NUMBERS, MAX_TESTS
+
+_FIGURES = {field.name: field.type == "float" for field in fields(DeviceDescription) if field.name != "calibration"}
+"""Every figure of an instrument, and whether it is a number."""
+
+
+_READING, _WRITING = marked("reading"), marked("writing")
+_RENUMBERED: str = Message(
+    "import.renumbered", "the tests have new numbers and are no longer marked as repeats of each other"
+)
+_MORE_THAN_ONE = {
+    "instrument": Message(
+        "import.instruments", "the files are exports of several instruments: import them into separate sessions"
+    ),
+    "subject": Message(
+        "import.subjects", "the files are exports of several subjects: import them into separate sessions"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class ImportedSession:
+    """What an import made: the session as it was written, its tests as they were read, and doubts about the whole."""
+
+    session: Session
+    tests: tuple[Imported, ...]
+    notices: tuple[str, ...]
+
+
+def check_new_session(out: Path) -> None:
+    """Refuse, before any work, a path where no session can be made.
+
+    Raises:
+        SessionExistsError: a file is there; sessions are never overwritten.
+        UnusableInputError: there is no folder for it.
+    """
+    if out.exists():
+        raise SessionExistsError(out)
+    if not out.parent.is_dir():
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(out.parent)))
+
+
+def import_session(
+    sources: Sequence[Source],
+    wanted: dict[str, tuple[str, str]] | None,
+    choices: Sequence[Choices],
+    out: Path,
+    *,
+    figures: Mapping[str, str | float] | None = None,
+    pseudonym: str | None = None,
+    rate_hz: float | None = None,
+    resample_hz: float | None = None,
+    progress: Callable[[str, float], None] = lambda *_: None,
+) -> ImportedSession:
+    """Read one test from each source and write them as one session.
+
+    ``wanted`` is column and unit by role (``parse_map``), ``choices`` has one entry for each source. ``progress`` gets
+    a word for what is done and the share of it, 0 to 1.
+
+    Raises:
+        UnusableInputError: a file, its columns, units or times cannot be used; names the file.
+        SessionExistsError: ``out`` exists.
+        OSError: a file cannot be read or written.
+    """
+    check_new_session(out)
+    tests = []
+    for done, (source, choice) in enumerate(zip(sources, choices, strict=True)):
+        progress(_READING, done / len(sources))
+        tests.append(import_test(source, wanted, choice, rate_hz=rate_hz, resample_hz=resample_hz))
+    progress(_READING, 1.0)
+    session, notices = assembled(tests, dict(figures or {}), pseudonym)
+    progress(_WRITING, 0.0)
+    write_session(out, session)
+    progress(_WRITING, 1.0)
+    return ImportedSession(session, tuple(tests), tuple(notices))
+
+
+def instrument_figures(options: Sequence[str]) -> dict[str, str | float]:
+    """KEY=VALUE options as figures of the instrument.
+
+    Raises:
+        UnusableInputError: no such figure, or not one.
+    """
+    found: dict[str, str | float] = {}
+    for option in options:
+        key, equals, value = option.partition("=")
+        if not equals or key not in _FIGURES:
+            raise UnusableInputError(f"--instrument is KEY=VALUE, with a KEY of {', '.join(_FIGURES)}; not {option!r}")
+        if key in found:
+            raise UnusableInputError(f"--instrument says {key} twice")
+        found[key] = _positive(key, value) if _FIGURES[key] else value
+    return found
+
+
+def _positive(key: str, value: str) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not 0.0 <= number < math.inf:
+        raise UnusableInputError(f"--instrument {key} is a number, 0 or more, in SI units; not {value!r}")
+    return number
+
+
+def assembled(
+    imported: Sequence[Imported], figures: dict[str, str | float], pseudonym: str | None
+) -> tuple[Session, list[str]]:
+    """The session, its tests in the order given, and notices about it as a whole.
+
+    Tests that were exported from one session become that session again; others are tests of a new one, numbered from 1.
+
+    Raises:
+        UnusableInputError: too many tests or samples, or exports of different instruments or subjects.
+    """
+    if len(imported) > MAX_TESTS:
+        raise UnusableInputError(
+            Message(
+                "import.too_many_tests",
+                "{count} tests; a session has at most {most}",
+                count=len(imported),
+                most=MAX_TESTS,
+            )
+        )
+    total = sum(item.test.samples * (len(item.test.signals) + 1) for item in imported)
+    if total > MAX_NUMBERS:
+        raise UnusableInputError(
+            Message(
+                "import.too_many_numbers",
+                "the tests hold {numbers} numbers; a session has at most {most}",
+                numbers=total,
+                most=MAX_NUMBERS,
+            )
+        )
+    exported = [item.attributes for item in imported if item.attributes is not None]
+    for one in exported[1:]:
+        for part in _MORE_THAN_ONE:
+            if _as_text(getattr(one, part)) != _as_text(getattr(exported[0], part)):
+                raise UnusableInputError(_MORE_THAN_ONE[part])
+    if exported:
+        device, subject = exported[0].device(), exported[0].who()
+    else:
+        device, subject = replace(unknown_device(), sample_rate_hz=imported[0].test.sample_rate_hz), Subject()
+    session = Session(
+        replace(device, **figures),  # type: ignore[arg-type]
+        subject if pseudonym is None else replace(subject, pseudonym=pseudonym),
+    )
+    if dates := [item.created for item in imported if item.created]:
+        session = replace(session, created=min(dates))
+    numbers = [one.test.number for one in exported]
+    again = len(exported) == len(imported) and len(set(numbers)) == len(numbers)
+    if again and all(one.session == exported[0].session for one in exported):
+        own = exported[0].session
+        session = replace(
+            session,
+            session_id=own.session_id,
+            created=own.created,
+            software=own.software,
+            audit_head=own.audit_head,
+            tests=tuple(item.test for item in imported),
+        )
+        return session, []
+    tests = tuple(replace(item.test, number=k, repeat_of=None) for k, item in enumerate(imported, start=1))
+    lost = any(item.test.repeat_of is not None for item in imported)
+    notices = [_RENUMBERED] if lost else []
+    return replace(session, tests=tests), notices
+
+
+def _as_text(value: object) -> str:
+    return json.dumps(value, sort_keys=True, default=lambda part: part.model_dump())

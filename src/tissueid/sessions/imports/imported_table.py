@@ -1,0 +1,181 @@
+"""An imported file: columns of numbers with their headers and units."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.language import marked
+from tissueid.messages import Action, Message, Verbatim
+from tissueid.sessions.imports.units import name_and_unit
+
+MAX_BYTES = 4_000_000_000
+_MOST_LISTED = 20
+"""Most columns that a message lists."""
+_LONGEST_NAME = 60
+"""Most characters of a column name in a message."""
+ROWS = Action("import.rows", "@FIRST:LAST", marked("the field Rows"))
+RATE = Action("import.rate", "--rate HZ", marked("a sample rate"))
+TIME = Action("import.time", "--map time=COLUMN:UNIT", marked("a column of times"))
+MAP = Action("import.map", "--map ROLE=COLUMN:UNIT", marked("the lists of the columns"))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A selection of rows as slices have it: from 0, ``last`` exclusive, negative ones from the end."""
+
+    first: int | None = None
+    last: int | None = None
+
+    def within(self, total: int) -> range:
+        """Return the selected rows of ``total``.
+
+        Raises:
+            UnusableInputError: there are no such rows.
+        """
+        ends = []
+        for value, default in ((self.first, 0), (self.last, total)):
+            end = default if value is None else value + total if value < 0 else value
+            if not 0 <= end <= total:
+                raise UnusableInputError(
+                    Message(
+                        "import.row_beyond", "row {row} is beyond the {rows} rows of the file", row=value, rows=total
+                    )
+                )
+            ends.append(end)
+        if ends[1] <= ends[0]:
+            raise UnusableInputError(
+                Message("import.no_rows", "rows {rows} of {total} are empty", rows=str(self), total=total)
+            )
+        return range(*ends)
+
+    def __str__(self) -> str:
+        return f"{'' if self.first is None else self.first}:{'' if self.last is None else self.last}"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its ``header`` and the symbol of its ``unit``, "" if the file does not state it."""
+
+    header: str
+    unit: str = ""
+
+    @classmethod
+    def headed(cls, header: str) -> Column:
+        """Return a column whose header may contain its unit."""
+        return cls(header.strip(), name_and_unit(header)[1])
+
+    @property
+    def name(self) -> str:
+        """The header without its unit."""
+        return name_and_unit(self.header)[0]
+
+
+Loader = Callable[[Sequence[int], Rows], tuple[list[NDArray[np.float64]], range]]
+"""Function of column places, from 0, and a row selection that returns the columns, each (n,), and the rows."""
+
+
+@dataclass(frozen=True)
+class ImportedTable:
+    """An imported file whose columns are known but not yet read.
+
+    ``time`` is the place of the column that is time by the rules of the format, ``step_s`` the step that the file
+    states, and ``segments`` the first rows of its parts. ``notices`` are for people, one line each.
+    """
+
+    format: str
+    columns: tuple[Column, ...]
+    load: Loader
+    time: int | None = None
+    step_s: float | None = None
+    segments: tuple[int, ...] = ()
+    notices: tuple[str, ...] = ()
+
+    def listed(self) -> str:
+        """Return a list of the columns in one line."""
+        names = [
+            f"{k} {c.header[:_LONGEST_NAME]!r}" if c.header else str(k) for k, c in enumerate(self.columns, start=1)
+        ]
+        more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+        return ", ".join(names[:_MOST_LISTED]) + more
+
+    def place(self, wanted: str) -> int:
+        """Return the place, from 0, of a column by its header, its name without unit, or its number from 1.
+
+        Raises:
+            UnusableInputError: there is none, or more than one.
+        """
+        folded = wanted.strip().casefold()
+        for sought, keys in (
+            (wanted, [c.header for c in self.columns]),
+            (folded, [c.header.casefold() for c in self.columns]),
+            (folded, [c.name.casefold() for c in self.columns]),
+        ):
+            places = [k for k, key in enumerate(keys) if key and key == sought]
+            if len(places) > 1:
+                numbers = ", ".join(str(place + 1) for place in places)
+                raise UnusableInputError(
+                    Message(
+                        "import.column_ambiguous",
+                        "'{column}' is the name of columns {numbers}: choose one by its number",
+                        column=Verbatim(wanted),
+                        numbers=numbers,
+                    )
+                )
+            if places:
+                return places[0]
+        if re.fullmatch(r"[0-9]{1,9}", wanted.strip()):
+            number = int(wanted)
+            if not 1 <= number <= len(self.columns):
+                raise UnusableInputError(
+                    Message(
+                        "import.no_column_number",
+                        "there is no column {number}; columns are numbered from 1 to {count}",
+                        number=number,
+                        count=len(self.columns),
+                    )
+                )
+            return number - 1
+        raise UnusableInputError(
+            Message(
+                "import.no_column",
+                "there is no column '{column}'; the columns are: {columns}",
+                column=Verbatim(wanted),
+                columns=Verbatim(self.listed()),
+            )
+        )
+
+
+def checked_size(path: Path) -> int:
+    """Return the size of a file in bytes after checking that it can be read.
+
+    Raises:
+        UnusableInputError: it is missing, not a file, empty or too large.
+    """
+    if path.is_dir():
+        raise UnusableInputError(Message("file.folder", "is a folder; name a file"))
+    if not path.exists():
+        raise UnusableInputError(Message("file.no_such", "no such file"))
+    if not path.is_file():
+        raise UnusableInputError(Message("file.not_plain", "is not an ordinary file"))
+    size = path.stat().st_size
+    if size == 0:
+        raise UnusableInputError(Message("file.empty", "is empty"))
+    if size > MAX_BYTES:
+        raise UnusableInputError(
+            Message("file.too_large", "has {size} bytes; at most {most} are read", size=size, most=MAX_BYTES)
+        )
+    return size
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,286 @@
+"""Import a test from a file of another program."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message, Verbatim
+from tissueid.sessions.hdf5_members import located
+from tissueid.sessions.imports.column_mapping import Mapped, doubts, mapped, time_column
+from tissueid.sessions.imports.export_attributes import Attributes, attributes_beside
+from tissueid.sessions.imports.format_detection import open_foreign
+from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
+from tissueid.sessions.imports.recording_date import recording_date
+from tissueid.sessions.imports.sample_clock import Clock, clock_of, resampled, steady
+from tissueid.sessions.imports.units import Unit
+from tissueid.sessions.model import DATE_NOTE, SIGNAL_UNITS, Test
+
+_SI = Unit("", "")
+_SELECTED = re.compile(r"(?P<path>.+)@(?P<first>-?\d{1,12})?:(?P<last>-?\d{1,12})?", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file, and which of its rows."""
+
+    path: Path
+    rows: Rows
+
+    @classmethod
+    def parsed(cls, text: str) -> Source:
+        """FILE or FILE@FIRST:LAST; a file whose very name looks so is taken by its name."""
+        match = _SELECTED.fullmatch(text)
+        if match is None or Path(text).exists():
+            return cls(Path(text), Rows())
+        ends = [None if match[end] is None else int(match[end]) for end in ("first", "last")]
+        return cls(Path(match["path"]), Rows(*ends))
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Attributes of a test that the user chooses; None takes them from the file or the defaults."""
+
+    kind: str | None = None
+    site: str | None = None
+    configuration: str | None = None
+    preload_s: float | None = None
+    surface_position_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """An imported test, the origin of its signals, and notices."""
+
+    test: Test
+    source: Source
+    format: str
+    rows: range
+    columns: tuple[Mapped, ...]
+    notices: tuple[str, ...]
+    attributes: Attributes | None
+    created: str = ""
+    """When it was recorded, UTC, as far as its file says; empty for an export, whose attributes say it."""
+
+
+def import_test(
+    source: Source,
+    wanted: dict[str, tuple[str, str]] | None,
+    choices: Choices,
+    *,
+    rate_hz: float | None = None,
+    resample_hz: float | None = None,
+) -> Imported:
+    """Read one test.
+
+    ``wanted`` is column and unit by role; without it, the attributes file of ``tissueid export`` is used.
+
+    Raises:
+        UnusableInputError: the file, its columns, units or times cannot be used.
+    """
+    try:
+        return _import_test(source, wanted, choices, rate_hz, resample_hz)
+    except UnusableInputError as error:
+        raise UnusableInputError(located(str(source.path), error.message)) from error
+    except MemoryError as error:
+        raise UnusableInputError(
+            Message(
+                "import.memory", "{path}: not enough memory; select rows ({rows})", path=str(source.path), rows=ROWS
+            )
+        ) from error
+
+
+def _import_test(
+    source: Source,
+    wanted: dict[str, tuple[str, str]] | None,
+    choices: Choices,
+    rate_hz: float | None,
+    resample_hz: float | None,
+) -> Imported:
+    file = open_foreign(source.path)
+    attributes = None
+    created = ""
+    if wanted is None:
+        attributes = attributes_beside(source.path)
+        if attributes is None:
+            raise UnusableInputError(
+                Message(
+                    "import.no_map",
+                    "choose what its columns are ({action}); the columns are: {columns}",
+                    action=MAP,
+                    columns=file.listed(),
+                )
+            )
+        if rate_hz is not None:
+            raise UnusableInputError(
+                Message(
+                    "import.rate_stated",
+                    "its attributes file states the rate; a rate needs columns ({action})",
+                    action=MAP,
+                )
+            )
+        columns = _exported_columns(file, attributes)
+        notices: list[str] = []
+    else:
+        columns, notices = mapped(file, wanted)
+    time = next((column for column in columns if column.role == "time"), None)
+    signals = [column for column in columns if column.role != "time"]
+    if time is not None and rate_hz is not None:
+        raise UnusableInputError(
+            Message(
+                "import.rate_and_time",
+                "a rate replaces the times: choose either {rate} or {time}",
+                rate=RATE,
+                time=TIME,
+            )
+        )
+    if time is None and rate_hz is None and (time := time_column(file, columns)) is not None and wanted is not None:
+        notices.append(
+            Message(
+                "import.time_found",
+                "time is '{column}', in {unit}",
+                column=Verbatim(time.header),
+                unit=time.unit.symbol,
+            )
+        )
+    if time is None and rate_hz is None and attributes is None:
+        raise UnusableInputError(
+            Message(
+                "import.no_time", "has no column that is clearly time: choose {time} or {rate}", time=TIME, rate=RATE
+            )
+        )
+    values, rows = _loaded(file, source.rows, signals, time)
+    test = _clocked(file, values, signals, time, attributes, rate_hz, resample_hz, notices)
+    quiet = (choices.kind or (attributes.test.kind if attributes else "")) == "quiet"
+    for column in signals if attributes is None else ():
+        notices += doubts(column.role, column.unit, test.signals[column.role], quiet=quiet)
+    if attributes is None:
+        if not 10.0 <= test.sample_rate_hz <= 1e6:
+            notices.append(
+                Message(
+                    "import.rate_implausible",
+                    "the sample rate is {rate:.6g} Hz, which is implausible: is the unit of time right?",
+                    rate=test.sample_rate_hz,
+                )
+            )
+        created, origin = recording_date(source.path, file.format)
+        test = replace(test, notes=_provenance(source, file, signals, rows) | {DATE_NOTE: origin})
+    else:
+        test = attributes.filled(test)
+        if rows.start:
+            test = replace(test, preload_s=max(0.0, test.preload_s - rows.start / attributes.test.sample_rate_hz))
+    choice_values = {f.name: value for f in fields(Choices) if (value := getattr(choices, f.name)) is not None}
+    return Imported(
+        replace(test, **choice_values),
+        source,
+        file.format,
+        rows,
+        tuple(signals),
+        (*file.notices, *notices),
+        attributes,
+        created,
+    )
+
+
+def _loaded(
+    file: ImportedTable, rows: Rows, signals: Sequence[Mapped], time: Mapped | None
+) -> tuple[list[NDArray[np.float64]], range]:
+    """Return the columns in SI, time last, and the selected rows."""
+    every = [*signals, time] if time is not None else list(signals)
+    values, chosen = file.load([column.place for column in every], rows)
+    return [column.unit.to_si(each) for column, each in zip(every, values, strict=True)], chosen
+
+
+def _clocked(
+    file: ImportedTable,
+    values: list[NDArray[np.float64]],
+    signals: Sequence[Mapped],
+    time: Mapped | None,
+    attributes: Attributes | None,
+    rate_hz: float | None,
+    resample_hz: float | None,
+    notices: list[str],
+) -> Test:
+    """Return a test with samples at a constant rate."""
+    stated_hz = attributes.test.sample_rate_hz if attributes else rate_hz
+    units = {
+        column.role: column.unit.si for column in signals if column.role not in SIGNAL_UNITS and column.unit.si != "1"
+    }
+    rows = values[0].size
+    if resample_hz is not None:
+        if time is None:
+            raise UnusableInputError("--resample needs times: --map time=COLUMN:UNIT")
+        values, added = resampled(values[-1], values[:-1], resample_hz)
+        notices += added
+        clock = steady(resample_hz, values[0].size)
+    elif time is None or (rows == 1 and stated_hz is not None):
+        if stated_hz is None:
+            raise UnusableInputError(
+                Message("import.no_rate", "has neither times nor a rate: choose {rate}", rate=RATE)
+            )
+        clock = steady(stated_hz, rows)
+    elif rows == 1:
+        raise UnusableInputError(
+            Message("import.one_row", "one row gives no sample rate: select more rows, or choose {rate}", rate=RATE)
+        )
+    else:
+        clock = _clock(file, values[-1], stated_hz)
+        notices += clock.notices
+    arrays = {column.role: clock.laid_out(each) for column, each in zip(signals, values, strict=False)}
+    return Test(number=1, kind="stochastic", signals=arrays, sample_rate_hz=clock.rate_hz, units=units)
+
+
+def _clock(file: ImportedTable, times: NDArray[np.float64], stated_hz: float | None) -> Clock:
+    try:
+        return clock_of(times, file.step_s, stated_hz)
+    except UnusableInputError as error:
+        if len(file.segments) < 2:
+            raise
+        starts = ", ".join(str(first) for first in file.segments[:12])
+        raise UnusableInputError(
+            Message(
+                "import.segments",
+                "{reason} (it has {count} segments, which start at rows {rows})",
+                reason=error.message,
+                count=len(file.segments),
+                rows=starts,
+            )
+        ) from error
+
+
+def _exported_columns(file: ImportedTable, attributes: Attributes) -> list[Mapped]:
+    """Return the columns of an export, which are in SI."""
+    found = []
+    for name, part in attributes.columns.items():
+        place = file.place(part.column)
+        if part.unit != SIGNAL_UNITS.get(name, part.unit):
+            raise UnusableInputError(
+                Message(
+                    "import.not_si",
+                    "its attributes file says {signal} in {unit}: exports are in SI",
+                    signal=name,
+                    unit=part.unit,
+                )
+            )
+        unit = replace(_SI, symbol=part.unit, si=part.unit)
+        found.append(Mapped(name, place, part.column, unit))
+    if len([column for column in found if column.role != "time"]) < 2:
+        raise UnusableInputError(Message("import.few_signals", "its attributes file names fewer than two signals"))
+    return found
+
+
+def _provenance(source: Source, file: ImportedTable, signals: Sequence[Mapped], rows: range) -> dict[str, str | float]:
+    """Return the origin of the samples, without the name of the file, which may be that of a person."""
+    return {
+        "source_format": file.format,
+        "source_sha256": sha256_of(source.path),
+        "source_rows": f"{rows.start}:{rows.stop}",
+        "source_columns": json.dumps({c.role: {"column": c.header, "unit": c.unit.symbol} for c in signals}),
+    }

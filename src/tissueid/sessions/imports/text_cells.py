@@ -1,0 +1,156 @@
+"""Lines, cells and numbers of text files, whatever wrote them."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
+from tissueid.untrusted_input import MAX_LINE
+
+_HEAD = 1 << 16
+_LONGEST_SHOWN = 40
+_HEAD_CHARACTERS = 500_000
+"""Characters that are looked at to find out how a file is written: each way is tried on all of them."""
+_BLOCK = 65_536
+"""Rows that are turned into numbers at a time."""
+_BLOCK_CHARACTERS = 4_000_000
+_Row = TypeVar("_Row")
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
+_NUMBER = {
+    ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?"),
+    ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eEdD][+-]?\d+)?"),
+}
+MISSING = frozenset({"", "nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "missing", "1.#qnan"})
+"""What stands in a cell, in any case of letters, where there is no number."""
+_INFINITE = frozenset({"inf", "-inf", "+inf", "infinity", "-infinity"})
+
+
+def encoding_of(path: Path) -> str:
+    """The encoding of a text file: what its byte order mark says, or UTF-8, or else Latin-1.
+
+    Raises:
+        UnusableInputError: it is not text.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if head.startswith(b"PK\x03\x04"):
+        raise UnusableInputError(Message("import.spreadsheet", "is a spreadsheet or an archive; save the sheet as CSV"))
+    if _CONTROL.search(head):
+        raise UnusableInputError(
+            Message("import.not_text", "is not text, and not a MAT file: CSV, MAT and LVM can be read")
+        )
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
+
+
+def lines_of(path: Path, encoding: str) -> Iterator[str]:
+    """The lines of a text file without their ends.
+
+    Raises:
+        UnusableInputError: a line that is no line.
+    """
+    with path.open(encoding=encoding, errors="replace") as file:
+        while line := file.readline(MAX_LINE + 1):
+            if len(line) > MAX_LINE:
+                raise UnusableInputError(
+                    Message("import.long_line", "has a line of more than {most} characters", most=MAX_LINE)
+                )
+            yield line.rstrip("\r\n")
+
+
+def head_of(lines: Iterable[str], most: int) -> list[str]:
+    """Return the first lines, ``most`` of them, or fewer where they are long."""
+    head, characters = [], 0
+    for line in lines:
+        head.append(line)
+        characters += len(line)
+        if len(head) >= most or characters > _HEAD_CHARACTERS:
+            break
+    return head
+
+
+def blocks_of(rows: Iterable[_Row], length: Callable[[_Row], int]) -> Iterator[list[_Row]]:
+    """Yield rows in blocks that take little memory; ``length`` is that of a row, in characters."""
+    block: list[_Row] = []
+    characters = 0
+    for row in rows:
+        block.append(row)
+        characters += length(row)
+        if len(block) >= _BLOCK or characters > _BLOCK_CHARACTERS:
+            yield block
+            block, characters = [], 0
+    if block:
+        yield block
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of a line; a space as delimiter stands for any white space.
+
+    Raises:
+        UnusableInputError: a quoted cell that is far too long.
+    """
+    if delimiter == " ":
+        return line.split()
+    if '"' not in line:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    except csv.Error as error:
+        raise UnusableInputError(
+            Message("import.bad_line", "has a line that cannot be read: {error}", error=str(error))
+        ) from error
+
+
+def is_number(cell: str, decimal: str) -> bool:
+    """Whether a cell is a number, with this sign between units and tenths."""
+    cell = cell.strip()
+    return _NUMBER[decimal].fullmatch(cell) is not None or cell.lower() in _INFINITE
+
+
+def is_missing(cell: str) -> bool:
+    """Whether a cell says that there is no number."""
+    return cell.strip().lower() in MISSING
+
+
+def numbers(cells: list[str], decimal: str) -> NDArray[np.float64]:
+    """Cells as numbers, shape (n,); NaN for those that say that there is none.
+
+    Raises:
+        ValueError: of a cell that is neither; its one argument is the place of the cell.
+    """
+    if decimal == ".":
+        try:
+            found = np.array(list(map(float, cells)))
+        except ValueError:
+            pass
+        else:
+            if not any("_" in cell for cell in cells):  # only Python groups digits by underscores
+                return found
+    result = np.empty(len(cells))
+    for place, cell in enumerate(cells):
+        if is_number(cell, decimal):
+            result[place] = float(cell.strip().replace(",", ".").replace("d", "e").replace("D", "e"))
+        elif is_missing(cell):
+            result[place] = np.nan
+        else:
+            raise ValueError(place)
+    return result
+
+
+def shown(cell: str) -> str:
+    """A cell as it is shown in a complaint."""
+    return repr(cell.strip()[:_LONGEST_SHOWN])

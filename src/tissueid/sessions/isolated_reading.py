@@ -1,0 +1,54 @@
+"""Read untrusted sessions in a child process with limits of time and memory (``reader_process``)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from tissueid.sessions.model import Session, Test
+from tissueid.sessions.outline import Outline
+from tissueid.sessions.reader_process import read_in_child
+
+
+def read_session(path: Path) -> Session:
+    """Read a session.
+
+    Raises:
+        SessionFormatError: missing, not a session, or one that breaks the format or a limit.
+    """
+    head, *tests = read_in_child("session", path)
+    session: Session = replace(head, tests=tuple(tests))
+    return session
+
+
+def read_session_head(path: Path) -> Session:
+    """Read a session without its tests.
+
+    Raises:
+        SessionFormatError: as ``read_session``.
+    """
+    (head,) = read_in_child("head", path)
+    assert isinstance(head, Session)
+    return head
+
+
+def read_outline(path: Path) -> Outline:
+    """Read a session without its signals, in a few milliseconds for tests of any length.
+
+    Raises:
+        SessionFormatError: as ``read_session``.
+    """
+    (outline,) = read_in_child("outline", path)
+    assert isinstance(outline, Outline)
+    return outline
+
+
+def read_test(path: Path, number: int) -> Test:
+    """Read one test of a session.
+
+    Raises:
+        SessionFormatError: as ``read_session``, or there is no such test.
+    """
+    (test,) = read_in_child("test", path, number)
+    assert isinstance(test, Test)
+    return test

@@ -1,0 +1,30 @@
+"""A named twin: the parameters of one instrument on one tissue, with accepted effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.simulation import ActiveEffect
+
+
+@dataclass(frozen=True)
+class NamedTwin:
+    """Parameters with standard deviations where known, SI, and effects.
+
+    ``stds`` is by name: ``force_constant_n_per_a``, ``tissue_stiffness_n_per_m``, ``dry_friction.coulomb_n``.
+    ``sample_rate_hz`` is that of the tests that the twin was fitted to.
+    """
+
+    name: str
+    version: int
+    instrument: Instrument
+    tissue: Tissue
+    acting: tuple[ActiveEffect, ...]
+    sample_rate_hz: float
+    stds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(item.effect.name for item in self.acting)

@@ -1,0 +1,148 @@
+"""Checks of errors and messages by their code and values, in place of their sentences."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from string import Formatter
+from typing import Any
+
+from tissueid import messages
+from tissueid.errors import TissueIDError
+from tissueid.language import set_language
+from tissueid.messages import Listing, Message, code_of, translated
+
+
+class _Check:
+    """A check of an error, called by its code: names of tests have to be the same in every process."""
+
+    def __init__(self, code: str, check: Callable[[BaseException], bool]) -> None:
+        self._code, self._check = code, check
+
+    def __call__(self, error: BaseException) -> bool:
+        return self._check(error)
+
+    def __repr__(self) -> str:
+        return self._code
+
+
+def coded(code: str, /, **values: Any) -> Callable[[BaseException], bool]:
+    """Return a check for ``pytest.raises(Error, check=coded("session.exists", path=...))``."""
+
+    def check(error: BaseException) -> bool:
+        assert isinstance(error, TissueIDError), repr(error)
+        return says(error.message, code, **values)
+
+    return _Check(code, check)
+
+
+def says(text: str, code: str, /, **values: Any) -> bool:
+    """Return whether a text is the message of this code with these values; fail with both where it is not.
+
+    A message among the values is given as such or by its code.
+    """
+    assert isinstance(text, Message), f"no message: {text!r}"
+    found = {name: _comparable(text.values.get(name), expected) for name, expected in values.items()}
+    assert (text.code, found) == (code, values), str(text)
+    return True
+
+
+def _comparable(value: Any, expected: Any) -> Any:
+    """Return a message among the values as its code where a code is expected."""
+    return code_of(value) if isinstance(value, Message) and value != expected else value
+
+
+def codes(texts: Iterable[str]) -> list[str]:
+    """Return the codes of messages, in their order; "" for a text without one."""
+    return [code_of(text) for text in texts]
+
+
+def message(texts: Iterable[str], code: str) -> Message:
+    """Return the first message of this code; fail with all texts where there is none."""
+    found = list(texts)
+    for text in found:
+        if isinstance(text, Message) and text.code == code:
+            return text
+    raise AssertionError(f"no message {code!r} in {found}")
+
+
+def is_german(text: str) -> bool:
+    """Return whether a message in German differs from its English text; the language is English afterwards."""
+    set_language("de")
+    try:
+        return translated(text) != str(text)
+    finally:
+        set_language("en")
+
+
+class Refusal:
+    """A code and values that an error must have, as a parameter of a test."""
+
+    def __init__(self, code: str, /, **values: Any) -> None:
+        self.check = coded(code, **values)
+
+
+def holding(code: str, /, **values: Any) -> Callable[[BaseException], bool]:
+    """Return a check that an error's message, or a message among its values, has this code and these values."""
+
+    def check(error: BaseException) -> bool:
+        assert isinstance(error, TissueIDError), repr(error)
+        part = part_of(error.message, code)
+        return says(part, code, **values)
+
+    return _Check(code, check)
+
+
+def part_of(text: Any, code: str) -> Message:
+    """Return the message with this code: the text itself or one among its values; fail where there is none."""
+    parts = list(_parts(text))
+    found = next((part for part in parts if part.code == code), None)
+    assert found is not None, f"{code} is not among {[part.code for part in parts]}"
+    return found
+
+
+def _parts(value: Any) -> Iterator[Message]:
+    if isinstance(value, Message):
+        yield value
+    items = value.items if isinstance(value, Listing) else value.values.values() if isinstance(value, Message) else ()
+    for item in items:
+        yield from _parts(item)
+
+
+@cache
+def templates() -> dict[str, dict[str, set[str]]]:
+    """Return the templates in the source by code and module."""
+    found: dict[str, dict[str, set[str]]] = {}
+    for path in sorted(Path(messages.__file__).parent.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Message":
+                code, template = (part.value if isinstance(part, ast.Constant) else None for part in node.args[:2])
+                if isinstance(code, str) and isinstance(template, str):
+                    found.setdefault(code, {}).setdefault(path.name, set()).add(template)
+    return found
+
+
+def shows(text: str, code: str, /, **values: Any) -> bool:
+    """Return whether a printed or drawn text has the message of this code with these values, wrapped or not.
+
+    A number is given as the message has it, or as the text that it has there. Fail with the text where it has not.
+    """
+    wanted = set().union(*templates()[code].values())
+    unused = set(values)
+    for template in wanted:
+        pattern = ""
+        for literal, name, spec, _ in Formatter().parse(template):
+            pattern += r"\s+".join(re.escape(part) for part in re.split(r"\s+", literal))
+            if name in values:
+                value = values[name]
+                pattern += re.escape(value if isinstance(value, str) else format(value, spec or ""))
+                unused.discard(name)
+            elif name is not None:
+                pattern += r"[\s\S]+?"
+        if re.search(pattern, text):
+            assert not unused, f"{code} has no {unused}"
+            return True
+    raise AssertionError(f"{wanted} with {values} is not in: {text[:2000]}")

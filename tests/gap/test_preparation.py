@@ -1,0 +1,186 @@
+"""Preparation of sessions: purposes of samples, unusable tests, and noise of each channel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from coded import coded, says
+from gap_records import DEVICE, RATE_HZ, changed, not_usable, observed, recorded
+
+from tissueid.errors import UnusableInputError
+from tissueid.gap.dataset import Purpose
+from tissueid.gap.preparation import BLOCK_S, SETTLING_S, prepare
+from tissueid.sessions import Session
+
+TRUE_NOISE = {
+    "voltage": np.hypot(2.0e-3, 50.0 / 32768 / np.sqrt(12.0)),
+    "current": np.hypot(0.95e-3, 5.0 / 32768 / np.sqrt(12.0)),
+    "position": np.hypot(1.9e-6, 0.032 / 65536 / np.sqrt(12.0)),
+}
+"""White noise and quantization of the laboratory, by channel (SI)."""
+BLOCK = round(BLOCK_S * RATE_HZ)
+SETTLING = round(SETTLING_S * RATE_HZ)
+
+
+def test_blocks_alternate_between_purposes():
+    purpose = observed().tests[0].purpose
+    turns = [Purpose.FIT, Purpose.CHOICE, Purpose.FIT, Purpose.CHECK] * 2
+    assert np.all(purpose[:SETTLING] == Purpose.NOTHING)
+    for number, turn in enumerate(turns):
+        assert np.all(purpose[max(number * BLOCK, SETTLING) : (number + 1) * BLOCK] == turn)
+
+
+def test_a_stochastic_test_of_another_amplitude_is_held_out_whole():
+    held_out, *others = sorted(observed(full=True).tests, key=lambda test: bool(test.serving(Purpose.FIT).any()))
+    assert (held_out.number, held_out.kind) == (4, "stochastic")
+    assert held_out.serving(Purpose.CHOICE).any()
+    assert held_out.serving(Purpose.CHECK).any()
+    assert all(test.serving(Purpose.FIT).any() for test in others)
+
+
+def test_named_tests_are_fitted_and_held_out_whole():
+    seen = prepare(recorded(full=True), fit=(2, 3), check=(4,))
+    assert [test.number for test in seen.tests] == [2, 3, 4]
+    for test in seen.tests[:2]:
+        assert np.all(test.purpose[SETTLING:] == Purpose.FIT)
+    assert not seen.tests[2].serving(Purpose.FIT).any()
+
+
+def test_held_out_tests_leave_the_others_to_fit():
+    seen = prepare(recorded(full=True), check=(4,))
+    fitted = [test.number for test in seen.tests if test.serving(Purpose.FIT).any()]
+    assert fitted == [1, 2, 3, 5, 6]
+
+
+def test_a_test_to_fit_and_check_alternates():
+    seen = prepare(recorded(), fit=(1,), check=(1,))
+    assert np.array_equal(seen.tests[0].purpose, observed().tests[0].purpose)
+
+
+def test_fixtures_and_surface():
+    seen = observed(full=True)
+    assert [test.fixture for test in seen.tests] == ["tissue"] * 5 + ["spring"]
+    assert seen.full
+    assert not observed().full
+    assert seen.tests[0].quiet
+    lost = replace(recorded().tests[0], surface_position_m=float("nan"))
+    result = prepare(Session(DEVICE, tests=(lost,))).tests[0].surface_m
+    assert result == pytest.approx(recorded().tests[0].surface_position_m, abs=1e-4)
+
+
+def without_anything() -> Session:
+    return Session(DEVICE)
+
+
+def cut(samples: int) -> Session:
+    first = recorded().tests[0]
+    return changed(recorded(), **{name: values[:samples] for name, values in first.signals.items()})
+
+
+def mostly_missing() -> Session:
+    position = recorded().tests[0].signals["position"].copy()
+    position[:3000] = np.nan
+    return changed(recorded(), position=position)
+
+
+def stretched(**factors: float) -> Session:
+    first = recorded().tests[0]
+    return changed(recorded(), **{name: factor * first.signals[name] for name, factor in factors.items()})
+
+
+def in_millinewtons() -> Session:
+    force = 1e3 * 3.0 * recorded().tests[0].signals["current"]
+    return changed(recorded(), command=None, voltage=None, current=None, force=force)
+
+
+@pytest.mark.parametrize(
+    ("session", "code", "values"),
+    [
+        (lambda: cut(300), "too_short", {"seconds": 0.15}),
+        (lambda: cut(2900), "too_short", {"seconds": 1.45}),
+        (lambda: changed(recorded(), position=None), "no_position", {}),
+        (mostly_missing, "missing_samples", {"percent": 75.0, "channel": "position"}),
+        (lambda: stretched(position=0.0), "constant_position", {}),
+        (lambda: stretched(position=1e3), "travel", {"stroke_m": DEVICE.stroke_m}),
+        (in_millinewtons, "force_unit", {}),
+        (lambda: changed(recorded(), command=None, voltage=None, current=None), "no_excitation", {}),
+    ],
+)
+def test_an_unusable_test_is_refused_with_its_reason(session, code, values):
+    with pytest.raises(UnusableInputError, check=not_usable(f"gap.{code}", **values)):
+        prepare(session())
+
+
+def test_missing_tests_are_refused():
+    with pytest.raises(UnusableInputError, check=coded("gap.not_usable")) as refused:
+        prepare(without_anything())
+    assert says(refused.value.message.values["reason"], "gap.no_tests")
+    with pytest.raises(UnusableInputError, check=coded("gap.no_such_test", number=7, others="1")):
+        prepare(recorded(), fit=(7,))
+    with pytest.raises(UnusableInputError, check=coded("gap.nothing_to_fit")):
+        prepare(recorded(), check=(1,))
+
+
+def test_an_unusable_test_among_others_gets_a_remark():
+    good = recorded().tests[0]
+    bad = replace(good, number=2, signals={name: values[:300] for name, values in good.signals.items()})
+    seen = prepare(Session(DEVICE, tests=(good, bad)))
+    assert [test.number for test in seen.tests] == [1]
+    assert says(seen.remarks[0], "gap.test_left_out", number=2)
+    assert says(seen.remarks[0].values["reason"], "gap.too_short", seconds=0.15)
+
+
+def test_infinite_readings_count_as_not_received():
+    position = recorded().tests[0].signals["position"].copy()
+    position[700] = np.inf
+    assert np.isnan(prepare(changed(recorded(), position=position)).tests[0].signals["position"][700])
+
+
+@pytest.mark.parametrize(
+    ("effect", "seed"),
+    [("", 3), ("", 6), ("amplifier_clipping", 4), ("amplifier_deadband", 3), ("sensor_lag", 6), ("end_stop", 6)],
+)
+def test_noise_is_right_within_a_tenth(effect, seed):
+    noise = observed(effect, seed, 9000).noise
+    assert set(noise) == set(TRUE_NOISE)
+    for channel, truth in TRUE_NOISE.items():
+        assert noise[channel] == pytest.approx(truth, rel=0.1)
+
+
+def test_noise_is_right_in_a_full_session():
+    for channel, level in observed(full=True).noise.items():
+        assert level == pytest.approx(TRUE_NOISE[channel], rel=0.1)
+
+
+def test_a_repeat_has_the_same_command():
+    seen = observed(full=True).tests
+    repeats = [test.played for test in seen if test.kind == "stochastic"]
+    assert repeats[0] == repeats[1] != repeats[2]
+
+
+def test_noise_is_right_with_lost_samples():
+    # Every loss distorts the relation to the command, most of all for the voltage with its low noise.
+    noise = observed("dropped_samples", 4, 9000).noise
+    assert noise["voltage"] == pytest.approx(TRUE_NOISE["voltage"], rel=0.25)
+    assert noise["current"] == pytest.approx(TRUE_NOISE["current"], rel=0.1)
+    assert noise["position"] == pytest.approx(TRUE_NOISE["position"], rel=0.1)
+
+
+def test_coarse_steps_are_not_sensor_noise():
+    record = recorded("quantization", 6, 9000).tests[0].signals["position"]
+    step = np.min(np.diff(np.unique(record)))
+    assert step > 1e-4
+    noise = observed("quantization", 6, 9000).noise
+    assert noise["position"] <= 0.051 * step
+    assert noise["current"] == pytest.approx(TRUE_NOISE["current"], rel=0.1)
+
+
+def test_noise_is_right_where_readings_are_missing():
+    random = np.random.default_rng(1)
+    position = recorded(samples=9000).tests[0].signals["position"].copy()
+    position[random.random(position.size) < 0.05] = np.nan
+    position[4000:4300] = np.nan
+    noise = prepare(changed(recorded(samples=9000), position=position)).noise
+    assert noise["position"] == pytest.approx(TRUE_NOISE["position"], rel=0.1)

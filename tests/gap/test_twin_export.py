@@ -1,0 +1,150 @@
+"""Named twins: written by a diagnosis, read with checks, simulated, and used by the next diagnosis."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+import tomli_w
+from coded import coded, holding
+
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.gap.fitting import fit
+from tissueid.gap.preparation import prepare
+from tissueid.gap.scoring import score_candidate
+from tissueid.gap.twin_export import twin_file_of, with_prior_twin
+from tissueid.instrument import open_instrument
+from tissueid.instrument.twin_file import read_twin, write_twin
+from tissueid.instrument.twin_list import MOST_BYTES
+from tissueid.sessions import Session, Test
+from tissueid.twin.catalogue import effect
+from tissueid.twin.chain_parameters import Instrument, Tissue
+from tissueid.twin.simulation import ActiveEffect, Start, simulate
+
+RATE = 2000.0
+SURFACE = 0.010
+NOW = datetime(2026, 3, 1, 9, 30, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def observed():
+    random = np.random.default_rng(5)
+    command = 14.0 + 14.0 * np.convolve(random.uniform(-1, 1, 3000), np.ones(5) / 5, "same")
+    acting = [ActiveEffect(effect("dry_friction"), np.array([0.25, 3e-5, 0.2, 0.5]))]
+    device = Instrument(weight_n=0.2, resistance_ohm=12.2)
+    read = simulate(command, RATE, device, Tissue(SURFACE), Start(14.0 / 12.2, SURFACE), acting).readings
+    noise = random.standard_normal((3, command.size))
+    signals = {
+        "command": command,
+        "voltage": read.voltage + 2e-3 * noise[0],
+        "current": read.current + 1e-3 * noise[1],
+        "position": read.position + 2e-6 * noise[2],
+    }
+    test = Test(1, "stochastic", signals, RATE, surface_position_m=SURFACE)
+    return prepare(Session(DeviceDescription(), tests=(test,)))
+
+
+@pytest.fixture(scope="module")
+def accepted(observed):
+    return score_candidate(fit(observed, [effect("dry_friction")]))
+
+
+@pytest.fixture
+def content(accepted):
+    return twin_file_of(accepted, "arm", session_id="s", verdict="effect", closed=0.98, now=NOW)
+
+
+def test_a_twin_comes_back_as_it_was_written(content, tmp_path):
+    path = tmp_path / "arm.toml"
+    write_twin(path, content)
+    back = read_twin(path)
+    assert back == content
+    assert back.twin.effects == ("dry_friction",)
+    assert back.created == "2026-03-01T09:30:00Z"
+
+
+def test_it_holds_the_figures_with_their_uncertainty(content):
+    assert content.instrument["resistance_ohm"] == pytest.approx(12.2, rel=0.003)
+    assert 0.0 < content.stds["resistance_ohm"] < 0.1
+    friction = content.effects[0]
+    assert friction.parameters["coulomb_n"] == pytest.approx(0.25, rel=0.2)
+    assert 0.0 < friction.stds["coulomb_n"] < 0.25
+
+
+def test_the_next_version_says_what_it_improves(accepted, content):
+    again = twin_file_of(accepted, "arm", before=content, now=NOW)
+    assert again.version == 2
+    assert again.source.improves == "arm, version 1"
+    assert twin_file_of(accepted, "leg", before=content, now=NOW).version == 1
+
+
+def test_a_saved_twin_provides_starting_values(observed, accepted, content):
+    begun = with_prior_twin(observed, content.twin)
+    quick = fit(begun, [effect("dry_friction")], most_steps=3)
+    assert quick.cost < 1.05 * accepted.fit.cost
+    assert quick.value("resistance_ohm") == pytest.approx(np.log(12.2 / 12.0), abs=0.003)
+
+
+def test_a_saved_twin_can_be_simulated(content, tmp_path):
+    path = tmp_path / "arm.toml"
+    write_twin(path, content)
+    instrument = open_instrument(f"simulated://{path}?seed=3")
+    try:
+        samples = instrument.poll(0.0)
+        assert np.isfinite(samples["position"]).all()
+        assert instrument.device.coil_resistance_ohm == pytest.approx(12.2, rel=0.003)
+        assert "arm, version 1" in instrument.device.model
+    finally:
+        instrument.close()
+
+
+def _with(content, *path, value):
+    plain = content.model_dump(mode="python", exclude_none=True)
+    inner = plain
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return plain
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "code"),
+    [
+        (("format",), "tissueid-calibration", "twin.format"),
+        (("instrument", "resistance_ohm"), -1.0, "twin.out_of_range"),
+        (("instrument", "resistance_ohm"), float("nan"), "option.finite"),
+        (("tissue", "stiffness_n_per_m"), 1e9, "twin.out_of_range"),
+        (("tissue", "hair_m"), 1.0, "twin.unknown"),
+        (("sample_rate_hz",), 1.0, "twin.too_stiff"),
+        (("effects", 0, "name"), "witchcraft", "twin.unknown_effect"),
+        (("effects", 0, "parameters", "coulomb_n"), 1e6, "twin.out_of_range"),
+        (("effects", 0, "parameters", "secret"), 1.0, "twin.field"),
+        (("name",), "../../etc/passwd", "twin.field"),
+        (("version",), 0, "option.least"),
+        (("extra",), 1, "option.extra"),
+    ],
+)
+def test_an_invalid_twin_file_is_refused(content, tmp_path, path, value, code):
+    file = tmp_path / "odd.toml"
+    file.write_text(tomli_w.dumps(_with(content, *path, value=value)), encoding="utf-8")
+    with pytest.raises(UnusableInputError, check=holding(code)) as refused:
+        read_twin(file)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe\x00", b"a = [", b"x" * (MOST_BYTES + 1), b""])
+def test_rubbish_is_not_a_twin(tmp_path, data):
+    file = tmp_path / "rubbish.toml"
+    file.write_bytes(data)
+    with pytest.raises(
+        UnusableInputError, check=lambda error: error.code in ("twin.no_toml", "twin.format", "twin.too_large")
+    ):
+        read_twin(file)
+
+
+def test_other_files_are_not_overwritten(content, tmp_path):
+    file = tmp_path / "notes.toml"
+    file.write_text("a = 1\n")
+    with pytest.raises(UnusableInputError, check=coded("twin.exists", path=str(file))):
+        write_twin(file, content)
+    assert file.read_text() == "a = 1\n"

@@ -1,0 +1,143 @@
+"""Child processes import nothing from the current folder, and every one is started where that is seen to."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from operator import neg
+from pathlib import Path
+
+import pytest
+
+import firmware_sim
+import tissueid
+from tissueid.acquisition.live_estimator import LiveSettings
+from tissueid.acquisition.live_process import LiveProcess
+from tissueid.app.views.gap.separate_process import run_in_process
+from tissueid.child_process import run
+from tissueid.cli.demo import firmware_process
+from tissueid.cli.gap_blind import _record
+from tissueid.gap.workers import executor
+
+HOSTILE = (
+    "multiprocessing",
+    "numpy",
+    "tomllib",
+    "pickle",
+    "scipy",
+    "typer",
+    "pydantic",
+    "runpy",
+    "firmware_sim/__init__",
+)
+HOSTILE += ("firmware_sim/__main__", "firmware_sim/laboratory", "tissueid/__init__", "concurrent/__init__")
+STARTS = {
+    "subprocess": {"Popen", "run", "call", "check_call", "check_output", "getoutput", "getstatusoutput"},
+    "multiprocessing": {"Process", "Pool", "get_context", "set_start_method", "Manager"},
+    "os": {"system", "popen", "fork", "forkpty", "posix_spawn", "posix_spawnp", "startfile"},
+    "QProcess": {"start", "startDetached", "execute"},
+}
+"""What starts a process, by module."""
+START_NAMES = {"ProcessPoolExecutor", "QProcess", "create_subprocess_exec", "create_subprocess_shell"}
+
+
+def starts_in(path: Path) -> list[str]:
+    """Everything in a file that starts a process by itself, with its line."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            module, _, name = ast.unparse(node.func).rpartition(".")
+            starts = STARTS.get(module.rpartition(".")[2], set())
+            if name in starts | START_NAMES or (module == "os" and name.startswith(("exec", "spawn"))):
+                found.append(f"{path.name}:{node.lineno} {module}.{name}")
+        elif isinstance(node, ast.ImportFrom):
+            starts = STARTS.get(node.module or "", set()) | START_NAMES
+            found += [f"{path.name}:{node.lineno} {item.name}" for item in node.names if item.name in starts]
+    return found
+
+
+def test_every_process_is_started_by_the_one_module():
+    found = []
+    for package in (tissueid, firmware_sim):
+        for path in sorted(Path(package.__file__).parent.rglob("*.py")):
+            if path.name != "child_process.py":
+                found += starts_in(path)
+    assert found == []
+    assert len(starts_in(Path(tissueid.__file__).parent / "child_process.py")) >= 3
+
+
+@pytest.fixture
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A current folder whose modules say in a file that they were run."""
+    folder = tmp_path / "received"
+    for name in HOSTILE:
+        path = folder / f"{name}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"open({str(folder / 'PWNED')!r}, 'a').write(__name__ + ' ')\n", encoding="utf-8")
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return folder
+
+
+def ran_in(folder: Path) -> str:
+    path = folder / "PWNED"
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def work_apart(step, people, cancelled):
+    import numpy as np
+
+    step("counting", 1, 2)
+    return people.do(neg, [float(np.float64(3.0)), 4.0], cancelled, lambda _: None)
+
+
+def test_the_trap_shuts_on_an_unprotected_process(hostile: Path):
+    bare = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    subprocess.run([sys.executable, "-c", "import tomllib"], env=bare, check=True)
+    assert ran_in(hostile) == "tomllib "
+
+
+def test_fits_in_other_processes_run_nothing_of_the_folder(hostile: Path):
+    with executor(2) as people:
+        assert people.do(neg, [1, 2, 3], lambda: False, lambda _: None) == [-1, -2, -3]
+    assert ran_in(hostile) == ""
+
+
+def test_a_diagnosis_of_the_window_runs_nothing_of_the_folder(hostile: Path):
+    assert run_in_process(work_apart, lambda *_: None, lambda: False) == [-3.0, -4.0]
+    assert ran_in(hostile) == ""
+
+
+def test_the_demos_instrument_runs_nothing_of_the_folder(hostile: Path):
+    with firmware_process("left-posterior-forearm", 1) as url:
+        assert url
+    values = run("-m", "firmware_sim", "--preset", "left-posterior-forearm", "--local-values", "0.014", check=True)
+    assert values.returncode == 0
+    assert ran_in(hostile) == ""
+
+
+def test_the_laboratory_of_the_blind_check_runs_nothing_of_the_folder(hostile: Path, tmp_path: Path):
+    _record(tmp_path / "sealed", 1, 1, 0.0)
+    assert list((tmp_path / "sealed").iterdir())
+    assert ran_in(hostile) == ""
+
+
+def test_live_identification_runs_nothing_of_the_folder(hostile: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tissueid.acquisition.live_process.LAST_LOOK_S", 300.0)  # a busy machine starts it late
+    process = LiveProcess(LiveSettings(sample_rate_hz=2000.0))
+    process.close()
+    assert process.update.problem == ""
+    assert ran_in(hostile) == ""
+
+
+@pytest.mark.parametrize("start", [("-m", "tissueid"), ("-P", "-m", "tissueid")])
+def test_the_program_runs_nothing_of_the_folder_once_it_has_begun(hostile: Path, start: tuple[str, ...]):
+    # What Python imports by itself to find the module cannot be protected here.
+    for name in ("runpy.py", "tissueid/__init__.py"):
+        (hostile / name).unlink()
+    (hostile / "tissueid").rmdir()
+    bare = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
+    done = subprocess.run([sys.executable, *start, "--version"], env=bare, capture_output=True, text=True, check=False)
+    assert (done.returncode, ran_in(hostile)) == (0, ""), done.stderr
