@@ -6,6 +6,7 @@ commit it. Numbers that are computed, dates and paths are masked, so that a page
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -57,7 +58,8 @@ def check_golden_page(name: str, lines: Iterable[str]) -> None:
     kept = PAGES / f"{name}.txt"
     if os.environ.get(RENEW):
         kept.write_text(text, encoding="utf-8")
-    assert text.splitlines() == kept.read_text(encoding="utf-8").splitlines()
+    changed = difflib.unified_diff(kept.read_text(encoding="utf-8").splitlines(), text.splitlines(), n=0, lineterm="")
+    assert "\n".join(changed) == "", name
 
 
 def _masked(line: str) -> str:

@@ -212,5 +212,9 @@ def test_distortion_uses_the_lines_of_the_stimulus(lines: str, drawn: bool):
 
 
 def test_the_report_of_a_comparison_reads_as_its_golden_page(source: str) -> None:
-    """Renew the page by ``python tests/golden/renew.py``."""
-    check_golden_page("report-comparison", lines_of_html(source))
+    """Renew the page by ``python tests/golden/renew.py``.
+
+    Which residual tests fail is not compared: an adaptive engine turns a rounding error, which differs by processor,
+    into another response.
+    """
+    check_golden_page("report-comparison", [line.partition("✕ failed.")[0] for line in lines_of_html(source)])
