@@ -6,8 +6,8 @@ import pytest
 from reports.synthetic_sitting import make_session, make_test
 
 from tissueid.cli import main
-from tissueid.cli.output import check_new, check_report
 from tissueid.errors import UnusableInputError
+from tissueid.procedures.output_files import check_new, check_report
 from tissueid.sessions import write_session
 
 OWN = "5b2ad2c4-0000-4000-8000-000000000001"

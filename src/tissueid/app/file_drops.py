@@ -13,12 +13,12 @@ from PySide6.QtWidgets import QWidget
 
 from tissueid.app.context import AppContext
 from tissueid.app.pages import Pages
-from tissueid.app.save_path import unused_path
 from tissueid.app.words import sentence
 from tissueid.atomic_write import private_folder
 from tissueid.formatting import clean
 from tissueid.language import _, plural
 from tissueid.messages import translated
+from tissueid.procedures.output_files import unused_path
 
 if TYPE_CHECKING:  # imports are seldom: the window starts without their readers
     from tissueid.app.import_dialog import ImportDialog, ImportPlan, Preview

@@ -12,14 +12,6 @@ from tissueid.messages import Message
 SUFFIX = ".h5"
 
 
-def unused_path(path: Path) -> Path:
-    """Return ``path`` if there is no such file, else the first unused one of ``name-2.ext``, ``name-3.ext``, ..."""
-    free, number = path, 2
-    while free.exists() or free.is_symlink():
-        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
-    return free
-
-
 def check_save_path(path: Path) -> None:
     """Check that a new session can be saved to a path. Nothing is written.
 

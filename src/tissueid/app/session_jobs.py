@@ -7,11 +7,11 @@ from pathlib import Path
 
 from tissueid.acquisition.journal import JournalError, lock
 from tissueid.app.findings import Findings
-from tissueid.app.save_path import unused_path
 from tissueid.app.words import in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.errors import TissueIDError
 from tissueid.messages import translated
+from tissueid.procedures.output_files import unused_path
 from tissueid.sessions import Session, read_session
 from tissueid.sessions.quality import quality_of
 

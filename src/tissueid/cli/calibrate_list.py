@@ -8,7 +8,8 @@ from pathlib import Path
 from tissueid.calibration import Calibration, calibration_folder, read_calibration, stored_calibrations
 from tissueid.calibration.labels import headline_of, notes_of, readable
 from tissueid.calibration.status import Age, age_of
-from tissueid.cli.output import check_json, check_output, human_output, message_json, table, write_json
+from tissueid.cli.output import check_json, human_output, message_json, table, write_json
+from tissueid.procedures.output_files import check_output
 
 
 def list_calibrations(folder: Path | None, serial: str | None, json_file: Path | None) -> None:

@@ -14,20 +14,11 @@ from tissueid.calibration.labels import headline_of, readable
 from tissueid.calibration.static_procedure import STEPS, Ask
 from tissueid.cli.audit_records import audit_failure, audit_note, audit_record
 from tissueid.cli.calibrate_output import check_passed, check_place, place_of, print_place
-from tissueid.cli.output import (
-    check_different,
-    check_json,
-    check_new,
-    check_output,
-    console,
-    human_output,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, console, human_output, progress_bars, table, write_json
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument import open_instrument
+from tissueid.procedures.output_files import check_different, check_new, check_output
 
 _DEFAULT = DeviceDescription()
 

@@ -25,21 +25,12 @@ from tissueid.calibration.sweep_analysis import SweepResult, SweptSpring, analys
 from tissueid.calibration.sweep_file import as_calibration
 from tissueid.cli.audit_records import audit_failure, audit_note, audit_record, audit_trail
 from tissueid.cli.calibrate_output import check_passed, check_place, place_of, print_place
-from tissueid.cli.output import (
-    check_different,
-    check_json,
-    check_new,
-    check_output,
-    console,
-    human_output,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, console, human_output, progress_bars, table, write_json
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, plus_minus
 from tissueid.instrument import Instrument, open_instrument
+from tissueid.procedures.output_files import check_different, check_new, check_output
 from tissueid.records import Estimate
 from tissueid.sessions import Session, read_session
 

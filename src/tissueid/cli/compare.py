@@ -13,21 +13,13 @@ from rich.table import Table
 from tissueid.analysis import EngineComparison, Entry, SweepRow, compare, known_ceiling, specifications, split
 from tissueid.analysis.distortion import described_levels, distortion_of, is_multisine
 from tissueid.cli.identify import identify_answer, parse_options
-from tissueid.cli.output import (
-    check_json,
-    check_output,
-    check_report,
-    human_output,
-    message_json,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, human_output, message_json, progress_bars, table, write_json
 from tissueid.cli.quality import repeat_warnings
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed, grouped
 from tissueid.identification.recommendation import Recommendation
 from tissueid.messages import MISSING
+from tissueid.procedures.output_files import check_output, check_report
 from tissueid.sessions import Session, read_session
 
 _MOST_NAMES = 4

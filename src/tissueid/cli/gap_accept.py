@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tissueid.cli.audit_records import audit_note
-from tissueid.cli.output import check_different, check_json, console, human_output, progress_bars
+from tissueid.cli.output import check_json, console, human_output, progress_bars
 from tissueid.cli.twin_output import print_twin
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, executor
@@ -15,6 +15,7 @@ from tissueid.gap.accepting import accept_named, accepted
 from tissueid.gap.search import SearchProgress
 from tissueid.gap.statement import members_of, percent
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
+from tissueid.procedures.output_files import check_different
 from tissueid.sessions import read_session
 
 

@@ -14,15 +14,7 @@ from rich.table import Table
 
 from tissueid.atomic_write import private_folder
 from tissueid.child_process import run
-from tissueid.cli.output import (
-    check_different,
-    check_json,
-    check_output,
-    human_output,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, human_output, progress_bars, table, write_json
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import executor
 from tissueid.gap.answer_store import FOLDER, CheckInProgress, begin_check, check_in_progress
@@ -30,6 +22,7 @@ from tissueid.gap.blind_check import BlindCheck, answers, full_library, with_lab
 from tissueid.gap.blind_scoring import FULL, SINGLE, Answered, Score, score_of
 from tissueid.gap.scenarios import scenario_names, seal, unseal
 from tissueid.messages import MISSING
+from tissueid.procedures.output_files import check_different, check_output
 
 LABORATORY = "firmware_sim.laboratory"
 MOST_SECONDS = 3600.0

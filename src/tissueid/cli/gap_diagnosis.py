@@ -10,16 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from tissueid.cli.output import (
-    check_different,
-    check_json,
-    check_output,
-    check_report,
-    human_output,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, human_output, progress_bars, table, write_json
 from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
 from tissueid.gap.accepting import accepted
@@ -29,6 +20,7 @@ from tissueid.gap.twin_export import with_prior_twin
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.messages import MISSING
+from tissueid.procedures.output_files import check_different, check_output, check_report
 from tissueid.sessions import Session, read_session
 from tissueid.twin.effect import STAGE_NAMES
 

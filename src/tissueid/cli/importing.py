@@ -11,18 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tissueid.cli.audit_records import audit_note
-from tissueid.cli.output import (
-    check_different,
-    check_json,
-    human_output,
-    messages_json,
-    progress_bars,
-    table,
-    write_json,
-)
+from tissueid.cli.output import check_json, human_output, messages_json, progress_bars, table, write_json
 from tissueid.configuration import CONFIGURATIONS
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean, number
+from tissueid.procedures.output_files import check_different
 from tissueid.sessions import KINDS, Test, read_session
 from tissueid.sessions.imports import (
     Choices,

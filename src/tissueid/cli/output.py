@@ -16,11 +16,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from tissueid.atomic_write import atomic_file, open_regular
-from tissueid.errors import UnusableInputError
+from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.formatting import clean
 from tissueid.messages import Message
-from tissueid.sessions import Session
+from tissueid.procedures.control import COUNTED, Control
+from tissueid.procedures.output_files import check_output, write_text
 
 _SPACES = frozenset("\n\u00a0\u202f")
 """Characters that are not printable by Unicode category, but are used in tables and numbers."""
@@ -43,72 +43,11 @@ def _lines_clean(text: str) -> str:
 console = PlainConsole(stderr=True, highlight=False)
 _BETWEEN_LINES_S = 3.0
 """Interval of progress lines where standard error is not a terminal."""
-_LARGEST_REPORT = 200_000_000
-"""Number of bytes of a report that are searched for the id of its session."""
 
 
 def human_output(json_file: Path | None) -> Console:
     """Return the console for people: standard output, or standard error if JSON goes to standard output."""
     return console if str(json_file) == "-" else PlainConsole(highlight=False)
-
-
-def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
-    """Check, before any work, that a file can be written and that nothing else is overwritten.
-
-    ``begins`` are the first characters, or bytes, of files that may be overwritten.
-
-    Raises:
-        UnusableInputError: the folder is missing, the target is a folder, or it is a file of another kind.
-    """
-    if target is None or str(target) == "-":
-        return
-    if target.is_dir():
-        raise UnusableInputError(f"{target} is a folder; name a file")
-    if not target.parent.is_dir():
-        raise UnusableInputError(f"there is no folder {target.parent}")
-    if target.exists():
-        with open_regular(target) as file:
-            head = file.read(512).lstrip()
-        known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
-        if head and not head.startswith(known):
-            raise UnusableInputError(f"{target} already exists and has other content; it is not overwritten")
-
-
-def check_report(target: Path | None, session: Session) -> None:
-    """Check that a report does not overwrite the report of another session.
-
-    The report of the same session may be overwritten.
-
-    Raises:
-        UnusableInputError: the file is not a report of this session.
-    """
-    if target is None or not target.is_file() or target.stat().st_size == 0:
-        return
-    with target.open("rb") as file:
-        if session.session_id and session.session_id.encode() in file.read(_LARGEST_REPORT):
-            return
-    raise UnusableInputError(f"{target} already exists and is not a report of this session: choose another file name")
-
-
-def check_new(target: Path | None) -> None:
-    """Check, before any work, that the report of a measurement does not overwrite an earlier one.
-
-    Raises:
-        UnusableInputError: the file already exists.
-    """
-    if target is not None and target.is_file() and target.stat().st_size > 0:
-        raise UnusableInputError(f"{target} already exists: choose another file name, or move the file")
-
-
-def check_different(*targets: Path | None) -> None:
-    """Check, before any work, that no file is named for two outputs.
-
-    Raises:
-        UnusableInputError: two outputs have the same file.
-    """
-    named = [target.resolve() for target in targets if target is not None and str(target) != "-"]
-    if twice := [target for number, target in enumerate(named) if target in named[:number]]:
-        raise UnusableInputError(f"{twice[0]} is named for two outputs: each needs its own file")
 
 
 def check_json(target: Path | None) -> None:
@@ -144,19 +83,6 @@ def write_json(target: Path, value: Any) -> None:
     write_text(target, text)
 
 
-def write_text(target: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        UnusableInputError: the file cannot be written.
-    """
-    try:
-        with atomic_file(target) as partial:
-            partial.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UnusableInputError(f"cannot write {target}: {error.strerror}") from error
-
-
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(key): _finite(item) for key, item in value.items()}
@@ -170,8 +96,8 @@ def _finite(value: Any) -> Any:
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, float], None]]:
-    """Yield a function that shows a progress bar: call it with a description and a fraction from 0 to 1.
+def progress_bars() -> Iterator[Callable[[str, float | None], None]]:
+    """Yield a function that shows a progress bar: call it with a description and a fraction, as ``Control.progress``.
 
     If standard error is not a terminal, it prints a line every few seconds instead.
     """
@@ -182,28 +108,57 @@ def progress_bars() -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=console) as progress:
         tasks: dict[str, Any] = {}
 
-        def show(description: str, fraction: float) -> None:
+        def show(description: str, fraction: float | None) -> None:
             if description not in tasks:
                 for task in tasks.values():
                     progress.stop_task(task)
-                tasks[description] = progress.add_task(description, total=1.0)
-            progress.update(tasks[description], completed=fraction)
+                tasks[description] = progress.add_task(description, total=None)
+            if fraction is not None:
+                progress.update(tasks[description], total=1.0, completed=fraction)
 
         yield show
 
 
-def _lines() -> Callable[[str, float], None]:
+def _lines() -> Callable[[str, float | None], None]:
     latest: float | None = None
 
-    def show(description: str, fraction: float) -> None:
+    def show(description: str, fraction: float | None) -> None:
         nonlocal latest
         now = time.monotonic()
         if latest is None or now - latest >= _BETWEEN_LINES_S:
             latest = now
-            console.print(f"{description}: {fraction:.0%}", markup=False, soft_wrap=True)
+            share = "" if fraction is None else f": {fraction:.0%}"
+            console.print(f"{description}{share}", markup=False, soft_wrap=True)
             console.file.flush()
 
     return show
+
+
+class ConsoleControl(Control):
+    """Shows the progress of a procedure by ``show``, and its notices on standard error."""
+
+    def __init__(self, show: Callable[[str, float | None], None]) -> None:
+        self._show = show
+
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Show a progress bar; it stands for the count."""
+        if isinstance(step, Message) and step.code == COUNTED:
+            step = step.values["step"]
+        self._show(step, fraction)
+
+    def notice(self, message: str) -> None:
+        """Print a notice."""
+        console.print(message, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def console_control() -> Iterator[ConsoleControl]:
+    """Yield the control of a procedure that runs in this command; an interrupt becomes a ``CancelledError``."""
+    try:
+        with progress_bars() as show:
+            yield ConsoleControl(show)
+    except KeyboardInterrupt:
+        raise CancelledError("cancelled; nothing was written") from None
 
 
 class PlainTable(Table):

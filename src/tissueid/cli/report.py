@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from tissueid.analysis import Analysis, analyse_all
-from tissueid.cli.output import check_output, check_report, human_output
+from tissueid.cli.output import human_output
 from tissueid.errors import UnusableInputError
 from tissueid.identification import get_engine, report_engines
+from tissueid.procedures.output_files import check_output, check_report
 from tissueid.reports import write_report
 from tissueid.reports.pdf import write_pdf
 from tissueid.sessions import read_session

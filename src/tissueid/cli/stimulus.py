@@ -14,7 +14,7 @@ from rich.console import Console
 from tissueid.acquisition.stimulus_choice import PRELOAD_S
 from tissueid.acquisition.stimulus_file import checksum, load_stimulus, save_stimulus
 from tissueid.analysis.design import Design
-from tissueid.cli.output import human_output, message_json, progress_bars, write_json, write_text
+from tissueid.cli.output import human_output, message_json, progress_bars, write_json
 from tissueid.cli.stimulus_options import (
     CommonOptions,
     kinds_answer,
@@ -27,6 +27,7 @@ from tissueid.cli.stimulus_output import CSV_HEAD, Targets, draw, rows_table
 from tissueid.device import DeviceDescription
 from tissueid.errors import LimitError, UnusableInputError
 from tissueid.instrument import PROFILES, Limits, open_instrument
+from tissueid.procedures.output_files import write_text
 from tissueid.stimuli import FeedbackKind, OpenLoopKind, Stimulus, StimulusKind, get_stimulus, to_voltage
 from tissueid.stimuli.interchange import Interchanged, Progress
 from tissueid.stimuli.kinds.interchange import Interchange

@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from tissueid.acquisition.stimulus_file import check_new
-from tissueid.cli.output import check_json, check_output, table
+from tissueid.cli.output import check_json, table
 from tissueid.errors import UnusableInputError
+from tissueid.procedures.output_files import check_output
 
 if TYPE_CHECKING:
     from tissueid.reports.stimulus_report import StimulusReport

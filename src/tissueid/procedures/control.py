@@ -6,6 +6,13 @@ from tissueid.errors import CancelledError
 from tissueid.messages import Message
 
 CANCELLED = Message("procedure.cancelled", "it was cancelled")
+COUNTED = "procedure.counted"
+"""Code of a step with the number of its items that are done."""
+
+
+def counted(step: str, done: int, total: int) -> Message:
+    """Return a step with the number of its items that are done."""
+    return Message(COUNTED, "{step}: {done} of {total}", step=step, done=done, total=total)
 
 
 class Control:

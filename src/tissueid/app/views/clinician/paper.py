@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.app.save_path import unused_path
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.formatting import display_unit, label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
+from tissueid.procedures.output_files import unused_path
 from tissueid.records import Estimate
 
 THIS = marked("This:")

@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tissueid.app.save_path import unused_path
 from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest, DiagnosisResult
 from tissueid.app.views.gap.separate_process import Step, run_in_process
 from tissueid.atomic_write import write_private
@@ -19,6 +18,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import Message, translated
+from tissueid.procedures.output_files import unused_path
 
 if TYPE_CHECKING:
     from tissueid.gap.workers import Executor

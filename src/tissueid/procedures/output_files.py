@@ -1,0 +1,124 @@
+"""Files that a procedure writes: checked before any work, so that nothing else is overwritten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tissueid.atomic_write import atomic_file, open_regular
+from tissueid.errors import UnusableInputError
+from tissueid.messages import Message
+
+if TYPE_CHECKING:
+    from tissueid.sessions import Session
+
+HTML = ("<!DOCTYPE html",)
+"""First characters of the pages that may be overwritten."""
+PDF = ("%PDF",)
+_LARGEST_REPORT = 200_000_000
+"""Number of bytes of a report that are searched for the id of its session."""
+
+
+def check_output(target: Path | None, begins: tuple[str | bytes, ...]) -> None:
+    """Check that a file can be written and that nothing else is overwritten.
+
+    ``begins`` are the first characters, or bytes, of files that may be overwritten. ``-`` is standard output.
+
+    Raises:
+        UnusableInputError: the folder is missing, the target is a folder, or it is a file of another kind.
+    """
+    if target is None or str(target) == "-":
+        return
+    if target.is_dir():
+        raise UnusableInputError(Message("file.is_folder", "{path} is a folder; name a file", path=str(target)))
+    if not target.parent.is_dir():
+        raise UnusableInputError(Message("file.no_folder", "there is no folder {folder}", folder=str(target.parent)))
+    if target.exists():
+        with open_regular(target) as file:
+            head = file.read(512).lstrip()
+        known = tuple(text.encode() if isinstance(text, str) else text for text in begins)
+        if head and not head.startswith(known):
+            raise UnusableInputError(
+                Message(
+                    "file.other_content",
+                    "{path} already exists and has other content; it is not overwritten",
+                    path=str(target),
+                )
+            )
+
+
+def check_report(target: Path | None, session: Session) -> None:
+    """Check that a report does not overwrite the report of another session.
+
+    The report of the same session may be overwritten.
+
+    Raises:
+        UnusableInputError: the file is not a report of this session.
+    """
+    if target is None or not target.is_file() or target.stat().st_size == 0:
+        return
+    with target.open("rb") as file:
+        if session.session_id and session.session_id.encode() in file.read(_LARGEST_REPORT):
+            return
+    raise UnusableInputError(
+        Message(
+            "file.other_report",
+            "{path} already exists and is not a report of this session: choose another file name",
+            path=str(target),
+        )
+    )
+
+
+def check_new(target: Path | None) -> None:
+    """Check that the report of a measurement does not overwrite an earlier one.
+
+    Raises:
+        UnusableInputError: the file already exists.
+    """
+    if target is not None and target.is_file() and target.stat().st_size > 0:
+        raise UnusableInputError(
+            Message(
+                "file.exists", "{path} already exists: choose another file name, or move the file", path=str(target)
+            )
+        )
+
+
+def check_different(*targets: Path | None) -> None:
+    """Check that no file is named for two outputs.
+
+    Raises:
+        UnusableInputError: two outputs have the same file.
+    """
+    named = [target.resolve() for target in targets if target is not None and str(target) != "-"]
+    if twice := [target for number, target in enumerate(named) if target in named[:number]]:
+        raise UnusableInputError(
+            Message("file.twice", "{path} is named for two outputs: each needs its own file", path=str(twice[0]))
+        )
+
+
+def unused_path(path: Path) -> Path:
+    """Return ``path`` if there is no such file, else the first unused one of ``name-2.ext``, ``name-3.ext``, ..."""
+    free, number = path, 2
+    while free.exists() or free.is_symlink():
+        free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
+    return free
+
+
+def write_text(target: Path, text: str) -> None:
+    """Write a text file atomically.
+
+    Raises:
+        UnusableInputError: the file cannot be written.
+    """
+    try:
+        with atomic_file(target) as partial:
+            partial.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise unwritable(target, error) from error
+
+
+def unwritable(target: Path, error: OSError) -> UnusableInputError:
+    """Return the error of a file that cannot be written."""
+    return UnusableInputError(
+        Message("file.unwritable", "cannot write {path}: {why}", path=str(target), why=str(error.strerror or error))
+    )
