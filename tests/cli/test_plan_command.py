@@ -22,6 +22,7 @@ class Walk(Plan):
     ends: Annotated[tuple[float, float] | None, Option(read=lambda text: tuple(map(float, text.split(":"))))] = None
     quick: Annotated[bool, Option("--quick")] = False
     kept: Annotated[bool, Option()] = True
+    steps: Annotated[tuple[str, ...], Option("--steps", metavar="A,B", separator=",")] = ()
     hidden: str = ""
 
 
@@ -43,8 +44,17 @@ def test_options_not_given_have_the_defaults_of_the_plan():
 
 
 def test_values_are_read_into_the_units_of_the_plan():
-    given = "--out a --step 3 --seed 4 --weight 20 --weight 50 --ends 1:2 --quick --no-kept --json b"
-    plan = Walk(out=Path("a"), step_m=3e-3, seed=4, weights_kg=(0.02, 0.05), ends=(1.0, 2.0), quick=True, kept=False)
+    given = "--out a --step 3 --seed 4 --weight 20 --weight 50 --ends 1:2 --quick --no-kept --json b --steps x,,y,"
+    plan = Walk(
+        out=Path("a"),
+        step_m=3e-3,
+        seed=4,
+        weights_kg=(0.02, 0.05),
+        ends=(1.0, 2.0),
+        quick=True,
+        kept=False,
+        steps=("x", "y"),
+    )
     assert run(given.split()) == (plan, Path("b"))
 
 

@@ -65,6 +65,8 @@ def _type(annotation: Any, option: Option) -> Any:
     if get_origin(annotation) in (Union, types.UnionType):
         others = [kind for kind in get_args(annotation) if kind is not type(None)]
         return _type(others[0], option) | None
+    if option.separator:
+        return str | None
     if get_origin(annotation) is tuple and get_args(annotation)[1:] == (...,):
         return list[get_args(annotation)[0] if option.read is None else str] | None  # type: ignore[misc]
     return annotation if option.read is None else str
@@ -85,9 +87,11 @@ def _shown(value: float, option: Option) -> float:
 def _value(field: FieldInfo, given: Any) -> Any:
     """Return the value of a field from the value that typer read."""
     option = option_of(field) or Option()
-    several = isinstance(given, list)
     if given is None:
         return () if field.default == () else None
+    if option.separator:
+        given = [text.strip() for text in given.split(option.separator) if text.strip()]
+    several = isinstance(given, list)
     values = given if several else [given]
     if option.read is not None:
         values = [option.read(value) for value in values]

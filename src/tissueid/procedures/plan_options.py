@@ -33,6 +33,7 @@ class Option:
         scale: value of the field for 1 on the command line, such as 1e-3 for millimetres.
         read: returns the value of the field from the text on the command line; may raise UnusableInputError.
         argument: whether it is an argument by position.
+        separator: of the values of a tuple that are given in one text, such as ","; "" where the option is repeated.
     """
 
     name: str = ""
@@ -42,6 +43,7 @@ class Option:
     scale: float = 1.0
     read: Callable[[str], Any] | None = None
     argument: bool = False
+    separator: str = ""
 
 
 class Plan(BaseModel):
