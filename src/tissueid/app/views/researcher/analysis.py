@@ -25,10 +25,10 @@ from PySide6.QtWidgets import (
 from tissueid.app.context import AppContext
 from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.elided_label import ElidedLabel
+from tissueid.app.job_control import JobControl
 from tissueid.app.small_window import FoldingSplitter
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.analysis_history import AnalysisHistory
-from tissueid.app.views.researcher.analysis_progress import AnalysisProgress
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.batch import Batch, refit, run, run_folder
 from tissueid.app.views.researcher.engine_form import EngineForm
@@ -68,7 +68,7 @@ class AnalysisPanel(QWidget):
         self.context = context
         self._history = history or AnalysisHistory()
         self._chosen: tuple[SelectedTest, ...] = ()
-        self._work: AnalysisProgress | None = None
+        self._work: JobControl | None = None
         self._doing = ""
         self._busy = self._testing = False
         self.form = EngineForm()
@@ -233,23 +233,23 @@ class AnalysisPanel(QWidget):
             return
         moment = datetime.now(UTC).isoformat(timespec="milliseconds")
 
-        def work(progress: AnalysisProgress) -> Batch:
+        def work(control: JobControl) -> Batch:
             if folder is None:
-                return run(task, progress, self._history, moment)
-            return run_folder(folder, task, progress, self._history, moment)
+                return run(task, control, self._history, moment)
+            return run_folder(folder, task, control, self._history, moment)
 
         self._begin(work, _("Comparing") if task.kind == "compare" else _("Fitting"), self._done)
 
-    def _begin(self, work: Callable[[AnalysisProgress], Batch], doing: str, done: Callable[[Batch], None]) -> None:
+    def _begin(self, work: Callable[[JobControl], Batch], doing: str, done: Callable[[Batch], None]) -> None:
         if self.context.busy or self._testing:
             return
-        progress = AnalysisProgress()
-        self._work, self._doing = progress, doing
+        control = JobControl()
+        self._work, self._doing = control, doing
         self.cancelling.setEnabled(True)
         self._show_working()
         self._looking.start()
         why = _("An analysis is running on Research: cancel it there, or wait.")
-        self.context.jobs.do(functools.partial(work, progress), done, self._failed, why=why)
+        self.context.jobs.do(functools.partial(work, control), done, self._failed, why=why)
 
     def _task(self, **changes: Any) -> AnalysisTask | None:
         """Return the task of the form; show the error and return None if it is invalid."""
@@ -296,10 +296,10 @@ class AnalysisPanel(QWidget):
             self.start(task, Path(folder))
 
     def _look(self) -> None:
-        if self._work is not None and not self._work.cancelled:
-            words, share = self._work.state
-            self.bar.setValue(round(_STEPS * share))
-            self.step.setText(f"{self._doing} {words}" if words else f"{self._doing}.")
+        if self._work is not None and not self._work.cancelled():
+            step = self._work.step
+            self.bar.setValue(round(_STEPS * (self._work.fraction or 0.0)))
+            self.step.setText(f"{self._doing} {step}" if step else f"{self._doing}.")
 
     def _done(self, batch: Batch) -> None:
         self._end()

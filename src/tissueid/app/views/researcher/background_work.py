@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-
 from PySide6.QtCore import QSize, QTimer
 from PySide6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QWidget
 
 from tissueid.app.elided_label import ElidedLabel
-from tissueid.errors import CancelledError
+from tissueid.app.job_control import JobControl
 from tissueid.language import _
 
 _LOOK_MS = 60
@@ -17,13 +15,12 @@ _WIDTH = 240
 """Pixels of the strip; its words are cut before its button is."""
 
 
-class BackgroundWork:
+class BackgroundWork(JobControl):
     """Work with progress. Its thread reports the ``fraction`` done and stops soon after a cancellation."""
 
     def __init__(self, words: str) -> None:
+        super().__init__()
         self.words = words
-        self.fraction = 0.0
-        self._cancelled = threading.Event()
 
     def tell(self, fraction: float) -> None:
         """Report the fraction done, 0 to 1.
@@ -31,18 +28,8 @@ class BackgroundWork:
         Raises:
             CancelledError: the work was cancelled.
         """
-        self.fraction = fraction
-        if self._cancelled.is_set():
-            raise CancelledError("cancelled")
-
-    def cancel(self) -> None:
-        """Request cancellation."""
-        self._cancelled.set()
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether cancellation was requested."""
-        return self._cancelled.is_set()
+        self.progress(fraction, self.words)
+        self.check()
 
 
 class ProgressStrip(QWidget):
@@ -103,7 +90,7 @@ class ProgressStrip(QWidget):
 
     def _look(self) -> None:
         if self._errand is not None:
-            self._bar.setValue(round(_STEPS * self._errand.fraction))
+            self._bar.setValue(round(_STEPS * (self._errand.fraction or 0.0)))
 
 
 __all__ = ["BackgroundWork", "ProgressStrip"]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from tissueid.analysis import EngineComparison, analyse, compare, known_ceiling, specifications, split
 from tissueid.app.file_stamp import stamp_of
+from tissueid.app.job_control import JobControl
 from tissueid.app.views.researcher.analysis_history import AnalysisHistory, HistoryEntry
-from tissueid.app.views.researcher.analysis_progress import AnalysisProgress
 from tissueid.app.views.researcher.analysis_task import MOST_TESTS, AnalysisTask, TestRef
 from tissueid.app.views.researcher.comparison_summary import ComparisonSummary, summary_of
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
@@ -42,7 +42,7 @@ class Batch:
     entry: HistoryEntry | None
 
 
-def run(task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory, moment: str) -> Batch:
+def run(task: AnalysisTask, control: JobControl, history: AnalysisHistory, moment: str) -> Batch:
     """Run a task and add it to the history; ``moment`` is its start in ISO 8601.
 
     Raises:
@@ -55,7 +55,7 @@ def run(task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory
     cancelled = False
     try:
         for place, group in enumerate(groups):
-            tell = _part(progress, place, len(groups), clean(group[0].label))
+            tell = _part(control, place, len(groups), clean(group[0].label))
             tell("", 0.0)
             stamp = stamp_of(group[0].path)
             try:
@@ -79,13 +79,13 @@ def run(task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory
     return Batch(task, tuple(done), tuple(verdicts), tuple(problems), cancelled, entry)
 
 
-def refit(outcomes: Sequence[EngineOutcome], progress: AnalysisProgress) -> Batch:
+def refit(outcomes: Sequence[EngineOutcome], control: JobControl) -> Batch:
     """Refit results that were stored without curves; failures are added to ``problems``."""
     done, problems, cancelled = list[EngineOutcome](), list[str](), False
     read = functools.lru_cache(maxsize=2)(read_session)
     tasks = [_task_of(outcome) for outcome in outcomes]
     for place, (outcome, task) in enumerate(zip(outcomes, tasks, strict=True)):
-        tell = _part(progress, place, len(outcomes), outcome.test_label)
+        tell = _part(control, place, len(outcomes), outcome.test_label)
         try:
             tell("", 0.0)
             stamp = stamp_of(outcome.tests[0].path)
@@ -104,9 +104,7 @@ def _task_of(outcome: EngineOutcome) -> AnalysisTask:
     return AnalysisTask(engines=(outcome.engine,), options=outcome.options, input_name=into, output_name=out)
 
 
-def run_folder(
-    folder: Path, task: AnalysisTask, progress: AnalysisProgress, history: AnalysisHistory, moment: str
-) -> Batch:
+def run_folder(folder: Path, task: AnalysisTask, control: JobControl, history: AnalysisHistory, moment: str) -> Batch:
     """Run a task on the tests of all sessions in a folder and its subfolders.
 
     Raises:
@@ -115,7 +113,7 @@ def run_folder(
     if task.kind == "run":
         task.specification()
     try:
-        tests, problems = find_tests(folder, progress)
+        tests, problems = find_tests(folder, control)
     except CancelledError:
         return Batch(task, (), (), (), True, None)
     if not tests and problems:
@@ -123,15 +121,16 @@ def run_folder(
     if not tests:
         raise UnusableInputError(Message("research.no_session", "there is no session in {folder}", folder=str(folder)))
     named = task.model_copy(update={"tests": tuple(TestRef.of(test) for test in tests)})
-    found = run(named, progress, history, moment)
+    found = run(named, control, history, moment)
     return replace(found, problems=(*problems, *found.problems))
 
 
-def _part(progress: AnalysisProgress, place: int, count: int, label: str) -> Callable[[str, float], None]:
+def _part(control: JobControl, place: int, count: int, label: str) -> Callable[[str, float], None]:
     which = _("{place} of {count}: {label}").format(place=place + 1, count=count, label=label) if count > 1 else label
 
     def tell(what: str, share: float) -> None:
-        progress.tell(f"{which}, {what}" if what else which, (place + share) / count)
+        control.progress((place + share) / count, f"{which}, {what}" if what else which)
+        control.check()
 
     return tell
 
@@ -222,7 +221,7 @@ def _headline(done: list[EngineOutcome], cancelled: bool) -> str:
     return Message("research.headline", "{names}", names=Listing(tuple(words))) if words else ""
 
 
-def find_tests(folder: Path, progress: AnalysisProgress) -> tuple[list[SelectedTest], list[str]]:
+def find_tests(folder: Path, control: JobControl) -> tuple[list[SelectedTest], list[str]]:
     """Return the stochastic tests of all sessions in a folder and its subfolders, and a text for each unusable file.
 
     A session without a stochastic test gives its first one.
@@ -234,7 +233,8 @@ def find_tests(folder: Path, progress: AnalysisProgress) -> tuple[list[SelectedT
     try:
         paths: list[Path] = []
         for path in folder.rglob(f"*{_SUFFIX}"):
-            progress.tell(_("{count} files found").format(count=len(paths)), 0.0)
+            control.progress(None, _("{count} files found").format(count=len(paths)))
+            control.check()
             if path.is_file():
                 paths.append(path)
     except OSError as error:
@@ -249,7 +249,8 @@ def find_tests(folder: Path, progress: AnalysisProgress) -> tuple[list[SelectedT
     tests: list[SelectedTest] = []
     problems: list[str] = []
     for place, path in enumerate(sorted(paths)):
-        progress.tell(_("reading {name}").format(name=clean(path.name)), place / len(paths))
+        control.progress(place / len(paths), _("reading {name}").format(name=clean(path.name)))
+        control.check()
         try:
             session = read_session(path)
             taken = [test for test in session.tests if test.kind == "stochastic"] or [session.test()]

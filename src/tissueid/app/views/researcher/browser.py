@@ -178,7 +178,7 @@ class Browser(QWidget):
         self._close()
         while not search.found.empty():
             self._take_found()
-        if self._whole and not search.cancelled and self._seen != set(self.model.by_path):
+        if self._whole and not search.cancelled() and self._seen != set(self.model.by_path):
             self.model.show([entry for entry in self.model.entries if entry.path in self._seen])
             self.tree.span_problems()
             self.bar.offer(self.model.entries)
@@ -187,7 +187,7 @@ class Browser(QWidget):
         if self._to_choose in self.model.by_path:
             self._choose_listed()
         if search.remarks:
-            self._context.say(" ".join(search.remarks), problem=not search.cancelled)
+            self._context.say(" ".join(search.remarks), problem=not search.cancelled())
 
     def _failed(self, words: str) -> None:
         self._close()

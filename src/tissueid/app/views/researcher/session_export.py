@@ -58,7 +58,7 @@ class SessionExport(BackgroundWork):
             said.append(
                 _("Exported {count} sessions into folders in {folder}.").format(count=count, folder=self._folder)
             )
-        if self.cancelled:
+        if self.cancelled():
             said.append(_("The export was stopped; the other sessions are not exported."))
         return " ".join([*said, *dict.fromkeys(self.problems)])
 
