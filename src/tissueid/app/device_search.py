@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
@@ -10,14 +11,16 @@ from PySide6.QtCore import QObject, Signal
 from tissueid.app.context import AppContext
 from tissueid.app.form import PlanForm
 from tissueid.app.instruments import Survey, survey
+from tissueid.app.job_control import JobControl
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
-from tissueid.app.session_jobs import Recovery, recover_all, unfinished
-from tissueid.app.words import in_words
+from tissueid.app.words import in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.errors import TissueIDError
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import _, plural
+from tissueid.messages import translated
+from tissueid.procedures.recovery import RecoveredSession, recover_folder, unfinished_journals
 
 
 class DeviceSearch(QObject):
@@ -72,7 +75,7 @@ class DeviceSearch(QObject):
     def offer_recovery(self) -> None:
         """Offer to recover unfinished tests, if there are any."""
         folder = self._context.services.folder
-        found = unfinished(folder)
+        found = unfinished_journals(folder)
         if found:
             count = len(found)
             names = ", ".join(path.name.removesuffix(".journal") for path in found[:3])
@@ -89,17 +92,28 @@ class DeviceSearch(QObject):
         """Recover all unfinished tests and show the last of them."""
         if not self._context.busy:
             self._notice.retract()
-            work = functools.partial(_recover_folder, self._context.services.folder, self._context.trail)
+            work = functools.partial(recover_all, self._context.services.folder, self._context.trail)
             self._context.jobs.do(work, self._recovered, self._context.say_failed)
 
     def _recovered(self, recovery: Recovery) -> None:
-        saved = [_("Recovered {path}.").format(path=path) for path, _session in recovery.sessions]
+        saved = [_("Recovered {path}.").format(path=one.path) for one in recovery.sessions]
         words = " ".join(saved + recovery.problems) or _("There is nothing left to recover.")
         self._notice.say(words, problem=bool(recovery.problems), page=MEASURE)
         if recovery.sessions:
-            self.recovered.emit(recovery.sessions)
+            self.recovered.emit([(one.path, one.session) for one in recovery.sessions])
 
 
-def _recover_folder(folder: Path, trail: AuditTrail) -> Recovery:
+@dataclass(frozen=True)
+class Recovery:
+    """The recovered sessions, and problems as sentences."""
+
+    sessions: list[RecoveredSession]
+    problems: list[str]
+
+
+def recover_all(folder: Path, trail: AuditTrail) -> Recovery:
     """Recover what is unfinished now, which may differ from what was offered."""
-    return recover_all(unfinished(folder), trail)
+    control = JobControl()
+    sessions, errors = recover_folder(folder, control, trail)
+    problems = [sentence(translated(notice)) for notice in control.notices]
+    return Recovery(sessions, [*problems, *map(in_words, errors)])

@@ -13,7 +13,9 @@ from tissueid.cli.audit_records import set_role
 from tissueid.cli.calibrate import calibrate
 from tissueid.cli.gap import gap
 from tissueid.cli.import_export import export_command, import_command
+from tissueid.cli.plan_command import plan_command
 from tissueid.cli.twin_commands import twin
+from tissueid.procedures.recovery import RecoveryPlan
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -370,21 +372,15 @@ def compare(
 
 
 @app.command()
-def recover(
-    path: Annotated[Path, typer.Argument(metavar="PATH", help="name of the unfinished session, or its journal")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="SESSION", help="session file to write; default: next to the journal"),
-    ] = None,
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
     """Recover a session after a crash.
 
     All data that had reached the disk is kept.
     """
-    from tissueid.cli.recover import run_recover
+    from tissueid.cli.recover import recover_session
 
-    run_recover(path, out, json_file)
+    recover_session(plan, json_file)
 
 
 @app.command()

@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
-from tissueid.app.session_jobs import unfinished
 from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
+from tissueid.procedures.recovery import unfinished_journals
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import Quality, quality_of
@@ -73,7 +73,7 @@ def look_into(folder: Path, cancelled: threading.Event, known: KnownDates | None
     """
     try:
         files = [(path, path.stat()) for path in folder.glob("*.h5") if path.is_file()]
-        journals = tuple(unfinished(folder))
+        journals = tuple(unfinished_journals(folder))
     except OSError as error:
         return FolderLook(problem=in_words(error))
     dated = _dated(files, known or KnownDates(), cancelled)
