@@ -6,9 +6,242 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from tissueid.twin import _lost_samples
 from tissueid.twin.effect import Effect, FloatArray, Parameter, Readings
+
+IntArray = NDArray[np.int64]
+
+MOST_SLIP = 200
+"""Most lost samples that are searched for."""
+JUMP_COST = 20.0
+"""Least gain of one loss in squared errors, in units of twice their variance."""
+BACK_EMF_JUMP_COST = 40.0
+"""The same for errors of the coil's equation, which other effects make coloured and not normal."""
+MOST_LEFT = 0.7
+"""Largest remaining share of the squared error with which a loss is accepted."""
+LEAST_MEMORY = 0.5
+"""Least correlation of successive differences of position that counts as motion rather than noise."""
+SETTLING = 600
+"""Samples at the start, in which the probe moves to its equilibrium and a slow command moves it fast."""
+FEW = 4
+"""Constant lead or lag of the position that is allowed, samples."""
+STRETCH = 1000
+"""Samples from which the coil's parameters are first estimated: the best fitting ones, probably without a loss."""
+SLOW = 201
+"""Window over which errors of the coil's equation are averaged to remove drift, samples."""
+MOST_ERROR = 8.0
+"""Bound of a squared error in units of twice the variance: four standard deviations."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _path(errors, jump_cost):  # type: ignore[no-untyped-def]
+    """Return the lag at each sample with the least cost, shape (n,), from costs of shape (n, lags); lags only grow."""
+    size, lags = errors.shape
+    came = np.empty((size, lags), np.int16)
+    total = errors[0].copy()
+    for n in range(1, size):
+        best = 0
+        least = total[0]
+        for k in range(lags):
+            here = total[k]
+            if here <= least + jump_cost:
+                came[n, k] = k
+            else:
+                came[n, k] = best
+                total[k] = least + jump_cost
+            if here < least:
+                least, best = here, k
+            total[k] += errors[n, k]
+    path = np.empty(size, np.int64)
+    path[-1] = np.argmin(total)
+    for n in range(size - 1, 0, -1):
+        path[n - 1] = came[n, path[n]]
+    return path
+
+
+def of_record(command: FloatArray, voltage: FloatArray) -> list[tuple[int, int]]:
+    """Return the losses of a whole record as ``(first sample after the loss, lost samples)``.
+
+    The recorded voltage is compared with the command at any gain, offset and constant delay. A constant command shows
+    no losses.
+    """
+    known = np.isfinite(voltage)
+    if not np.isfinite(command).all() or known.sum() < STRETCH:
+        return []
+    if np.std(voltage[known]) < 1e-3 or np.std(command) < 1e-3:
+        return []
+    lags = _lags(voltage)
+    shifted = _shifted(command, lags)
+    rows = np.arange(command.size)
+    found: list[tuple[float, IntArray]] = []
+    before = np.inf
+    # With a slow command, losses and gain can only be estimated together: one search starts with the loss spread over
+    # the test.
+    for end in {0, _missing(voltage)}:
+        path = np.linspace(0.0, end, command.size).astype(np.int64)
+        for _ in range(6):
+            gain, offset = _line(shifted[rows, path - lags[0]], voltage)
+            left = voltage[:, None] - gain * shifted - offset
+            before = min(before, float(np.nanmin(np.nanmean(left**2, axis=0))))
+            path = _lag_path(left, lags, JUMP_COST)
+        found.append((float(np.nanmean(left[rows, path - lags[0]] ** 2)), path))
+    after, path = min(found, key=lambda one: one[0])
+    return [*_unseen(path, command), *_changes(path)] if after < MOST_LEFT * before else []
+
+
+def of_position(
+    voltage: FloatArray, current: FloatArray, position: FloatArray, motion: FloatArray | None = None
+) -> list[tuple[int, int]]:
+    """Return losses of the position only, relative to the electrical record, by the back-EMF.
+
+    Over the hold of one sample, ``u = R i + L' di + k dx + e`` with the differences of readings at its ends. A
+    prediction of the position without losses (``motion``) is compared with the readings as well.
+    """
+    missing = _missing(position)
+    # Samples missing at the end were lost earlier; a filter or a clock shifts a position by little.
+    lags = np.arange(-FEW, missing + FEW + 1) if 0 < missing <= MOST_SLIP else _lags(position)
+    gained = np.diff(position, prepend=position[0])
+    moves = _moves(gained) and int(np.isfinite(voltage + current).sum()) >= STRETCH
+    if motion is None:
+        return _changes(_by_back_emf(voltage, current, gained, lags, 0.0)) if moves else []
+    costs = _costs(position[:, None] - _shifted(motion, lags))
+    return _changes(
+        _by_back_emf(voltage, current, gained, lags, costs) if moves else _cheapest(costs, lags, BACK_EMF_JUMP_COST)
+    )
+
+
+def _by_back_emf(
+    voltage: FloatArray, current: FloatArray, gained: FloatArray, lags: IntArray, added_costs: FloatArray | float
+) -> IntArray:
+    """Return the lag at each sample from the coil's equation and additional costs."""
+    known = np.isfinite(voltage + current)
+    # Neighbouring differences are included, so that a filter or a constant delay of the sensor is not a loss.
+    moved = np.stack([np.roll(gained, -1), gained, np.roll(gained, 1)], axis=1)
+    filled = np.where(known, current, 0.0)
+    columns = np.stack([filled, np.diff(filled, prepend=filled[0]), np.ones(current.size)], axis=1)
+    rows = np.arange(gained.size)
+    path = np.zeros(gained.size, np.int64)
+    whole = (rows >= SETTLING) & np.isfinite(moved).all(axis=1)
+    starts = range(SETTLING, rows.size, STRETCH // 2)
+    stretches = [whole & (rows >= start) & (rows < start + STRETCH) for start in starts]
+    for turn in range(4):
+        index = np.clip(rows + path, 0, gained.size - 1)
+        parts = stretches if turn == 0 else [whole]
+        fits = [_coil_equation(columns[index], moved, voltage[index], part & known[index]) for part in parts]
+        weights = min(fits, key=lambda fit: fit[0])[1]
+        opposing = np.where(known, voltage - columns @ weights[:3], np.nan)
+        left = _fast(_shifted(opposing, lags)) - _fast(moved @ weights[3:])[:, None]
+        left[:SETTLING] = np.nan
+        path = _cheapest(_costs(left) + added_costs, lags, BACK_EMF_JUMP_COST)
+    return path
+
+
+def _coil_equation(
+    columns: FloatArray, moved: FloatArray, voltage: FloatArray, usable: NDArray[np.bool_]
+) -> tuple[float, FloatArray]:
+    """Return the errors' variance relative to the back-EMF, and weights of current, its change, 1 and motion."""
+    if usable.sum() < STRETCH // 4:
+        return np.inf, np.zeros(columns.shape[1] + moved.shape[1])
+    both = np.concatenate((columns, moved), axis=1)[usable]
+    weights: FloatArray = np.linalg.lstsq(both, voltage[usable], rcond=None)[0].astype(np.float64)
+    back_emf = float(np.var(moved[usable] @ weights[columns.shape[1] :]))
+    return float(np.var(voltage[usable] - both @ weights)) / max(back_emf, 1e-12), weights
+
+
+def _moves(gained: FloatArray) -> bool:
+    """Return whether differences of position are correlated, as in motion, or not, as in noise."""
+    fast = _fast(gained)[SETTLING:]
+    before, after = fast[:-1], fast[1:]
+    known = np.isfinite(before + after)
+    if known.sum() < STRETCH or np.std(before[known]) < 1e-8:
+        return False
+    return float(np.corrcoef(before[known], after[known])[0, 1]) > LEAST_MEMORY
+
+
+def _fast(values: FloatArray) -> FloatArray:
+    """Subtract the moving mean over ``SLOW`` samples along the first axis."""
+    slow: FloatArray = uniform_filter1d(np.where(np.isfinite(values), values, 0.0), SLOW, axis=0)
+    return values - slow
+
+
+def _missing(record: FloatArray) -> int:
+    """Return the number of samples missing at the end: the number that was lost."""
+    return int(np.argmax(np.isfinite(record[::-1]))) if np.isfinite(record).any() else 0
+
+
+def _lags(record: FloatArray) -> IntArray:
+    """Return the lags to search: the number of missing samples and a few more."""
+    most = min(max(40, _missing(record) + 20), MOST_SLIP, record.size // 4)
+    return np.arange(-most // 2, most + 1)
+
+
+def _shifted(values: FloatArray, lags: IntArray) -> FloatArray:
+    """Return values shifted ahead by each lag, shape (n, lags); the ends are held."""
+    index = np.arange(values.size)[:, None] + lags
+    shifted: FloatArray = values[np.clip(index, 0, values.size - 1)]
+    return shifted
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+    """Return gain and offset of y against x by robust regression."""
+    known = np.isfinite(y)
+    weight = np.ones(int(known.sum()))
+    gain, offset = 1.0, 0.0
+    for _ in range(5):
+        gain, offset = np.polyfit(x[known], y[known], 1, w=np.sqrt(weight))
+        left = y[known] - gain * x[known] - offset
+        spread = max(float(np.median(np.abs(left))), 1e-6)
+        weight = 1.0 / (1.0 + (left / (3.0 * spread)) ** 2)
+    return float(gain), float(offset)
+
+
+def _lag_path(left: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+    """Return the lag at each sample from the errors at each lag, shape (n, lags), NaN where not received."""
+    return _cheapest(_costs(left), lags, jump_cost)
+
+
+def _cheapest(costs: FloatArray, lags: IntArray, jump_cost: float) -> IntArray:
+    path: IntArray = _path(costs, jump_cost) + lags[0]
+    return path
+
+
+def _costs(left: FloatArray) -> FloatArray:
+    """Return the cost of each lag from its errors, shape (n, lags); 0 where not received."""
+    known = np.isfinite(left)
+    squares = np.where(known, left, 0.0) ** 2
+    # The noise is estimated at the best constant lag over short blocks: losses inside some of them do not matter.
+    stretch = 64
+    whole = squares[: squares.shape[0] // stretch * stretch].reshape(-1, stretch, left.shape[1]).mean(axis=1)
+    variance = max(float(np.median(whole.min(axis=1))), 1e-18)
+    costs: FloatArray = np.minimum(squares / (2.0 * variance), MOST_ERROR)
+    return costs
+
+
+def _changes(path: IntArray) -> list[tuple[int, int]]:
+    """Return the changes of a path of lags. Its first lag is a constant delay and not a loss."""
+    at = np.flatnonzero(np.diff(path)) + 1
+    return [(int(n), int(path[n] - path[n - 1])) for n in at]
+
+
+def _unseen(path: IntArray, command: FloatArray) -> list[tuple[int, int]]:
+    """Return losses while the command was constant as one loss in the middle of that time."""
+    moved = np.flatnonzero(command != command[0])
+    still = int(moved[0]) if moved.size else 0
+    return [(max(still // 2, 1), int(path[0]))] if path[0] > 0 else []
+
+
+def as_parameters(slips: list[tuple[int, int]], places: int) -> Mapping[str, float]:
+    """Return losses by parameter name: the largest where there are too many; unused places get no sample."""
+    kept = sorted(sorted(slips, key=lambda slip: -abs(slip[1]))[:places])
+    found: dict[str, float] = {}
+    for k in range(places):
+        sample, lost = kept[k] if k < len(kept) else (0, 0)
+        found[f"slip_{k + 1}_sample"], found[f"slip_{k + 1}_lost"] = float(sample), float(lost)
+    return found
+
 
 PLACES = 24
 """Most losses in a test."""
@@ -32,12 +265,12 @@ def recording(readings: Readings, values: FloatArray) -> Readings:
 
 def estimate_from_record(signals: Mapping[str, FloatArray], sample_rate_hz: float) -> Mapping[str, float]:
     """Return losses of the whole record from the voltage, or else of the position from back-EMF and prediction."""
-    slips = _lost_samples.of_record(signals["command"], signals["voltage"])
+    slips = of_record(signals["command"], signals["voltage"])
     alone = not slips
     if alone:
         motion = signals.get("predicted_position")
-        slips = _lost_samples.of_position(signals["voltage"], signals["current"], signals["position"], motion)
-    return {"position_alone": float(alone and bool(slips)), **_lost_samples.as_parameters(slips, PLACES)}
+        slips = of_position(signals["voltage"], signals["current"], signals["position"], motion)
+    return {"position_alone": float(alone and bool(slips)), **as_parameters(slips, PLACES)}
 
 
 EFFECT = Effect(

@@ -3,15 +3,210 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from tissueid.twin import _body_motion, bus
+import numpy as np
+from scipy import optimize
+
+from tissueid.twin import _estimates, bus
 from tissueid.twin.effect import Effect, FloatArray, Parameter
 
-_BREATHING = len(_body_motion.RATES)
+BREATHING, PULSE, TREMOR = 0, 1, 2
+SLOW = (BREATHING, PULSE)
+ALL = (BREATHING, PULSE, TREMOR)
+KINDS = ("breathing", "pulse", "tremor")
+WAVES = ((1, 2, 3), (1, 2, 3, 4, 5), (1, 2, 3, 4, 5))
+"""Harmonics of breathing and pulse; for tremor, lines on either side of the middle one."""
+MIDDLE_LINE = 3
+
+RATES = ("breathing_hz", "pulse_hz", "tremor_hz", "pulse_sway_cosine_rad", "pulse_sway_sine_rad", "tremor_spacing_hz")
+RATE_BOUNDS = ((0.1, 0.5), (0.8, 2.0), (7.0, 13.0), (-1.5, 1.5), (-1.5, 1.5), (0.15, 0.8))
+"""Bounds of the rates, Hz. Breathing modulates the pulse by at most a quarter of a beat."""
+BEGINNING = (0.25, 1.2, 10.0, 0.0, 0.0, 0.4)
+_FIRST_STEPS = (0.02, 0.02, 0.01, 0.3, 0.3, 0.1)
+"""Steps of the search of the rates."""
+_NEAR = (0.05, 0.15, 0.5, 3.0, 3.0, 0.8)
+"""Largest difference of a test's rates from those of the session."""
+_STEP_HZ = 0.04
+"""Spacing of the grids of rates, Hz: a fifth of the resolution of a 4.5 s test."""
+_LIKELY_SWAY_RAD = 0.4
+_SPACINGS_HZ = (0.25, 0.4, 0.55)
+
+MOST_M = (5e-3, 1e-3, 1e-3)
+"""Bounds of the heights by kind, m; that of breathing holds for the mean as well."""
+_ORDERS = (
+    np.repeat(np.array(WAVES[BREATHING], np.float64), 2) ** 2,
+    np.repeat(np.array(WAVES[PULSE], np.float64), 2),
+    np.repeat(1.0 + 2.0 * np.abs(np.array(WAVES[TREMOR], np.float64) - MIDDLE_LINE), 2),
+)
+"""Growth of the ridge with the harmonic, which ties a rate to its lowest waves."""
+LIKELY_M = (5e-4 / _ORDERS[BREATHING], 5e-5 / _ORDERS[PULSE], np.full(_ORDERS[TREMOR].size, 2e-5))
+"""Standard deviations of the heights by wave, m."""
+HEIGHTS = tuple(
+    tuple(f"{name}_{part}_{wave}_m" for wave in waves for part in ("cosine", "sine"))
+    for name, waves in zip(KINDS, WAVES, strict=True)
+)
+MEAN = "mean_m"
+_NAMES = (*RATES, *(name for names in HEIGHTS for name in names), MEAN)
+_MOST = np.array([*(most for most, names in zip(MOST_M, HEIGHTS, strict=True) for _ in names), MOST_M[BREATHING]])
+
+_MEANS_HZ = 200.0
+_SLOW_BLOCKS = 5
+"""Number of means averaged in the search for breathing and pulse."""
+_FEWEST = 40
+"""Least number of means."""
+
+
+def read(tests: Sequence[Mapping[str, FloatArray]], sample_rate_hz: float) -> Sequence[Mapping[str, float]]:
+    """Return rates and heights by name within their bounds for each test; heights are 0 where there is too little data.
+
+    The unexplained part of the position is used: a probe follows slow motion of the surface. Breathing and pulse
+    overlap in a record of a few seconds and are searched together. Rates are searched in all tests together and then
+    near the result in each test, with the modulation by breathing and the spacing of the lines of tremor.
+    """
+    swaying = [_Sway.of(signals, sample_rate_hz) for signals in tests]
+    seen = [sway for sway in swaying if sway.enough]
+    shared = _shared(seen) if seen else np.array(BEGINNING)
+    return [sway.read(sway.own(shared) if sway.enough else shared) for sway in swaying]
+
+
+def _shared(seen: Sequence[_Sway]) -> FloatArray:
+    # Search grids in order: breathing with any pulse, the pulse with any modulation, and tremor in the residual.
+    coarse = [sway.coarse() for sway in seen]
+    breathing, pulse, tremor = (np.arange(*RATE_BOUNDS[kind], _STEP_HZ) for kind in ALL)
+    rates: FloatArray = np.array(BEGINNING, np.float64)
+    pairs = [np.r_[one, other, rates[2:]] for one in breathing for other in pulse]
+    rates = max(pairs, key=lambda at: sum(sway.log_likelihood(at, SLOW) for sway in coarse))
+    beats = [np.r_[rates[0], one, rates[2:]] for one in pulse]
+    rates = max(beats, key=lambda at: sum(sway.log_likelihood(sway.swayed(at), SLOW) for sway in coarse))
+    trembling = [sway.without(sway.swayed(rates), SLOW) for sway in coarse]
+    fast = [np.r_[rates[:2], one, rates[3:]] for one in tremor]
+    return max(fast, key=lambda at: sum(sway.log_likelihood(at, (TREMOR,)) for sway in trembling))
+
+
+def _refined(about: FloatArray, places: Sequence[int], log_likelihood: Callable[[FloatArray], float]) -> FloatArray:
+    # Rates at some places, improved by a local search.
+    chosen = list(places)
+    bounds = [
+        (max(low, about[k] - near), min(high, about[k] + near))
+        for k, (low, high), near in ((k, RATE_BOUNDS[k], _NEAR[k]) for k in chosen)
+    ]
+    steps = np.diag([_FIRST_STEPS[k] for k in chosen])
+    simplex = about[chosen] + np.vstack((np.zeros(len(chosen)), steps))
+
+    def at(values: FloatArray) -> FloatArray:
+        moved = about.copy()
+        moved[chosen] = values
+        return moved
+
+    found = optimize.minimize(
+        lambda values: -log_likelihood(at(values)),
+        about[chosen],
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={
+            "initial_simplex": np.clip(simplex, *np.transpose(bounds)),
+            "maxfev": 60 * len(chosen),
+            "xatol": 1e-4,
+            "fatol": 1e-3,
+        },
+    )
+    return at(found.x)
+
+
+@dataclass(frozen=True)
+class _Sway:
+    """The unexplained part of a position as means: shape (n,), m, around ``mean_m``, with their times, s."""
+
+    left: FloatArray
+    time: FloatArray
+    mean_m: float = 0.0
+
+    @classmethod
+    def of(cls, signals: Mapping[str, FloatArray], sample_rate_hz: float) -> _Sway:
+        left = _estimates.unexplained(signals, "position", sample_rate_hz)
+        predicted = signals.get("predicted_position")
+        difference = np.zeros(1) if predicted is None else (signals["position"] - predicted)[left != 0.0]
+        every = max(1, round(sample_rate_hz / _MEANS_HZ))
+        blocks = left[: left.size // every * every].reshape(-1, every)
+        known = (blocks != 0.0).any(axis=1)
+        time = (np.flatnonzero(known) * every + 0.5 * (every + 1)) / sample_rate_hz
+        mean = float(difference.mean()) if difference.size and np.isfinite(difference).all() else 0.0
+        return cls(blocks.mean(axis=1)[known].astype(np.float64), time.astype(np.float64), mean)
+
+    @property
+    def enough(self) -> bool:
+        """Return whether there is enough data."""
+        return self.left.size >= _FEWEST
+
+    def coarse(self) -> _Sway:
+        """Return the same data in fewer, longer means."""
+        size = self.left.size // _SLOW_BLOCKS * _SLOW_BLOCKS
+        left, time = (values[:size].reshape(-1, _SLOW_BLOCKS).mean(axis=1) for values in (self.left, self.time))
+        return replace(self, left=left, time=time)
+
+    def own(self, shared: FloatArray) -> FloatArray:
+        """Return the rates of this test, near those of the session."""
+        coarse = self.coarse()
+        rates = _refined(coarse.swayed(shared), (0, 1, 3, 4), lambda at: coarse.log_likelihood(at, SLOW))
+        trembling = self.without(rates, SLOW)
+        spaced = [np.r_[rates[:5], spacing] for spacing in _SPACINGS_HZ]
+        rates = max(spaced, key=lambda at: trembling.log_likelihood(at, (TREMOR,)))
+        return _refined(rates, (2, 5), lambda at: trembling.log_likelihood(at, (TREMOR,)))
+
+    def swayed(self, rates: FloatArray) -> FloatArray:
+        """Return the rates with the best modulation of the pulse, of none and eight phases."""
+        turns = 0.25 * np.pi * np.arange(8)
+        sways = _LIKELY_SWAY_RAD * np.stack((np.cos(turns), np.sin(turns)), axis=1)
+        ways = [rates, *(np.r_[rates[:3], sway, rates[5:]] for sway in sways)]
+        return max(ways, key=lambda at: self.log_likelihood(at, SLOW))
+
+    def read(self, rates: FloatArray) -> Mapping[str, float]:
+        """Rates and heights by name."""
+        values = np.zeros(_MOST.size)
+        if self.enough:
+            mean = self.mean_m + float(self.without(rates, ALL).left.mean())
+            values = np.append(self.fitted(rates, ALL)[1], mean)
+        return dict(zip(_NAMES, [*rates.tolist(), *np.clip(values, -_MOST, _MOST).tolist()], strict=True))
+
+    def fitted(self, rates: FloatArray, kinds: Sequence[int]) -> tuple[float, FloatArray]:
+        """Return the squares explained by waves of some kinds, and the heights of the waves."""
+        orders = np.concatenate([_ORDERS[kind] for kind in kinds])
+        return _estimates.fitted(self.left, self._columns(rates, kinds), orders)
+
+    def log_likelihood(self, rates: FloatArray, kinds: Sequence[int]) -> float:
+        """Return the log likelihood of rates, nats; quiet tests have the larger weight because less else is
+        unexplained."""
+        total = float(self.left @ self.left)
+        taken = self.fitted(rates, kinds)[0]
+        return -0.5 * self.left.size * float(np.log(max(1.0 - taken / total, 1e-12))) if total > 0.0 else 0.0
+
+    def without(self, rates: FloatArray, kinds: Sequence[int]) -> _Sway:
+        """Return the residual of waves of some kinds."""
+        return _Sway(self.left - self._columns(rates, kinds) @ self.fitted(rates, kinds)[1], self.time)
+
+    def _columns(self, rates: FloatArray, kinds: Sequence[int]) -> FloatArray:
+        breathing, pulse, tremor, cosine, sine, spacing = rates
+        breath = 2.0 * np.pi * breathing * self.time
+        columns = []
+        for kind in kinds:
+            if kind == BREATHING:
+                columns.append(_estimates.waves(breath, WAVES[BREATHING]))
+            elif kind == PULSE:
+                beat = 2.0 * np.pi * pulse * self.time + cosine * np.cos(breath) + sine * np.sin(breath)
+                columns.append(_estimates.waves(beat, WAVES[PULSE]))
+            else:
+                lines = (tremor + spacing * (line - MIDDLE_LINE) for line in WAVES[TREMOR])
+                columns += [_estimates.waves(2.0 * np.pi * hertz * self.time, (1,)) for hertz in lines]
+        return np.concatenate(columns, axis=1)
+
+
+_BREATHING = len(RATES)
 """Index of the first height of each kind among the parameters, and of the mean after them."""
-_PULSE = _BREATHING + len(_body_motion.HEIGHTS[_body_motion.BREATHING])
-_TREMOR = _PULSE + len(_body_motion.HEIGHTS[_body_motion.PULSE])
-_MEAN = _TREMOR + len(_body_motion.HEIGHTS[_body_motion.TREMOR])
+_PULSE = _BREATHING + len(HEIGHTS[BREATHING])
+_TREMOR = _PULSE + len(HEIGHTS[PULSE])
+_MEAN = _TREMOR + len(HEIGHTS[TREMOR])
 _TURNING = 16
 """State: whether the waves are initialised."""
 _UNITS = ("Hz", "Hz", "Hz", "rad", "rad", "Hz")
@@ -71,33 +266,31 @@ EFFECT = Effect(
     parameters=(
         *(
             Parameter(name, unit, None, *bounds, per_test=True, fixed=True, meaning="estimated from the record")
-            for name, unit, bounds in zip(_body_motion.RATES, _UNITS, _body_motion.RATE_BOUNDS, strict=True)
+            for name, unit, bounds in zip(RATES, _UNITS, RATE_BOUNDS, strict=True)
         ),
         *(
             Parameter(name, "m", 0.0, -most, most, per_test=True, prior=0.0, prior_std=std, meaning="surface motion")
-            for names, likely, most in zip(
-                _body_motion.HEIGHTS, _body_motion.LIKELY_M, _body_motion.MOST_M, strict=True
-            )
+            for names, likely, most in zip(HEIGHTS, LIKELY_M, MOST_M, strict=True)
             for name, std in zip(names, likely, strict=True)
         ),
         Parameter(
-            _body_motion.MEAN,
+            MEAN,
             "m",
             0.0,
-            -_body_motion.MOST_M[0],
-            _body_motion.MOST_M[0],
+            -MOST_M[0],
+            MOST_M[0],
             per_test=True,
             prior=0.0,
-            prior_std=0.1 * _body_motion.MOST_M[0],
+            prior_std=0.1 * MOST_M[0],
             meaning="mean height above the found surface",
         ),
     ),
-    starts=(_body_motion.BEGINNING + (0.0,) * (_MEAN + 1 - _BREATHING),),
+    starts=(BEGINNING + (0.0,) * (_MEAN + 1 - _BREATHING),),
     mistaken_for=("preconditioning", "reflex", "mount_resonance", "mains_hum"),
     places=(bus.SURFACE,),
     hook=hook,
     needs=frozenset({"position"}),
-    estimate_from_records=_body_motion.read,
+    estimate_from_records=read,
     re_estimate=True,
     on_spring=False,
     jointly=True,
