@@ -12,8 +12,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.identification.live.precision import PARAMETERS, precision
 from tissueid.records import Estimate, Record
 from tissueid.stimuli import get_stimulus, rebuild
-from tissueid.stimuli.kinds.designed import LocalTissue, predicted_precision
-from tissueid.stimuli.kinds.designed import Designed
+from tissueid.stimuli.kinds.designed import Designed, LocalTissue, predicted_precision
 from tissueid.stimuli.kinds.noise import Noise
 
 RATE = 2000.0
