@@ -11,6 +11,8 @@ from tissueid.language import _
 from tissueid.messages import MISSING, signed
 from tissueid.records import Estimate
 
+ANONYMOUS = "anonymous"
+"""Pseudonym, in files, of a subject that has none."""
 _ARITHMETIC = 1e-12
 """Share of a value below which a deviation is rounding of the arithmetic."""
 _LARGEST_INTEGER = 10**15
@@ -238,6 +240,11 @@ def zone_offset(moment: datetime) -> str:
     """Return the UTC offset of an aware date, such as "UTC+01:00", or "UTC"."""
     offset = f"{moment:%z}"
     return "UTC" if offset in ("", "+0000", "-0000") else f"UTC{offset[:3]}:{offset[3:5]}"
+
+
+def subject_text(pseudonym: str) -> str:
+    """Return a pseudonym as it is shown: cleaned, and "anonymous" in the language of the user."""
+    return _("anonymous") if pseudonym == ANONYMOUS else clean(pseudonym).strip()
 
 
 def clean(text: str) -> str:

@@ -24,6 +24,7 @@ from tissueid.app.views.clinician.finishing import finish, undo
 from tissueid.app.views.clinician.paper import write_paper
 from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
 from tissueid.device import DeviceDescription
+from tissueid.formatting import ANONYMOUS
 from tissueid.language import _, plural
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult
@@ -179,7 +180,7 @@ class Clinician(QObject):
     # -- jobs --------------------------------------------------------------------------------------------------
 
     def _compare(self, findings: Findings) -> None:
-        if findings.session.subject.pseudonym in ("", "anonymous") or not findings.analyses:
+        if findings.session.subject.pseudonym in ("", ANONYMOUS) or not findings.analyses:
             return
         self._cancelled = threading.Event()
         self._ui.result.comparison.expect()

@@ -27,9 +27,10 @@ from PySide6.QtWidgets import (
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.configuring import ConfigurationChooser
 from tissueid.app.number_field import NumberField
-from tissueid.app.plan import ANONYMOUS, DISTRIBUTIONS, MULTISTEP, SITES, Plan, dated_path, longest_stimulus_s
+from tissueid.app.plan import DISTRIBUTIONS, MULTISTEP, SITES, Plan, dated_path, longest_stimulus_s
 from tissueid.app.pseudonym import reads_like_name
 from tissueid.app.stimulus_form import StimulusForm
+from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES
 from tissueid.language import _, marked
 from tissueid.stimuli.kinds.noise import Noise

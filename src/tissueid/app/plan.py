@@ -12,6 +12,7 @@ from platformdirs import user_documents_path
 from tissueid.acquisition.stimulus_choice import PRELOAD_S, NoiseChoice, playable, playable_file
 from tissueid.configuration import Configuration
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import ANONYMOUS
 from tissueid.instrument import PROFILES, Limits
 from tissueid.messages import Message
 from tissueid.stimuli import FeedbackKind, Stimulus, StimulusKind, get_stimulus
@@ -23,7 +24,6 @@ if TYPE_CHECKING:  # each takes long to import, and the window starts without th
     from tissueid.identification.live.stopping import StopRule
 
 DEFAULT_URL = "simulated://forearm"
-ANONYMOUS = "anonymous"
 FROM_FILE = "file"
 MULTISTEP = "multistep"
 NO_INSTRUMENT = Message("plan.no_instrument", "choose an instrument, or type its address")

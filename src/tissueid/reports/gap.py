@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tissueid import __version__
-from tissueid.formatting import fixed, number
+from tissueid.formatting import fixed, number, subject_text
 from tissueid.gap.diagnosis import Diagnosis, Ranked
 from tissueid.gap.statement import effect_title, headline_of, next_steps_of, ordered_candidates, percent, sentences_of
 from tissueid.language import _
@@ -102,7 +102,7 @@ def _facts(found: Diagnosis, origin: Origin | None) -> Iterator[tuple[str, str]]
         yield _("Session"), origin.session.session_id or MISSING
         yield _("Recorded"), readable_date(origin.session.created)
         yield _("Site"), ", ".join(sites) or MISSING
-        yield _("Subject"), origin.session.subject.pseudonym or MISSING
+        yield _("Subject"), subject_text(origin.session.subject.pseudonym) or MISSING
     yield _("Instrument"), f"{device.model}, {device.serial_number}"
     yield _("Tests"), ", ".join(f"{test.number} {_kind(test.kind)}" for test in tests)
     yield _("Signals"), ", ".join(_(name) for name in found.dataset.channels)

@@ -18,7 +18,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.calibration.active import in_words
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean, display_unit
+from tissueid.formatting import clean, display_unit, subject_text
 from tissueid.identification import engine_label
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
@@ -197,7 +197,7 @@ def _heading(paper: _PageWriter, session: Session, test: Test) -> None:
         place = _("{number} of the {count} of this session").format(number=test.number, count=len(session.tests))
         settings = f"{place}, {settings}"
     facts = (
-        (_("Subject"), session.subject.pseudonym),
+        (_("Subject"), subject_text(session.subject.pseudonym)),
         (_("Date"), readable_date(session.created)),
         (_("Instrument"), f"{device.model}, {device.serial_number}"),
         (_("Calibration"), report_text(in_words(device))),

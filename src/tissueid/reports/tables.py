@@ -25,6 +25,7 @@ from tissueid.formatting import (
     number,
     plain_text,
     plus_minus,
+    subject_text,
     with_unit,
     zone_offset,
 )
@@ -221,7 +222,7 @@ def settings_tables(session: Session, test: Test, analyses: Mapping[str, Analysi
         (_("Recorded"), readable_date(session.created)),
         (_("Recorded with"), session.software or MISSING),
         (_("Analysed with"), f"tissueid {__version__}"),
-        (_("Subject"), session.subject.pseudonym or MISSING),
+        (_("Subject"), subject_text(session.subject.pseudonym) or MISSING),
         *(named_text(name, value) for name, value in session.subject.demographics.items()),
     ]
     tables = [

@@ -13,6 +13,7 @@ import numpy as np
 
 from tissueid.device import DeviceDescription
 from tissueid.errors import SessionFormatError
+from tissueid.formatting import ANONYMOUS
 from tissueid.messages import Message
 from tissueid.sessions.hdf5_members import (
     datasets,
@@ -167,7 +168,7 @@ def _read_subject(file: h5py.File) -> Subject:
     attributes = subgroup(file, "subject").attrs
     others = plain_attributes(attributes)
     others.pop("pseudonym", None)
-    return Subject(text_of(attributes, "pseudonym", "anonymous"), others)
+    return Subject(text_of(attributes, "pseudonym", ANONYMOUS), others)
 
 
 def _outline(name: str, group: h5py.Group) -> TestOutline:

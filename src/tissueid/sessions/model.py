@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tissueid import __version__
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import ANONYMOUS
 from tissueid.messages import Listing, Message, message_from
 from tissueid.records import Record
 from tissueid.untrusted_input import json_value
@@ -66,7 +67,7 @@ def reason_notes(reason: str) -> dict[str, str | float]:
 class Subject:
     """The person who was measured: a pseudonym, never a name, and demographic values of the study."""
 
-    pseudonym: str = "anonymous"
+    pseudonym: str = ANONYMOUS
     demographics: dict[str, str | float] = field(default_factory=dict)
 
 

@@ -8,10 +8,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tissueid.app.plan import ANONYMOUS
 from tissueid.app.views.clinician.sitting import QUANTITIES, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.formatting import clean, local_minute
+from tissueid.formatting import ANONYMOUS, clean, local_minute
 from tissueid.language import _, marked, plural
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head

@@ -33,5 +33,5 @@ def as_sentence(text: str) -> str:
 
 
 def as_title(text: str) -> str:
-    """Return a text of a diagnosis, translated, with a capital and without a full stop."""
-    return as_sentence(text).rstrip(".")
+    """Return a text of a diagnosis, translated, with a capital and without a full stop, unbroken before %."""
+    return as_sentence(text).rstrip(".").replace(" %", "\u00a0%")

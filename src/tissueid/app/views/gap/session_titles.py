@@ -10,7 +10,7 @@ from pathlib import Path
 from tissueid.app.file_stamp import stamp_of
 from tissueid.app.views.researcher.labels_of_tests import local_time
 from tissueid.app.views.researcher.session_search import SessionEntry, entry_of
-from tissueid.formatting import clean
+from tissueid.formatting import clean, subject_text
 from tissueid.language import _, plural
 
 _LONGEST = 40
@@ -34,7 +34,7 @@ def read_titles(paths: Sequence[Path], cancelled: threading.Event) -> dict[Path,
 def title_of(entry: SessionEntry) -> str:
     """Return subject, site, date and test of a session; "" if the file has none of the first three."""
     sites = dict.fromkeys(clean(test.site).strip() for test in entry.tests)
-    known = [clean(entry.pseudonym).strip(), *sites, local_time(entry.when)]
+    known = [subject_text(entry.pseudonym), *sites, local_time(entry.when)]
     parts = [part[:_LONGEST] for part in known if part]
     return ", ".join([*parts, _tests(entry)]) if parts else ""
 

@@ -17,7 +17,7 @@ from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.selected_test import SelectedTest, timestamp_of
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import CancelledError, TissueIDError, UnusableInputError
-from tissueid.formatting import clean, fixed
+from tissueid.formatting import clean, fixed, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import Listing, Message, translated
@@ -258,7 +258,7 @@ def find_tests(folder: Path, control: JobControl) -> tuple[list[SelectedTest], l
             problems.append(in_words(error))
             continue
         for test in taken:
-            label = f"{clean(session.subject.pseudonym)[:20]}, {clean(path.stem)[:30]} #{test.number}"
+            label = f"{subject_text(session.subject.pseudonym)[:20]}, {clean(path.stem)[:30]} #{test.number}"
             when = timestamp_of(session.created)
             tests.append(SelectedTest(path, test.number, test.site, session.subject.pseudonym, label, when))
     if len(tests) > MOST_TESTS:

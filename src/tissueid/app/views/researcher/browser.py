@@ -22,7 +22,7 @@ from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionTree
 from tissueid.app.views.researcher.text_settings import load_texts, save_texts
-from tissueid.formatting import clean, grouped
+from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
 
 _FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
@@ -233,7 +233,7 @@ class Browser(QWidget):
         self.selected.emit()
 
     def _chosen(self, entry: SessionEntry, test: TestEntry) -> SelectedTest:
-        parts = [clean(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
+        parts = [subject_text(entry.pseudonym), clean(test.site), _("test {number}").format(number=test.number)]
         label = ", ".join(part[:_LONGEST_LABEL] for part in parts if part)
         label = f"{label} ({clean(entry.path.stem)[:40]})"
         when = entry.when if math.isfinite(entry.when) else None

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLineEdit, QPushButton, QV
 
 from tissueid.app.views.researcher.session_search import SessionEntry
 from tissueid.app.views.researcher.tool_tips import plain_tip
-from tissueid.formatting import clean
+from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
 
 _NAMES = (marked("Subject"), marked("Site"), marked("Kind"))
@@ -69,7 +69,7 @@ class FilterBar(QWidget):
         """Set the search words and filters."""
         for choice, value in zip(self.choices, (subject, site, kind), strict=True):
             if value and choice.findData(value) < 0:
-                choice.addItem(_(clean(value)) if choice is self.kind else clean(value), value)
+                choice.addItem(self._text(choice, value), value)
             choice.setCurrentIndex(choice.findData(value))
         self.words.setText(words)
 
@@ -94,9 +94,14 @@ class FilterBar(QWidget):
         for place in range(choice.count() - 1, 0, -1):
             choice.removeItem(place)
         for value in wanted[1:]:
-            choice.addItem(_(clean(value)) if choice is self.kind else clean(value), value)
+            choice.addItem(self._text(choice, value), value)
         choice.setCurrentIndex(max(0, choice.findData(asked)))
         choice.blockSignals(False)
+
+    def _text(self, choice: QComboBox, value: str) -> str:
+        if choice is self.subject:
+            return subject_text(value)
+        return _(clean(value)) if choice is self.kind else clean(value)
 
     def _chosen(self) -> None:
         self.clear.setEnabled(any(self.asked))

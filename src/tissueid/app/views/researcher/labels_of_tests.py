@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.formatting import clean
+from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
 
 _LONGEST = 60
@@ -76,7 +76,7 @@ def _parts(group: Sequence[SelectedTest]) -> tuple[str, ...]:
     files = dict.fromkeys(test.path for test in group)
     more = _(" and {count} more").format(count=len(files) - 1) if len(files) > 1 else ""
     date = local_time(first.when)
-    parts = clean(first.pseudonym), clean(first.site), date, numbers, clean(first.path.stem) + more
+    parts = subject_text(first.pseudonym), clean(first.site), date, numbers, clean(first.path.stem) + more
     return *(part[:_LONGEST] for part in parts), clean(str(first.path.parent))
 
 

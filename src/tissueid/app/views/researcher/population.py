@@ -14,7 +14,7 @@ from scipy.stats import t as student
 
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import Array
-from tissueid.formatting import axis_label, clean, display_unit, label_and_unit
+from tissueid.formatting import axis_label, clean, display_unit, label_and_unit, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
@@ -219,7 +219,7 @@ def _member(outcome: EngineOutcome, by: str) -> str:
     names: dict[str, Callable[[], str]] = {
         "": lambda: "",
         "engine": lambda: engine_label(outcome.engine),
-        SUBJECT: lambda: clean(first.pseudonym),
+        SUBJECT: lambda: subject_text(first.pseudonym),
         SITE: lambda: clean(first.site),
     }
     return names[by]()[:_LONGEST] or (MISSING if by else "")

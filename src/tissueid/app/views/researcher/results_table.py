@@ -21,7 +21,7 @@ from tissueid.app.theme import Theme
 from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.words import sentence
-from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus
+from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
@@ -282,8 +282,8 @@ class _Results(QAbstractTableModel):
         if column < 2:
             return (engine_label(outcome.engine), outcome.test_label)[column][:_LONGEST]
         if self._is_text(column):
-            about = first.pseudonym, first.site
-            return clean(about[column - len(_FIXED) - len(self.parameters)])[:_LONGEST]
+            about = subject_text(first.pseudonym), clean(first.site)
+            return about[column - len(_FIXED) - len(self.parameters)][:_LONGEST]
         if report is None:
             return _("refused") if column in (2, _HELD_OUT) else MISSING
         if column < len(_FIXED):

@@ -13,7 +13,7 @@ from PySide6.QtGui import QColor
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.session_search import VERDICTS, SessionEntry, TestEntry
 from tissueid.app.views.researcher.tool_tips import plain_tip
-from tissueid.formatting import clean
+from tissueid.formatting import clean, subject_text
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 
@@ -202,7 +202,7 @@ def _session_row(entry: SessionEntry) -> _Row:
     seconds = sum(test.seconds for test in entry.tests)
     texts = [
         _date(entry.when),
-        clean(entry.pseudonym),
+        subject_text(entry.pseudonym),
         _joined(test.site for test in entry.tests),
         _(_VERDICT_WORDS[verdict]),
         str(len(entry.tests)),

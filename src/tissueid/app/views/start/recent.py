@@ -12,7 +12,7 @@ from pathlib import Path
 from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
-from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number
+from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 from tissueid.procedures.recovery import unfinished_journals
@@ -173,7 +173,7 @@ def _line(path: Path, recorded: float) -> tuple[str, Recent]:
         path,
         local_minute(outline.head.created) or date,
         site,
-        _short(clean(outline.head.subject.pseudonym).strip(), LONGEST_TEXT) or MISSING,
+        _short(subject_text(outline.head.subject.pseudonym), LONGEST_TEXT) or MISSING,
         verdict,
         level,
     )
