@@ -12,7 +12,7 @@ from typing import Any
 
 from tissueid import messages
 from tissueid.errors import TissueIDError
-from tissueid.language import set_language
+from tissueid.language import ENGLISH, _, current_language, set_language
 from tissueid.messages import Listing, Message, code_of, translated
 
 
@@ -128,21 +128,55 @@ def templates() -> dict[str, dict[str, set[str]]]:
 def shows(text: str, code: str, /, **values: Any) -> bool:
     """Return whether a printed or drawn text has the message of this code with these values, wrapped or not.
 
-    A number is given as the message has it, or as the text that it has there. Fail with the text where it has not.
+    The message is looked for in the active language. A number is given as the message has it, or as the text that it
+    has there. Fail with the text where it has not.
     """
+    return _found(re.search, text, code, values)
+
+
+def reads(text: str, code: str, /, **values: Any) -> bool:
+    """Return whether a text is the message of this code and nothing else, also as a sentence; see ``shows``."""
+    return _found(re.fullmatch, text, code, values)
+
+
+def begins(text: str, code: str, /, **values: Any) -> bool:
+    """Return whether a text begins with the message of this code; see ``shows``."""
+    return _found(re.match, text, code, values)
+
+
+def _found(look: Callable[[str, str], Any], text: str, code: str, values: dict[str, Any]) -> bool:
     wanted = set().union(*templates()[code].values())
     unused = set(values)
     for template in wanted:
+        said = _(template)
+        has_words = re.search(r"[a-z]{2}", re.sub(r"\{.*?\}", "", template))
+        assert current_language() == ENGLISH or not has_words or said != template, f"not translated: {template!r}"
         pattern = ""
-        for literal, name, spec, _ in Formatter().parse(template):
-            pattern += r"\s+".join(re.escape(part) for part in re.split(r"\s+", literal))
+        for literal, name, spec, _conversion in Formatter().parse(said):
+            pattern += _wrapped(literal)
             if name in values:
-                value = values[name]
-                pattern += re.escape(value if isinstance(value, str) else format(value, spec or ""))
+                field = f"{{{name}:{spec}}}" if spec else f"{{{name}}}"
+                pattern += _wrapped(translated(Message(code, field, **{name: values[name]})))
                 unused.discard(name)
             elif name is not None:
                 pattern += r"[\s\S]+?"
-        if re.search(pattern, text):
+        first = pattern[:1]
+        if look(f"[{first.lower()}{first.upper()}]{pattern[1:]}[.]?" if first.isalpha() else f"{pattern}[.]?", text):
             assert not unused, f"{code} has no {unused}"
             return True
     raise AssertionError(f"{wanted} with {values} is not in: {text[:2000]}")
+
+
+def _wrapped(text: str) -> str:
+    """Return a pattern of a text that may be broken into lines."""
+    return r"\s+".join(re.escape(part) for part in re.split(r"\s+", text))
+
+
+def made(code: str, /, **values: Any) -> Message:
+    """Return the message of this code with these values, as the source would make it: a value of another message."""
+    (template,) = (
+        template
+        for template in set().union(*templates()[code].values())
+        if {name for _literal, name, _spec, _conversion in Formatter().parse(template) if name} == set(values)
+    )
+    return Message(code, template, **values)

@@ -26,6 +26,7 @@ from tissueid.wire import Flag
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs limits and signals of POSIX")
 
+FULL = os.strerror(errno.ENOSPC)
 SECONDS = 0.5
 TESTS = 2
 ATTRIBUTES = dict(kind="stochastic", site="forearm", sample_rate_hz=2000.0)

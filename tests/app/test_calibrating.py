@@ -5,15 +5,19 @@ import functools
 import pytest
 from app.benches import WAIT_MS, Gate
 from app.test_window import idle, press
+from coded import begins, made, reads, shows
 from PySide6.QtCore import Qt
 from support import connect
 
 from firmware_sim.identity import Identity
-from tissueid.app.emergency import EmergencyStop
+from tissueid.app.emergency import BY_BUTTON, BY_KEY, EmergencyStop
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
+from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
 from tissueid.calibration import Calibration, Quantity, StaticPlan, read_calibration
 from tissueid.calibration.store import free_name
+
+PROBLEM, REMARK = "the spring is not the one that was named", "2.0 mm was left out"
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -67,7 +71,12 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
     assert window.ui.stop.hasFocus()
     assert not page.begin["sweep"].isEnabled()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.headline.text() == "Static calibration passed: ready for use."
+    assert reads(
+        page.headline.text(),
+        "calibration.headline",
+        kind="Static calibration",
+        verdict=made("calibration.verdict.passed"),
+    )
     (path,) = calibrations.glob("*.toml")
     calibration = read_calibration(path)
     assert calibration.kind == "static"
@@ -76,7 +85,11 @@ def test_a_static_calibration_leaves_a_valid_file_a_report_and_is_in_force_after
     assert calibration.conditions["audit_head"]
     assert page.figures.rowCount() == len(calibration.quantities)
     assert str(path) in page.said.text()
-    assert window.ui.form.instrument.calibration.text() == "Calibrated today, linear region not known"
+    assert reads(
+        window.ui.form.instrument.calibration.text(),
+        "calibration.summary.no_region",
+        words=made("calibration.summary.static", age=made("age.today")),
+    )
     press(qtbot, page.report)
     assert shown == [path.with_suffix(".html")]
     assert "Static calibration of" in shown[0].read_text(encoding="utf-8")
@@ -126,15 +139,24 @@ def test_a_calibration_whose_report_cannot_be_written_is_not_called_failed(
     page = page_of(window)
     press(qtbot, page.begin["static"])
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.headline.text() == "Static calibration passed: ready for use."
+    assert reads(
+        page.headline.text(),
+        "calibration.headline",
+        kind="Static calibration",
+        verdict=made("calibration.verdict.passed"),
+    )
     assert window.ui.notice.isHidden()
     (path,) = calibrations.iterdir()
     assert read_calibration(path).verdict == "passed"
-    assert "Its report could not be written" in page.said.text()
+    assert shows(page.said.text(), "calibration.no_report")
     assert f"Saved in {path}." in page.said.text()
     assert not page.report.isEnabled()
     assert page.begin["static"].isEnabled()
-    assert window.ui.form.instrument.calibration.text() == "Calibrated today, linear region not known"
+    assert reads(
+        window.ui.form.instrument.calibration.text(),
+        "calibration.summary.no_region",
+        words=made("calibration.summary.static", age=made("age.today")),
+    )
     assert [what for _, what in logged(audit_file)] == ["calibration.begun", "calibration.made"]
 
 
@@ -150,7 +172,7 @@ def test_without_a_stage_the_person_is_asked_and_return_goes_on(qtbot, technicia
             assert page.done.hasFocus()
             qtbot.keyClick(page.done, Qt.Key.Key_Return)
             qtbot.waitUntil(lambda: idle(window) or not page.done.isVisible(), timeout=WAIT_MS)
-    assert "calibration spring under the probe" in asked[0]
+    assert shows(asked[0], "calibration.ask.spring")
     (path,) = calibrations.glob("*.toml")
     assert str(path) in page.said.text()
 
@@ -166,7 +188,7 @@ def test_stop_while_the_person_is_asked(qtbot, technicians, calibrations, audit_
     else:
         press(qtbot, window.ui.stop)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert "the coil is released" in window.ui.notice.text.text()
+    assert begins(window.ui.notice.text.text(), "stop.released", cause=BY_KEY if how == "space" else BY_BUTTON)
     assert list(calibrations.iterdir()) == []
     assert [what for _, what in logged(audit_file)] == ["calibration.begun", "calibration.stopped"]
     assert page.begin["static"].isEnabled()
@@ -183,7 +205,7 @@ def test_a_window_that_hangs_ends_a_calibration(qtbot, technicians, clock, calib
     clock.now += 1.2
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert window.ui.notice.text.text() == "The window did not answer; the coil was released."
+    assert reads(window.ui.notice.text.text(), "stop.no_answer")
     assert list(calibrations.iterdir()) == []
     assert not instrument._link.firmware.energised
 
@@ -197,7 +219,9 @@ def test_both_calibrations_in_full(qtbot, open_window, calibrations, audit_file,
     page = page_of(window)
     press(qtbot, page.begin[kind])
     qtbot.waitUntil(lambda: idle(window), timeout=10 * WAIT_MS)
-    assert page.headline.text() == f"{headline} passed: ready for use."
+    assert reads(
+        page.headline.text(), "calibration.headline", kind=headline, verdict=made("calibration.verdict.passed")
+    )
     (path,) = calibrations.glob("*.toml")
     assert read_calibration(path).verdict == "passed"
     assert path.with_suffix(".html").stat().st_size > 10_000
@@ -222,15 +246,13 @@ def test_a_failed_calibration_is_shown_as_one(qtbot, technicians, tmp_path):
         date="2026-01-01T00:00:00Z",
         software="x",
         verdict="failed",
-        problems=("the spring is not the one that was named",),
+        problems=(PROBLEM,),
         quantities={"force_constant_n_per_a": Quantity(value=2.9, std=0.01, unit="N/A")},
     )
-    page.show_outcome(
-        CalibrationOutcome(calibration, tmp_path / "c.toml", tmp_path / "c.html", ("2.0 mm was left out",))
-    )
+    page.show_outcome(CalibrationOutcome(calibration, tmp_path / "c.toml", tmp_path / "c.html", (REMARK,)))
     assert page.headline.text().startswith("Dynamic sweep failed")
     assert page.headline.property("level") == "poor"
-    assert "The spring is not the one that was named.\n2.0 mm was left out." in page.said.text()
+    assert f"{sentence(PROBLEM)}\n{sentence(REMARK)}" in page.said.text()
     assert [page.figures.item(0, column).text() for column in range(3)][1] == "2.900 ± 0.010"
 
 
@@ -258,6 +280,11 @@ def test_the_figures_and_the_verdict_of_a_calibration_are_said_in_german(qtbot, 
     page = page_of(window)
     press(qtbot, page.begin["static"])
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert page.headline.text() == "Statische Kalibrierung bestanden: einsatzbereit."
+    assert reads(
+        page.headline.text(),
+        "calibration.headline",
+        kind="Static calibration",
+        verdict=made("calibration.verdict.passed"),
+    )
     labels = {page.figures.item(row, 0).text() for row in range(page.figures.rowCount())}
     assert "Nullpunkt des Stromkanals" in labels

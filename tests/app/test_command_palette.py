@@ -4,6 +4,7 @@ import pytest
 from app.benches import WAIT_MS, Gate
 from app.test_geometry import FRAME, SIZES, fully_visible, settle
 from app.test_window import idle, press, type_site
+from coded import shows
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
 
@@ -67,7 +68,7 @@ def test_what_is_impossible_is_listed_with_the_reason_and_does_nothing(qtbot, wi
     palette = open_palette(qtbot, window)
     qtbot.keyClicks(palette.words, "stop release")
     assert len(listed(palette)) == 1
-    assert listed(palette)[0].endswith("No test is running.")
+    assert shows(listed(palette)[0], "stop.no_test")
     assert palette.chosen is None
     qtbot.keyClick(palette.words, Qt.Key.Key_Return)
     assert palette.isVisible()

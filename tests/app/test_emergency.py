@@ -8,7 +8,8 @@ import pytest
 from app.benches import WAIT_MS, Clock, Gate
 from app.german import assert_german
 from app.test_window import idle, only_session, press, type_site, wait_for_result
-from coded import coded
+from coded import begins, coded, reads, shows
+from failing_disk import FULL
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import QDialog, QLineEdit, QVBoxLayout
 from support import connect
@@ -193,7 +194,7 @@ def test_a_window_that_hangs_does_not_keep_the_coil_energised(qtbot, open_window
     QTimer.singleShot(0, hang)
     wait_for_result(qtbot, window)
     assert seen == [True, True]
-    assert window.ui.notice.text.text().startswith("The window did not answer; the coil was released. ")
+    assert begins(window.ui.notice.text.text(), "stop.no_answer")
     test = only_session(tmp_path)[1].test()
     assert (test.status, test.notes["reason"]) == ("aborted", NO_ANSWER)
     assert test.samples < 6000
@@ -242,7 +243,7 @@ def test_a_defect_in_the_window_releases_the_coil(qtbot, open_window, bench, tmp
     window.on_defect(ZeroDivisionError())
     gate.opened.set()
     wait_for_result(qtbot, window)
-    assert only_session(tmp_path)[1].test().notes["reason"].startswith("a defect in the window; ")
+    assert begins(only_session(tmp_path)[1].test().notes["reason"], "stop.released", cause=BY_DEFECT)
     assert bench.opened[0]._run is None
     assert (tmp_path / "last-defect.txt").exists()
 
@@ -266,7 +267,7 @@ def test_the_button_on_the_instrument(qtbot, open_window, tmp_path):
     type_site(qtbot, window)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
-    assert window.ui.notice.text.text().startswith("Stopped by the button on the instrument, and the coil is released.")
+    assert begins(window.ui.notice.text.text(), "outcome.stopped_by_button")
     assert not links[0].firmware.energised
     test = only_session(tmp_path)[1].test()
     assert test.status == "aborted"
@@ -289,7 +290,7 @@ def test_a_process_that_dies_in_mid_test_leaves_the_coil_to_the_watchdog():
 
 def test_what_could_not_be_saved_or_logged_is_said_beside_the_stop(qtbot, open_window, tmp_path, monkeypatch):
     def full(*_, **__):
-        raise OSError(28, "No space left on device")
+        raise OSError(28, FULL)
 
     gate = Gate(passed=300)
     window = open_window(wait=gate.wait)
@@ -300,10 +301,10 @@ def test_what_could_not_be_saved_or_logged_is_said_beside_the_stop(qtbot, open_w
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     words = window.ui.notice.text.text()
-    assert words.startswith("Stopped, and the coil is released. ")
-    assert "No space left on device" in words
+    assert begins(words, "outcome.stopped")
+    assert FULL in words
     assert "Nothing was recorded" not in words
-    assert "Not in the audit log: " in words
+    assert shows(words, "audit.not_logged")
     assert list(tmp_path.glob("*.journal"))
 
 
@@ -326,7 +327,7 @@ def test_what_happened_is_in_the_audit_log(qtbot, open_window, tmp_path, audit_f
     wait_for_result(qtbot, window)
     lines = {line.what: line for line in last_lines(audit_file, 100)}
     assert {line.role for line in lines.values() if not line.what.startswith("audit.")} == {"clinician"}
-    assert lines["test.stopped"].new["reason"] == "stopped in the window; the coil is released"
+    assert reads(lines["test.stopped"].new["reason"], "stop.released", cause=BY_BUTTON)
     assert {"session.begun", "test.begun", "session.written"} <= set(lines)
 
 
@@ -339,6 +340,6 @@ def test_stopping_twice_and_stopping_late_does_no_harm(qtbot, open_window, tmp_p
     gate.opened.set()
     wait_for_result(qtbot, window)
     words = window.ui.notice.text.text()
-    assert words.startswith("Stopped, and the coil is released.")
-    assert only_session(tmp_path)[1].test().notes["reason"].startswith("stopped in the window; ")
+    assert begins(words, "outcome.stopped")
+    assert begins(only_session(tmp_path)[1].test().notes["reason"], "stop.released", cause=BY_BUTTON)
     assert idle(window)

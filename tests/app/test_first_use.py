@@ -8,7 +8,7 @@ import pytest
 from app.benches import WAIT_MS, Gate
 from app.german import assert_german
 from app.test_window import idle, press, type_site, wait_for_result
-from coded import coded
+from coded import begins, coded, made, reads, shows
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QGraphicsView, QPushButton, QWidget
@@ -16,6 +16,7 @@ from PySide6.QtWidgets import QGraphicsView, QPushButton, QWidget
 from tissueid.acquisition import journal_path
 from tissueid.app.disabled_reason import show_disabled_reason
 from tissueid.app.elided_label import ElidedLabel
+from tissueid.app.emergency import NO_ANSWER
 from tissueid.app.jobs import Jobs
 from tissueid.app.measurement_job import Outcome
 from tissueid.app.outcome import outcome_text
@@ -24,6 +25,7 @@ from tissueid.app.readouts import SafetyReadouts
 from tissueid.app.safety import Safety
 from tissueid.app.save_path import check_save_path
 from tissueid.app.views.clinician.contact import Contact
+from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.limits import PROFILES
 
@@ -73,7 +75,7 @@ def test_a_bad_path_is_reported_before_an_instrument_is_opened(qtbot, window, be
     press(qtbot, window.ui.start)
     assert not window.testing
     assert bench.opened == []
-    assert "There is no folder" in window.ui.notice.text.text()
+    assert begins(window.ui.notice.text.text(), "file.no_folder", folder=str(tmp_path / "nowhere"))
     assert window.ui.form.path.hasFocus()
     window.ui.form.path.setText(str(tmp_path / "s.h5"))
     assert window.ui.notice.isHidden()
@@ -83,6 +85,7 @@ def test_a_bad_path_is_reported_before_an_instrument_is_opened(qtbot, window, be
 
 
 def test_what_is_grey_says_what_is_waited_for(qtbot):
+    why = "An analysis is running"
     home, button, other = QWidget(), QPushButton("Start"), QPushButton("Stop")
     qtbot.addWidget(home)
     button.setParent(home)
@@ -90,8 +93,8 @@ def test_what_is_grey_says_what_is_waited_for(qtbot):
     button.setToolTip("begins")
     button.setEnabled(False)
     for _round in range(2):
-        show_disabled_reason((button, other), "An analysis is running")
-        assert (button.toolTip(), button.accessibleDescription()) == ("An analysis is running",) * 2
+        show_disabled_reason((button, other), why)
+        assert (button.toolTip(), button.accessibleDescription()) == (why, why)
         assert other.toolTip() == ""
     button.setEnabled(True)
     show_disabled_reason((button, other), "")
@@ -139,12 +142,12 @@ def test_every_page_says_it_while_an_analysis_runs(qtbot, window):
 def test_a_window_that_hung_says_what_is_kept_and_what_to_do(tmp_path, saved):
     path = tmp_path / "s.h5"
     session = object() if saved else None
-    problem = "The window did not answer; the coil was released."
+    problem = sentence(NO_ANSWER)
     words, failed = outcome_text(Outcome(path, session, problem, unanswered=True))
     assert failed
-    assert words.startswith("The window did not answer; the coil was released. ")
-    assert ("The recorded part is saved in" if saved else "Nothing was recorded") in words
-    assert words.endswith("then press Start again.")
+    assert words.startswith(f"{problem} ")
+    assert shows(words, "outcome.saved", path=path) if saved else shows(words, "outcome.nothing_yet")
+    assert words.endswith(made("outcome.start_again"))
 
 
 def test_after_a_window_that_hung_nothing_is_waited_for(qtbot, open_window, clock):
@@ -157,10 +160,10 @@ def test_after_a_window_that_hung_nothing_is_waited_for(qtbot, open_window, cloc
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     ui = window.ui
-    assert "press Start again" in ui.notice.text.text()
+    assert shows(ui.notice.text.text(), "outcome.start_again")
     assert ui.guidance.lamp.contact is Contact.UNWATCHED
     assert not ui.analysis.isVisible()
-    assert ui.safety.keys.text() == "No test is running"
+    assert reads(ui.safety.keys.text(), "stop.no_test")
 
 
 def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
@@ -172,12 +175,12 @@ def test_a_coil_that_is_free_again_leaves_no_figures(qtbot):
     assert shown.contact.text() == "on the skin"
     shown.show_safety(safety, free=True)
     shown.show_key_reach(reach=True)
-    assert shown.keys.text() == "No test is running"
+    assert reads(shown.keys.text(), "stop.no_test")
     assert "9.3" not in shown.force.text()
     assert shown.contact.text() != "on the skin"
     shown.expect()
     shown.show_key_reach(reach=True)
-    assert shown.keys.text() == "Esc or Space stops"
+    assert reads(shown.keys.text(), "stop.keys")
 
 
 # -- whose result -----------------------------------------------------------------------------------------------------

@@ -105,10 +105,8 @@ def test_a_lookup_falls_back_and_knows_one_from_many():
     set_language("de")
     assert _("Stiffness") == "Steifigkeit"
     assert _("no such text") == "no such text"
-    one = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 1)
-    assert one.format(count=1, names="A") == "Ein Gerät antwortet (A)"
-    many = plural("One instrument answers ({names})", "{count} instruments answer ({names})", 3)
-    assert many.format(count=3, names="A") == "3 Geräte antworten (A)"
+    one, many = (plural("{count} session", "{count} sessions", count).format(count=count) for count in (1, 3))
+    assert (one, many) == ("1 Sitzung", "3 Sitzungen")
     set_language("en")
     assert _("Stiffness") == "Stiffness"
 

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, only_session, type_site, wait_for_result
-from failing_disk import Disk
+from coded import made
+from failing_disk import FULL, Disk
 from firmware_sim_process import firmware_process
 from PySide6.QtCore import Qt
 
@@ -174,7 +175,7 @@ def assert_the_next_test_runs(qtbot, window, url, folder):
 def assert_kept(folder, words, reason):
     """The recorded part is a session, which is named; its test says why it ended."""
     path, session = only_session(folder)
-    assert words.endswith(f"The recorded part is saved in {path}.")
+    assert words.endswith(made("outcome.saved", path=path))
     test = session.test()
     assert test.status == "aborted"
     assert reason in test.notes["reason"]
@@ -218,8 +219,7 @@ def test_a_disk_that_fills_up(qtbot, context, mishap, device, tmp_path, monkeypa
     with monkeypatch.context() as patch:
         words = it_befalls(qtbot, context, device, mishap, filled(patch))
     (journal,) = tmp_path.iterdir()
-    stays = f"The recording stays in {journal}; it is offered for recovery at the next start."
-    assert words == f"No space left on device. {stays}"
+    assert words == f"{FULL}. {made('outcome.recording_stays', path=journal)}"
     assert_free(device)
     assert_the_next_test_runs(qtbot, context, device, tmp_path)
     test = recover(journal)[1].test()
@@ -232,6 +232,6 @@ def test_a_disk_that_is_full_before_the_first_sample_leaves_nothing(
     with monkeypatch.context() as patch:
         mishap.before = filled(patch)
         words = it_befalls(qtbot, context, device, mishap, None)
-    assert words == "No space left on device. Nothing was recorded."
+    assert words == f"{FULL}. {made('outcome.nothing')}"
     assert list(tmp_path.iterdir()) == []
     assert_free(device)

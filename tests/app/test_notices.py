@@ -3,16 +3,19 @@
 import pytest
 from app.benches import WAIT_MS, found
 from app.test_window import idle, press, type_site
-from failing_disk import Disk
+from coded import reads
+from failing_disk import FULL, Disk
 from PySide6.QtWidgets import QPushButton
 
 from tissueid.acquisition import SessionRecorder, journal_path
+from tissueid.app.words import sentence
 from tissueid.errors import InstrumentError, UnusableInputError
 from tissueid.instrument import FoundInstrument, SimulatedInstrument
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
 PORT = "/dev/ttyACM7"
+FULL_DISK, CABLE_OFF, SILENT = "The disk is full.", "The cable is off.", "it does not answer: check the cable"
 
 
 def shown(window):
@@ -29,11 +32,11 @@ def test_news_are_gone_once_their_page_is_left(window):
 
 
 def test_a_problem_waits_on_its_page(window):
-    window.ui.notice.say("The disk is full.", problem=True)
+    window.ui.notice.say(FULL_DISK, problem=True)
     window.pages.show("start")
     assert not shown(window)
     window.pages.show("measure")
-    assert shown(window) == "The disk is full."
+    assert shown(window) == FULL_DISK
     window.ui.notice.dismiss.click()
     window.pages.show("start")
     window.pages.show("measure")
@@ -45,7 +48,7 @@ def test_news_go_when_another_action_begins_and_a_problem_when_it_succeeds(qtbot
     notice.say("It is saved.")
     button.pressed.emit()
     assert not shown(window)
-    notice.say("The disk is full.", problem=True)
+    notice.say(FULL_DISK, problem=True)
     button.pressed.emit()
     assert shown(window)
     window.jobs.do(lambda: 1 / 0, window._logged, window._logged)
@@ -59,7 +62,7 @@ def test_news_go_when_another_action_begins_and_a_problem_when_it_succeeds(qtbot
 def test_what_an_action_says_itself_an_offer_and_a_defect_stay_when_it_succeeds(qtbot, window):
     notice, button = window.ui.notice, window.ui.views["start"].use
     for say in (
-        lambda: notice.say("The disk is full.", problem=True),
+        lambda: notice.say(FULL_DISK, problem=True),
         lambda: notice.say("One is unfinished.", offer="Recover"),
         lambda: notice.say_everywhere("Defect."),
     ):
@@ -80,17 +83,17 @@ def test_an_offer_waits_on_its_page(window):
 
 def test_what_befalls_a_test_is_said_where_somebody_looks_and_on_its_own_page(window):
     window.pages.show("start")
-    window.ui.notice.say("The cable is off.", problem=True, page="measure")
-    assert shown(window) == "The cable is off."
+    window.ui.notice.say(CABLE_OFF, problem=True, page="measure")
+    assert shown(window) == CABLE_OFF
     window.pages.show("measure")
-    assert shown(window) == "The cable is off."
+    assert shown(window) == CABLE_OFF
     window.pages.show("start")
     window.pages.show("research")
     assert not shown(window)
 
 
 def test_newer_words_take_the_place_of_what_waits(window):
-    window.ui.notice.say("The disk is full.", problem=True)
+    window.ui.notice.say(FULL_DISK, problem=True)
     window.pages.show("start")
     window.ui.notice.say("Two instruments answer.")
     window.pages.show("measure")
@@ -114,9 +117,9 @@ def test_what_was_wrong_in_the_form_is_no_longer_said_once_that_is_changed(qtbot
     assert window.ui.notice.property("level") == "problem"
     type_site(qtbot, window)
     assert not shown(window)
-    window.ui.notice.say("The cable is off.", problem=True)
+    window.ui.notice.say(CABLE_OFF, problem=True)
     window.ui.form.subject.setText("P-001")
-    assert shown(window) == "The cable is off."
+    assert shown(window) == CABLE_OFF
 
 
 def test_what_a_page_says_late_belongs_to_that_page(window):
@@ -164,7 +167,7 @@ def measure_with(qtbot, open_window):
         form = window.ui.form
         form.instrument.choose(PORT)
         form.seconds.setValue(0.5)
-        assert form.instrument.about.text() == "Ready: desktop indenter."
+        assert reads(form.instrument.about.text(), "instruments.ready", what="desktop indenter")
         type_site(qtbot, window)
         before()
         press(qtbot, window.ui.start)
@@ -183,8 +186,8 @@ def test_a_full_disk_says_nothing_about_the_instrument(measure_with, monkeypatch
             Disk(monkeypatch, journal_path(recorder.path), fails_at=1)
 
     window = measure_with(before=lambda: monkeypatch.setattr(SessionRecorder, "add", fill))
-    assert "No space left on device" in shown(window)
-    assert window.ui.form.instrument.about.text() == "Ready: desktop indenter."
+    assert FULL in shown(window)
+    assert reads(window.ui.form.instrument.about.text(), "instruments.ready", what="desktop indenter")
 
 
 def test_a_folder_that_cannot_be_written_says_nothing_about_the_instrument(measure_with, monkeypatch):
@@ -193,17 +196,17 @@ def test_a_folder_that_cannot_be_written_says_nothing_about_the_instrument(measu
 
     window = measure_with(before=lambda: monkeypatch.setattr("tissueid.app.measurement_job.SessionRecorder", refuse))
     assert shown(window) == "Cannot write there."
-    assert window.ui.form.instrument.about.text() == "Ready: desktop indenter."
+    assert reads(window.ui.form.instrument.about.text(), "instruments.ready", what="desktop indenter")
 
 
 def test_an_instrument_that_fails_is_told_so_until_it_is_asked_anew(qtbot, measure_with):
     def silent(_url):
-        raise InstrumentError("it does not answer: check the cable")
+        raise InstrumentError(SILENT)
 
     window = measure_with(opener=silent)
-    assert shown(window) == "It does not answer: check the cable."
+    assert shown(window) == sentence(SILENT)
     about = window.ui.form.instrument.about
-    assert about.text() == "desktop indenter: it failed the last time; “Find” asks it again."
+    assert reads(about.text(), "instruments.failed", what="desktop indenter")
     press(qtbot, window.ui.form.instrument.refresh)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert about.text() == "Ready: desktop indenter."
+    assert reads(about.text(), "instruments.ready", what="desktop indenter")

@@ -8,6 +8,7 @@ import pytest
 from app.benches import WAIT_MS
 from app.test_window import idle, press
 from app.views.research_hosts import drag
+from coded import made, reads
 from gap_records import recorded
 from PySide6.QtCore import QEvent, QPoint, Qt
 from PySide6.QtWidgets import QApplication, QFileDialog
@@ -95,14 +96,15 @@ def test_a_clinician_measures_a_site_twice_accepts_and_prints(qtbot, from_start,
         window.findings.verdict.level,
     )
     bar = ui.gate.repeats
-    assert (bar.repeat.text(), bar.accept.text()) == ("Measure again (2 of 5)", "Finish: use this test")
+    assert reads(bar.repeat.text(), "sitting.measure_again", number=2, count=5)
+    assert reads(bar.accept.text(), "sitting.finish")
     press(qtbot, bar.repeat)
     assert window.testing
     rest(qtbot, window)
-    assert bar.accept.text() == "Finish: mean of 2"
+    assert reads(bar.accept.text(), "sitting.finish_mean", count=2)
     press(qtbot, bar.accept)
     rest(qtbot, window)
-    assert ui.result.summary.heading.text() == "Accepted result: mean of 2 repeats"
+    assert reads(ui.result.summary.heading.text(), "sitting.accepted_mean", count=2)
     assert ui.result.simulated.isVisible()
     assert ui.result.pdf.hasFocus()
     qtbot.keyClick(ui.result.pdf, Qt.Key.Key_Space)
@@ -223,7 +225,12 @@ def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibratio
     assert window.testing
     assert window.ui.stop.hasFocus()
     rest(qtbot, window)
-    assert page.headline.text() == "Static calibration passed: ready for use."
+    assert reads(
+        page.headline.text(),
+        "calibration.headline",
+        kind="Static calibration",
+        verdict=made("calibration.verdict.passed"),
+    )
     (path,) = calibrations.glob("*.toml")
     assert read_calibration(path).serial_number == "SIM-0001"
     qtbot.keyClick(window, Qt.Key.Key_5, CONTROL)

@@ -2,6 +2,7 @@
 
 import pytest
 from app.benches import WAIT_MS
+from coded import shows
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QLabel
 
@@ -120,5 +121,5 @@ def test_no_abbreviation_without_its_meaning(shown_result):
 
 def test_finishing_says_what_becomes_of_the_tests(open_window):
     bar = open_window().ui.gate.repeats
-    assert "No file is changed or deleted" in bar.accept.toolTip()
-    assert "a file of its own" in bar.repeat.toolTip()
+    assert shows(bar.accept.toolTip(), "sitting.finish_tip")
+    assert shows(bar.repeat.toolTip(), "sitting.repeat_tip")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from app.benches import WAIT_MS, Gate, found
 from app.test_window import idle, only_session, press, type_site, wait_for_result
+from coded import reads
 from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import Qt
@@ -22,6 +23,7 @@ from tissueid.device import DeviceDescription
 from tissueid.instrument import CLINICAL, SAMPLE, SimulatedInstrument
 from tissueid.instrument.thermal import WindingTemperature
 from tissueid.sessions import read_session, write_session
+from tissueid.sessions.quality import HEADLINES
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -155,7 +157,7 @@ def test_read_outs_are_quiet_until_something_comes_near_its_limit(readouts, chan
     assert tuple(label.property("level") or "" for label in labels) == levels
     readouts.clear()
     assert [label.text() for label in labels] == ["—"] * 3
-    assert readouts.keys.text() == "No test is running"
+    assert reads(readouts.keys.text(), "stop.no_test")
 
 
 def test_numbers_change_four_times_a_second_and_contact_at_once(readouts):
@@ -288,8 +290,8 @@ def gate(qtbot):
     [
         ((), "Good test", "good", False),
         ((WARM,), "Good test", "good", False),
-        ((SETTLING, WARM), "Read this before you use the test", "check", False),
-        ((LIFTED, SETTLING, WARM), "Do the test again", "poor", True),
+        ((SETTLING, WARM), HEADLINES["look"], "check", False),
+        ((LIFTED, SETTLING, WARM), HEADLINES["repeat"], "poor", True),
     ],
 )
 def test_the_light_the_words_and_the_offer(gate, findings, headline, level, again):
@@ -330,11 +332,11 @@ def test_a_reopened_session_shows_what_the_gate_said(qtbot, window, tmp_path, sa
     window.open_session(path)
     wait_for_result(qtbot, window)
     assert window.ui.gate.isVisible()
-    assert window.ui.gate.headline.text() == "Read this before you use the test"
+    assert window.ui.gate.headline.text() == HEADLINES["look"]
     assert SETTLING.words not in window.ui.result.reasons.text()
     window.open_session(saved)
     qtbot.waitUntil(lambda: idle(window) and window.findings.path == saved, timeout=WAIT_MS)
-    assert window.ui.gate.headline.text() != "Read this before you use the test"
+    assert window.ui.gate.headline.text() != HEADLINES["look"]
 
 
 def test_run_again_runs_the_same_test_into_another_file(qtbot, open_window, tmp_path):
@@ -346,7 +348,7 @@ def test_run_again_runs_the_same_test_into_another_file(qtbot, open_window, tmp_
     window.ui.form.seconds.setValue(1.5)
     press(qtbot, window.ui.start)
     wait_for_result(qtbot, window)
-    assert window.ui.gate.headline.text() == "Do the test again"
+    assert window.ui.gate.headline.text() == HEADLINES["repeat"]
     assert "probe_lifted" in {finding.code for finding in window.findings.quality.findings}
     press(qtbot, window.ui.gate.run_again)
     assert window.testing

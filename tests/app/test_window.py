@@ -6,6 +6,7 @@ import threading
 import numpy as np
 import pytest
 from app.benches import WAIT_MS, Gate, found
+from coded import begins, codes, message, reads, shows
 from PySide6.QtCore import Qt
 from support import connect
 
@@ -15,7 +16,7 @@ from tissueid.app.quality_gate import UNJUDGED
 from tissueid.app.words import RESEARCH_USE
 from tissueid.instrument import FoundInstrument, Run, SimulatedInstrument
 from tissueid.sessions import read_session, write_session
-from tissueid.sessions.quality import NOTE, quality_of
+from tissueid.sessions.quality import HEADLINES, NOTE, quality_of
 from tissueid.wire import Flag
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -104,7 +105,7 @@ def test_the_whole_path_by_mouse(qtbot, open_window, tmp_path):
     qtbot.waitUntil(lambda: bool(shown), timeout=WAIT_MS)
     assert shown == [path.with_name(f"{path.stem}-report.html")]
     assert "Research use only" in shown[0].read_text(encoding="utf-8")
-    assert "open it in a browser" in ui.notice.text.text()
+    assert reads(ui.notice.text.text(), "report.no_browser", path=shown[0])
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     press(qtbot, ui.report)  # once written it is only shown again
     assert len(shown) == 2
@@ -137,10 +138,13 @@ def test_stop_in_mid_test_keeps_the_recorded_part(qtbot, open_window, bench, tmp
     assert "Stopped" in window.ui.notice.text.text()
     assert str(path) in window.ui.notice.text.text()
     gate, result = window.ui.gate, window.ui.result
+    findings = [finding.words for finding in window.findings.quality.findings]
+    assert codes(findings).count("quality.ended_early") == 1
     said = " ".join([gate.headline.text(), *gate.words, result.reasons.text(), result.facts.text()])
-    assert said.count("The test was stopped") == 1  # once on the page, under one red light, with one button
+    # Once on the page, under one red light, with one button.
+    assert said.count(message(findings, "quality.ended_early")) == 1
     assert "ended early" not in said.lower()
-    assert (gate.headline.text(), gate.light.property("level")) == ("Do the test again", "poor")
+    assert (gate.headline.text(), gate.light.property("level")) == (HEADLINES["repeat"], "poor")
     assert (gate.run_again.isVisible(), gate.repeats.repeat.isVisible()) == (True, False)
 
 
@@ -153,14 +157,14 @@ def test_stop_while_the_probe_is_placed_leaves_no_file(qtbot, open_window, bench
     press(qtbot, window.ui.stop)
     gate.opened.set()
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
-    assert "Nothing was recorded" in window.ui.notice.text.text()
+    assert shows(window.ui.notice.text.text(), "outcome.nothing_yet")
     assert list(tmp_path.iterdir()) == []
     assert bench.opened[0]._run is None
 
 
 def test_stop_without_a_test_says_so(qtbot, window):
     press(qtbot, window.ui.stop)
-    assert window.ui.notice.text.text() == "No test is running."
+    assert reads(window.ui.notice.text.text(), "stop.no_test")
     press(qtbot, window.ui.notice.dismiss)
     assert not window.ui.notice.isVisible()
 
@@ -248,7 +252,7 @@ def test_a_test_too_short_to_identify_is_shown_without_numbers(qtbot, window, tm
     write_session(path, dataclasses.replace(session, tests=(short,)))
     window.open_session(path)
     wait_for_result(qtbot, window)
-    assert window.ui.gate.headline.text() == "Do the test again"
+    assert window.ui.gate.headline.text() == HEADLINES["repeat"]
     assert window.findings.numbers == ()
     assert "could be estimated" in window.findings.impulse.missing
     assert not window.ui.result.impulse.plot.isVisible()
@@ -300,7 +304,7 @@ def test_an_unfinished_test_is_offered_and_recovered(qtbot, open_window, tmp_pat
     assert "Recovered" in window.ui.notice.text.text()
     assert window.findings.test.status == "recovered"
     assert "ended_early" in {finding.code for finding in window.findings.quality.findings}
-    assert (window.ui.gate.headline.text(), window.ui.gate.property("level")) == ("Do the test again", "poor")
+    assert (window.ui.gate.headline.text(), window.ui.gate.property("level")) == (HEADLINES["repeat"], "poor")
     assert quality_of(read_session(tmp_path / "lost.h5").test()) == window.findings.quality
     assert window.ui.gate.judge_now.isHidden()
     assert not (tmp_path / "lost.h5.journal").exists()
@@ -411,7 +415,7 @@ def test_asking_the_ports_happens_in_another_thread(qtbot, open_window):
     assert asked[0][1] == threading.get_ident() != asked[1][1]
     assert chooser.url == "socket://localhost:1234"
     chooser.choice.setCurrentText("/dev/ttyACM7")
-    assert chooser.about.text() == "Ready: desktop indenter, TEST-7."
+    assert reads(chooser.about.text(), "instruments.ready", what="desktop indenter, TEST-7")
 
 
 def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_window, tmp_path):
@@ -422,7 +426,7 @@ def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_wind
     assert shown == ["serial port: /dev/ttyACM7", "simulation in this process: simulated://forearm"]
     chooser.choice.setCurrentText("/dev/ttyACM7")
     assert chooser.url == "/dev/ttyACM7"
-    assert chooser.about.text() == "serial port: not asked yet; “Find” asks whether it is ready."
+    assert reads(chooser.about.text(), "instruments.not_asked", what="serial port")
     (tmp_path / "settings.toml").write_text("name = 'no twin'")
     (tmp_path / "my twin.toml").write_text("format = 'tissueid-twin'\nname = 'bench'\nversion = 2\n")
     window.pages.show("start")
@@ -431,7 +435,7 @@ def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_wind
     assert chooser.choice.itemText(chooser.choice.count() - 1) == url
     assert chooser.url == "/dev/ttyACM7"
     chooser.choose(url)
-    assert chooser.about.text() == "Ready: twin bench, version 2."
+    assert reads(chooser.about.text(), "instruments.ready", what="twin bench, version 2")
     (tmp_path / "my twin.toml").unlink()
     chooser.choose("simulated://forearm")
     window.pages.show("measure")
@@ -441,9 +445,9 @@ def test_the_list_of_instruments_shows_names_and_accepted_twins(qtbot, open_wind
 def test_finding_says_which_instrument_answers():
     ready = [FoundInstrument(f"/dev/{name}", "serial port", True, name=f"indenter, {name}") for name in ("A1", "B2")]
     simulated = FoundInstrument("simulated://spring", "simulation in this process", True, name="simulation, spring")
-    assert Survey([ready[0], simulated]).words.startswith("One instrument answers (indenter, A1); ")
-    assert Survey([*ready, simulated]).words.startswith("2 instruments answer (indenter, A1; indenter, B2); ")
-    assert Survey([simulated]).words.startswith("No instrument answers; ")
+    assert begins(Survey([ready[0], simulated]).words, "instruments.one_answers", names="indenter, A1")
+    assert begins(Survey([*ready, simulated]).words, "instruments.answer", count=2, names="indenter, A1; indenter, B2")
+    assert begins(Survey([simulated]).words, "instruments.none_answers")
 
 
 def test_a_system_that_cannot_list_its_ports_still_has_typed_addresses(qtbot, open_window):

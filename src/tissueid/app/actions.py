@@ -14,7 +14,10 @@ from tissueid.app.layout import Layout
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.pages import Pages
 from tissueid.app.panels import HELP_KEY, LOG_KEY, Panels
+from tissueid.app.readouts import NO_TEST
+from tissueid.app.words import sentence
 from tissueid.language import _
+from tissueid.messages import translated
 
 PALETTE_KEY = "Ctrl+K"
 
@@ -64,7 +67,7 @@ def install_shortcuts(actions: Iterable[Action], window: QWidget) -> None:
 
 
 def _nothing_to_stop(ui: Layout) -> str:
-    return "" if ui.testing else _("No test is running.")
+    return "" if ui.testing else sentence(translated(NO_TEST))
 
 
 def _by_button(pages: Pages, page: str, button: QAbstractButton, *, energises: bool = False) -> Action:

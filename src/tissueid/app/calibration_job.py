@@ -85,7 +85,7 @@ def calibrate(
             ),
         )
     if problem := trail.settle():
-        remarks = (*remarks, Message("calibration.not_logged", "not in the audit log: {problem}", problem=problem))
+        remarks = (*remarks, Message("audit.not_logged", "not in the audit log: {problem}", problem=problem))
     state = calibration_state(put_in_force(instrument.nominal, stored_calibrations(plan.folder), datetime.now(UTC)))
     return CalibrationOutcome(calibration, path, report, remarks, state)
 

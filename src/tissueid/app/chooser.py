@@ -24,8 +24,9 @@ from tissueid.instrument import FoundInstrument
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.instrument.twin_list import is_twin_url
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import Message, Verbatim, translated
 
+TYPED = Message("instruments.typed", "Typed address: tried when the test starts.")
 _SHOWN = Qt.ItemDataRole.UserRole
 """What the open list shows of an instrument: its name and address. The line that is typed into has the address."""
 _WIDEST, _MARGIN = 640, 40
@@ -155,7 +156,7 @@ class InstrumentChooser(QWidget):
 
     @property
     def known(self) -> dict[str, tuple[str, CalibrationState]]:
-        """State and calibration of each listed instrument, by address."""
+        """State, a message, and calibration of each listed instrument, by address."""
         return {url: (self._health(url), self.calibration_of(url)) for url in self._found}
 
     def calibration_of(self, url: str) -> CalibrationState:
@@ -165,17 +166,25 @@ class InstrumentChooser(QWidget):
     def _health(self, url: str) -> str:
         item = self._found.get(url)
         if item is None:
-            return _("Typed address: tried when the test starts.") if url else ""
+            return TYPED if url else ""
         if item.answers:
-            return f"{_('Ready')}: {translated(item.detail or item.what)}."
+            return Message("instruments.ready", "Ready: {what}.", what=item.detail or item.what)
         if url in self._doubted:
-            return _("{what}: it failed the last time; “Find” asks it again.").format(what=_name(item))
+            return Message(
+                "instruments.failed",
+                "{what}: it failed the last time; “Find” asks it again.",
+                what=Verbatim(_name(item)),
+            )
         if item.answers is None:
-            return _("{what}: not asked yet; “Find” asks whether it is ready.").format(what=_name(item))
-        return f"{_('Does not answer')}: {translated(item.detail or item.what)}."
+            return Message(
+                "instruments.not_asked",
+                "{what}: not asked yet; “Find” asks whether it is ready.",
+                what=Verbatim(_name(item)),
+            )
+        return Message("instruments.no_answer", "Does not answer: {what}.", what=item.detail or item.what)
 
     def _describe(self) -> None:
-        self.about.setText(self._health(self.url))
+        self.about.setText(translated(self._health(self.url)))
         self._describe_calibration()
 
     def _describe_calibration(self) -> None:

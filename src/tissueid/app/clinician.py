@@ -25,7 +25,8 @@ from tissueid.app.views.clinician.paper import write_paper
 from tissueid.app.views.clinician.sitting import VERDICTS, Repeat, Sitting, Standing, standing, values_of
 from tissueid.device import DeviceDescription
 from tissueid.formatting import ANONYMOUS
-from tissueid.language import _, plural
+from tissueid.language import _
+from tissueid.messages import Message, translated
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult
 
@@ -214,13 +215,19 @@ class Clinician(QObject):
             self.findings_wanted.emit(newest)
         else:
             self._show_sitting()
-        words = plural(
-            "Finished: test {places} is the result. The next test begins a new sitting.",
-            "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
-            result.count,
-        )
-        places = ", ".join(map(str, sitting.places))
-        self._ui.notice.say(words.format(count=result.count, places=places))
+        if result.count == 1:
+            said = Message(
+                "sitting.finished_test",
+                "Finished: test {place} is the result. The next test begins a new sitting.",
+                place=sitting.places[0],
+            )
+        else:
+            said = Message(
+                "sitting.finished_mean",
+                "Finished: the mean of {count} repeats is the result. The next test begins a new sitting.",
+                count=result.count,
+            )
+        self._ui.notice.say(translated(said))
 
     def _undone(self, _result: object) -> None:
         if self.sitting is not None:

@@ -10,8 +10,7 @@ from tissueid.app.calibration_state import CalibrationState, calibration_state
 from tissueid.formatting import clean
 from tissueid.instrument import RESEARCH, FoundInstrument, Instrument
 from tissueid.instrument.discovery import IN_PROCESS
-from tissueid.language import _, plural
-from tissueid.messages import translated
+from tissueid.messages import Message, Verbatim, translated
 
 _MOST_NAMED = 4
 
@@ -29,9 +28,20 @@ class Survey:
         """Number and names of the instruments that answer."""
         answering = [item for item in self.found if item.answers is True and not item.url.startswith(IN_PROCESS)]
         names = "; ".join(clean(translated(item.name or item.what)) for item in answering[:_MOST_NAMED])
-        some = plural("One instrument answers ({names})", "{count} instruments answer ({names})", len(answering))
-        what = some.format(count=len(answering), names=names) if answering else _("No instrument answers")
-        return _("{what}; simulations in this program can always be chosen.").format(what=what)
+        if len(answering) > 1:
+            what = Message(
+                "instruments.answer",
+                "{count} instruments answer ({names})",
+                count=len(answering),
+                names=Verbatim(names),
+            )
+        elif answering:
+            what = Message("instruments.one_answers", "One instrument answers ({names})", names=Verbatim(names))
+        else:
+            what = Message("instruments.none_answers", "No instrument answers")
+        return translated(
+            Message("instruments.found", "{what}; simulations in this program can always be chosen.", what=what)
+        )
 
 
 def greatest_force_n(instrument: Instrument) -> float:

@@ -20,7 +20,7 @@ from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import label_and_unit
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
-from tissueid.messages import MISSING, translated
+from tissueid.messages import MISSING, Message, Verbatim, translated
 
 if TYPE_CHECKING:
     from tissueid.acquisition.live import LiveIdentification
@@ -99,7 +99,13 @@ class LiveAnalysis(QWidget):
             self.show_view(view)
         if identification.problem:
             self._say(
-                _("{problem} The test goes on without it.").format(problem=sentence(translated(identification.problem)))
+                translated(
+                    Message(
+                        "live.goes_on",
+                        "{problem} The test goes on without it.",
+                        problem=Verbatim(sentence(translated(identification.problem))),
+                    )
+                )
             )
 
     def clear(self) -> None:

@@ -32,6 +32,7 @@ from tissueid.app.outcome import outcome_text
 from tissueid.app.pages import Pages
 from tissueid.app.panels import Panels
 from tissueid.app.plan import Plan
+from tissueid.app.readouts import NO_TEST
 from tissueid.app.report_opener import Reports
 from tissueid.app.save_path import check_save_path
 from tissueid.app.services import AppServices
@@ -40,11 +41,12 @@ from tissueid.app.stop_keys import StopKeys
 from tissueid.app.theme import PaletteWatch, Theme, palette_of, style_sheet, theme_of
 from tissueid.app.unit_choice import take_kept
 from tissueid.app.window_state import restore_window_state, save_role, save_window_state, saved_role
-from tissueid.app.words import in_words
+from tissueid.app.words import in_words, sentence
 from tissueid.atomic_write import private_folder
 from tissueid.audit import Role
 from tissueid.errors import TissueIDError
 from tissueid.language import _, set_language
+from tissueid.messages import translated
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import quality_of
 
@@ -221,7 +223,7 @@ class MainWindow(QMainWindow):
             self._stop.press(reason)
             self.ui.guidance.say(_("Stopping: the coil is being released."))
         elif not self.busy:
-            self.ui.notice.say(_("No test is running."))
+            self.ui.notice.say(sentence(translated(NO_TEST)))
 
     def _stop_by_button(self) -> None:
         self.stop_test(BY_BUTTON)

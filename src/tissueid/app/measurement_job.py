@@ -37,8 +37,7 @@ from tissueid.calibration.active import calibrated
 from tissueid.device import DeviceDescription
 from tissueid.errors import CancelledError, FirmwareFaultError, LinkLostError
 from tissueid.instrument import PROFILES, Instrument, Limits, SimulatedInstrument
-from tissueid.language import _
-from tissueid.messages import translated
+from tissueid.messages import Message, Verbatim, translated
 from tissueid.sessions import Session, Subject, Test
 from tissueid.stimuli import Stimulus
 from tissueid.wire import Fault
@@ -182,7 +181,9 @@ def measure(
         instrument_failed=not isinstance(problem, NoneType | CancelledError | JournalError) and not by_button,
         trouble=trouble,
         link_lost=problem if isinstance(problem, LinkLostError) else None,
-        unlogged=sentence(_("not in the audit log: {problem}").format(problem=translated(lacking))) if lacking else "",
+        unlogged=sentence(translated(Message("audit.not_logged", "not in the audit log: {problem}", problem=lacking)))
+        if lacking
+        else "",
     )
 
 
@@ -225,7 +226,7 @@ def _said(problem: Exception | None, session: Session | None, trouble: str) -> s
         return ""
     if not isinstance(problem, JournalError) or session is not None:
         return in_words(problem)
-    return "" if trouble else f"{_cause(problem)} {_('Nothing was recorded.')}"
+    return "" if trouble else f"{_cause(problem)} {translated(Message('outcome.nothing', 'Nothing was recorded.'))}"
 
 
 def _cause(error: Exception) -> str:
@@ -242,7 +243,9 @@ def _keep(recorder: SessionRecorder | None, problem: Exception | None) -> tuple[
         return recorder.finish_or_discard(problem), ""
     except Exception as error:  # noqa: BLE001 - whatever it was, the journal must be let go of and mentioned
         recorder.abandon()
-        kept = _("The recording stays in {path}; it is offered for recovery at the next start.").format(
-            path=journal_path(recorder.path)
+        kept = Message(
+            "outcome.recording_stays",
+            "The recording stays in {path}; it is offered for recovery at the next start.",
+            path=Verbatim(journal_path(recorder.path)),
         )
-        return None, f"{_cause(error)} {kept}"
+        return None, f"{_cause(error)} {translated(kept)}"

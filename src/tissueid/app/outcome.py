@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tissueid.language import _
+from tissueid.messages import Message, Verbatim, translated
 
 if TYPE_CHECKING:
     from tissueid.app.measurement_job import Outcome
 
+_STOPPED = Message("outcome.stopped", "Stopped, and the coil is released.")
+_STOPPED_BY_BUTTON = Message(
+    "outcome.stopped_by_button", "Stopped by the button on the instrument, and the coil is released."
+)
+_NOTHING_YET = Message("outcome.nothing_yet", "Nothing was recorded yet.")
+_START_AGAIN = Message(
+    "outcome.start_again", "Close other programs that keep the computer busy, then press Start again."
+)
+
 
 def outcome_text(outcome: Outcome) -> tuple[str, bool]:
     """Return the message, empty for a completed test, and whether it reports a problem."""
-    saved = _("The recorded part is saved in {path}.").format(path=outcome.path) if outcome.session else ""
+    kept = Message("outcome.saved", "The recorded part is saved in {path}.", path=Verbatim(outcome.path))
+    saved = translated(kept) if outcome.session else ""
     if outcome.stopped:
-        by_button = _("Stopped by the button on the instrument, and the coil is released.")
-        how = by_button if outcome.by_button else _("Stopped, and the coil is released.")
-        words = [how, saved or outcome.trouble or _("Nothing was recorded yet.")]
+        how = translated(_STOPPED_BY_BUTTON if outcome.by_button else _STOPPED)
+        words = [how, saved or outcome.trouble or translated(_NOTHING_YET)]
     elif outcome.unanswered:
-        nothing = "" if outcome.trouble else _("Nothing was recorded yet.")
-        again = _("Close other programs that keep the computer busy, then press Start again.")
-        words = [outcome.problem, saved or nothing, again]
+        nothing = "" if outcome.trouble else translated(_NOTHING_YET)
+        words = [outcome.problem, saved or nothing, translated(_START_AGAIN)]
     else:
         words = [outcome.problem, saved if outcome.problem else ""]
     failed = bool(outcome.trouble or outcome.unlogged or (outcome.problem and not outcome.stopped))

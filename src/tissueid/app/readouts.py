@@ -7,15 +7,16 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QWidget
 
 from tissueid.app.safety import Safety
 from tissueid.formatting import fixed
-from tissueid.language import _, marked
-from tissueid.messages import MISSING
+from tissueid.language import _
+from tissueid.messages import MISSING, Message, translated
 
 _EVERY = 8
 """Frames between two changes of a number: four a second can be read."""
 _NEAR = 0.9
 _WARM_SHARE = 0.8
-KEYS_REACH = marked("Esc or Space stops")
-KEYS_LOST = marked("Keys do not reach this window: click it")
+NO_TEST = Message("stop.no_test", "No test is running")
+KEYS_REACH = Message("stop.keys", "Esc or Space stops")
+KEYS_LOST = Message("stop.keys_lost", "Keys do not reach this window: click it")
 
 
 class SafetyReadouts(QFrame):
@@ -50,7 +51,7 @@ class SafetyReadouts(QFrame):
         self._frame, self._free = 0, True
         for label in (self.force, self.coil, self.contact):
             _say(label, MISSING)
-        _say(self.keys, _("No test is running"))
+        _say(self.keys, translated(NO_TEST))
 
     def show_link_lost(self, watchdog_s: float | None) -> None:
         """Show that the link was lost and that the instrument's watchdog releases the coil (within ``watchdog_s``)."""
@@ -68,13 +69,13 @@ class SafetyReadouts(QFrame):
         """Show that a test starts, or a calibration, which shows the position of the probe in place of contact."""
         self.clear()
         self._free, self._calibrating = False, calibrating
-        _say(self.keys, _(KEYS_REACH))
+        _say(self.keys, translated(KEYS_REACH))
 
     def show_key_reach(self, *, reach: bool) -> None:
         """Show whether the stop keys reach this window, unless the coil is already released."""
         if self._free:
             return
-        _say(self.keys, _(KEYS_REACH) if reach else _(KEYS_LOST), "" if reach else "check")
+        _say(self.keys, translated(KEYS_REACH) if reach else translated(KEYS_LOST), "" if reach else "check")
 
     def show_safety(self, safety: Safety | None, *, free: bool = False) -> None:
         """Show the values; called with every frame. With ``free`` the coil is released: show nothing."""

@@ -12,14 +12,22 @@ from tissueid.app.findings import Findings
 from tissueid.app.guidance import Guidance
 from tissueid.app.notice import Notice
 from tissueid.app.session_jobs import write_test_report
-from tissueid.language import _, marked
+from tissueid.language import _
+from tissueid.messages import Message, Verbatim, translated
 
-_OPENED = marked("The report is saved in {path}.")
-_NOT_OPENED = marked("The report is saved in {path}; open it in a browser.")
-_PDF_NOT_OPENED = marked(
-    "The report is saved in {path}. No program here shows a PDF: open that file with one that does, here or on "
-    "another computer."
-)
+
+def _shown(path: Path, *, opened: bool) -> Message:
+    """Return where the report is, and what to do if no program opened it."""
+    if opened:
+        return Message("report.saved", "The report is saved in {path}.", path=Verbatim(path))
+    if path.suffix.lower() == ".pdf":
+        return Message(
+            "report.no_pdf_viewer",
+            "The report is saved in {path}. No program here shows a PDF: open that file with one that does, here or on "
+            "another computer.",
+            path=Verbatim(path),
+        )
+    return Message("report.no_browser", "The report is saved in {path}; open it in a browser.", path=Verbatim(path))
 
 
 class Reports(QObject):
@@ -48,10 +56,9 @@ class Reports(QObject):
 
     def show(self, path: Path) -> None:
         """Open a report and show its path."""
-        opened = self._context.services.show_file(path)
-        words = _OPENED if opened else _PDF_NOT_OPENED if path.suffix.lower() == ".pdf" else _NOT_OPENED
+        said = _shown(path, opened=self._context.services.show_file(path))
         show_folder = functools.partial(self._context.services.show_file, path.parent)
-        self._notice.say(_(words).format(path=path), offer=_("Open folder"), act=show_folder)
+        self._notice.say(translated(said), offer=_("Open folder"), act=show_folder)
 
     def _show_written(self, path: Path) -> None:
         self._written = path

@@ -32,7 +32,7 @@ from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.device import SIMULATED_LINE
 from tissueid.formatting import local_time, zone_offset
 from tissueid.language import _, marked
-from tissueid.messages import translated
+from tissueid.messages import Message, translated
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.model import DATE_NOTE
@@ -273,7 +273,11 @@ def _accepted(number: Number, standing: Standing) -> Number:
     value = standing.values.get(number.quantity)
     if value is None:
         return replace(number, note=_("shown test; {note}").format(note=number.note))
-    note = _("accepted: mean of {count} tests").format(count=value.count) if value.count > 1 else _("accepted")
+    note = (
+        translated(Message("result.accepted_mean", "accepted: mean of {count} tests", count=value.count))
+        if value.count > 1
+        else _("accepted")
+    )
     return replace(number, note=note, found=Estimate(value.mean, value.std))
 
 

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test, seeded
+from coded import code_of, codes, made, reads
 
 from tissueid.app.plan import Plan
 from tissueid.app.views.clinician.comparing import Comparison, Shelf, Sighting, compare_with
+from tissueid.app.views.clinician.comparison_card import THIS
 from tissueid.app.views.clinician.sitting import Repeat, Sitting, together
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
@@ -30,15 +32,15 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     ui.form.site.setCurrentText("left calf")
     run_test(qtbot, window, ui.start)
     assert bar.isVisible()
-    assert bar.repeat.text() == "Measure again (2 of 5)"
-    assert bar.accept.text() == "Finish: use this test"
+    assert reads(bar.repeat.text(), "sitting.measure_again", number=2, count=5)
+    assert reads(bar.accept.text(), "sitting.finish")
     assert ui.result.summary.isHidden()
     run_test(qtbot, window, bar.repeat)
-    assert bar.repeat.text() == "Measure again (3 of 5)"
+    assert reads(bar.repeat.text(), "sitting.measure_again", number=3, count=5)
     levels = [repeat.findings.verdict.level for repeat in window.clinician.sitting.repeats]
     words = [{"good": "good", "check": "to be looked at"}[level] for level in levels]
     assert bar.dots.accessibleName() == f"2 of 5 repeats: 1 {words[0]}, 2 {words[1]}"
-    assert ui.result.summary.heading.text() == "Mean so far of 2 repeats"
+    assert reads(ui.result.summary.heading.text(), "sitting.mean_so_far", count=2)
     tests = [read_session(path).test() for path in sorted(tmp_path.glob("*.h5"))]
     assert len({test.notes["sitting"] for test in tests}) == 1
     assert sorted(test.notes["repeat"] for test in tests) == [1.0, 2.0]
@@ -49,7 +51,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     mean = window.clinician.sitting.result.values["mass_kg"]
     assert tile._number.found == Estimate(mean.mean, mean.std)
-    assert tile._note.text() == "accepted: mean of 2 tests"
+    assert reads(tile._note.text(), "result.accepted_mean", count=2)
     assert f"{tile._value.text()} {tile._rest.text()}" == ui.result.summary.cells["mass_kg"][1].text()
     press(qtbot, bar.undo)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
@@ -57,7 +59,7 @@ def test_repeats_are_counted_and_accepted(qtbot, open_window, bench, tmp_path):
     press(qtbot, bar.accept)
     qtbot.waitUntil(lambda: idle(window), timeout=WAIT_MS)
     assert bar.repeat.isHidden()
-    assert ui.result.summary.heading.text() == "Accepted result: mean of 2 repeats"
+    assert reads(ui.result.summary.heading.text(), "sitting.accepted_mean", count=2)
     assert any(line.what == "sitting.accepted" for line in _logged(window))
     run_test(qtbot, window, ui.start)
     assert bar.dots.accessibleName().startswith("1 of 5")
@@ -95,7 +97,7 @@ def test_a_stopped_test_does_not_count_and_another_site_begins_anew(qtbot, open_
     Holding.go.set()
     qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
     bar = ui.gate.repeats
-    assert bar.dots.accessibleName() == "0 of 5 repeats: 1 not counted"
+    assert bar.dots.accessibleName() == f"{made('sitting.repeats', done=0, count=5)}: 1 not counted"
     assert bar.repeat.isHidden()
     assert bar.accept.isHidden()
     first = window.clinician.sitting
@@ -191,11 +193,12 @@ def compared(folder, name, cancelled=None):
 def test_a_subject_is_compared_with_its_own_sittings_only(shelf_of):
     found = compared(shelf_of, "s0.h5")
     assert [(one.site, one.this) for one in found.sightings] == [("right calf", False), ("left calf", True)]
-    assert found.left_out == "1 file was passed over."
+    assert codes(found.left_out.values["parts"].items) == ["comparison.file_skipped"]
     assert 0.06 < found.sightings[0].values["mass_kg"].value < 0.1
     stopped = threading.Event()
     stopped.set()
-    assert compared(shelf_of, "s0.h5", stopped) == Comparison(left_out="The comparison was cancelled.")
+    cut = compared(shelf_of, "s0.h5", stopped)
+    assert (cut.sightings, code_of(cut.left_out)) == ((), "comparison.cancelled")
 
 
 def test_nobody_is_compared_with_everybody(saved):
@@ -209,7 +212,7 @@ def test_an_opened_session_is_compared_and_printed(qtbot, open_window, shelf_of)
     qtbot.waitUntil(lambda: idle(window) and window.findings is not None, timeout=WAIT_MS)
     card = window.ui.result.comparison
     assert card.isVisibleTo(window)
-    assert "right calf, this sitting" in card.accessibleName()
+    assert f"right calf, {THIS}" in card.accessibleName()
     assert "left calf" in card.accessibleName()
     assert window.ui.gate.repeats.isHidden()
     press(qtbot, window.ui.result.pdf)
@@ -272,7 +275,7 @@ def test_sittings_of_one_day_and_of_other_instruments_are_told_apart(shelf_of, m
         "2026-01-02 11:00  right calf",
         "2026-01-01 11:00  left calf",
     ]
-    assert found.remark == "† measured with another instrument: compare with care."
+    assert code_of(found.remark) == "comparison.other_instrument"
     assert compared(shelf_of, "s0.h5").sightings[0].other_instrument
     monkeypatch.undo()
     time.tzset()

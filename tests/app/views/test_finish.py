@@ -5,6 +5,7 @@ import json
 import pytest
 from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test
+from coded import reads
 
 from tissueid.app.units import shown_si
 from tissueid.app.views.clinician.finishing import finish
@@ -15,6 +16,7 @@ from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
 from tissueid.reports import pdf
 from tissueid.sessions.accepted_result import read_result
+from tissueid.sessions.quality import HEADLINES
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 
@@ -109,17 +111,17 @@ def test_the_good_test_is_accepted_shown_and_printed_after_a_broken_repeat(qtbot
     files = [repeat.path.name for repeat in window.clinician.sitting.repeats]
     assert window.findings.path.name == files[1]
     assert window.findings.test.status == "aborted"
-    assert (ui.gate.headline.text(), ui.gate.property("level")) == ("Do the test again", "poor")
+    assert (ui.gate.headline.text(), ui.gate.property("level")) == (HEADLINES["repeat"], "poor")
     good = window.clinician.sitting.repeats[0].findings.verdict
     word = {"good": "good", "check": "to be looked at"}[good.level]
     assert bar.dots.accessibleName() == f"1 of 5 repeats: 1 {word}, 2 not counted"
-    assert bar.accept.text() == "Finish: use test 1"
+    assert reads(bar.accept.text(), "sitting.finish_test", place=1)
     press(qtbot, bar.accept)
     settle(qtbot, window)
     assert window.findings.path.name == files[0]
     assert (ui.gate.headline.text(), ui.gate.property("level")) == (good.headline, good.level)
-    assert ui.result.summary.heading.text() == "Accepted result: this test"
-    assert "test 1 is the result" in ui.notice.text.text()
+    assert reads(ui.result.summary.heading.text(), "sitting.accepted_this")
+    assert reads(ui.notice.text.text(), "sitting.finished_test", place=1)
     check_agreement(qtbot, window, sitting.papers, tmp_path, files[:1])
     numbers = {number.label: number.found for number in window.findings.numbers if number.found is not None}
     assert numbers["Mass"].value == stored(tmp_path).values["mass_kg"].mean
@@ -131,10 +133,10 @@ def test_the_mean_is_accepted_printed_stored_and_read_back(qtbot, sitting, tmp_p
     bar = window.ui.gate.repeats
     files = [repeat.path.name for repeat in window.clinician.sitting.repeats]
     counted = [files[0], files[1], files[3]]
-    assert bar.accept.text() == "Finish: mean of tests 1, 2, 4"
+    assert reads(bar.accept.text(), "sitting.finish_tests", places="1, 2, 4")
     press(qtbot, bar.accept)
     settle(qtbot, window)
-    assert window.ui.result.summary.heading.text() == "Accepted result: mean of 3 repeats"
+    assert reads(window.ui.result.summary.heading.text(), "sitting.accepted_mean", count=3)
     check_agreement(qtbot, window, sitting.papers, tmp_path, counted)
     said = window.ui.result.summary.accessibleName()
     window.close()
@@ -149,7 +151,7 @@ def test_the_mean_is_accepted_printed_stored_and_read_back(qtbot, sitting, tmp_p
         press(qtbot, again.ui.result.pdf)
         settle(qtbot, again)
         (heading, _, rows), _ = sitting.papers[-1][3]["result"]
-        assert heading == "Accepted result: mean of 3 repeats"
+        assert reads(heading, "sitting.accepted_mean", count=3)
         assert list(map(tuple, rows)) == list(again.clinician.standing.rows().values())
     reports = sorted(path.name for path in tmp_path.glob("*.pdf"))
     assert len(reports) == 3

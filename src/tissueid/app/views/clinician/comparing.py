@@ -11,7 +11,7 @@ from pathlib import Path
 from tissueid.app.views.clinician.sitting import QUANTITIES, together, values_of
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import ANONYMOUS, clean, local_minute
-from tissueid.language import _, marked, plural
+from tissueid.messages import Message, sentences
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test, read_session, read_session_head
 from tissueid.sessions.quality import quality_of
@@ -28,7 +28,7 @@ OTHER_INSTRUMENT = "†"
 """Mark of a sitting that was measured with another instrument than the shown test."""
 
 
-OF_OTHERS = marked("† measured with another instrument: compare with care.")
+_OF_OTHERS = Message("comparison.other_instrument", "† measured with another instrument: compare with care.")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Comparison:
     @property
     def remark(self) -> str:
         """What to bear in mind where several instruments are compared; empty otherwise."""
-        return _(OF_OTHERS) if any(one.other_instrument for one in self.sightings) else ""
+        return _OF_OTHERS if any(one.other_instrument for one in self.sightings) else ""
 
 
 @dataclass
@@ -90,7 +90,7 @@ def compare_with(
     found: list[Sighting] = []
     for file in [path, *mine[:MOST_READ]]:
         if cancelled.is_set():
-            return Comparison(left_out=_("The comparison was cancelled."))
+            return Comparison(left_out=Message("comparison.cancelled", "The comparison was cancelled."))
         try:
             state = file.stat()
             key = (file, state.st_mtime_ns, state.st_size)
@@ -110,12 +110,12 @@ def compare_with(
         shown = [*shown[: MOST_SHOWN - 1], *(one for one in joined if one.this)]
     words = []
     if len(mine) > MOST_READ or len(joined) > len(shown):
-        words.append(_("Only the newest {count} sittings are shown.").format(count=len(shown)))
-    if skipped:
-        words.append(
-            plural("{count} file was passed over.", "{count} files were passed over.", skipped).format(count=skipped)
-        )
-    return Comparison(tuple(shown), " ".join(words))
+        words.append(Message("comparison.newest", "Only the newest {count} sittings are shown.", count=len(shown)))
+    if skipped == 1:
+        words.append(Message("comparison.file_skipped", "1 file was passed over."))
+    elif skipped:
+        words.append(Message("comparison.files_skipped", "{count} files were passed over.", count=skipped))
+    return Comparison(tuple(shown), sentences(*words) if words else "")
 
 
 def _files_of(folder: Path, pseudonym: str, path: Path, cancelled: threading.Event) -> tuple[list[Path], int]:

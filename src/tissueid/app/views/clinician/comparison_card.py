@@ -15,6 +15,7 @@ from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
 from tissueid.formatting import display_unit, label_and_unit
 from tissueid.language import _, marked
+from tissueid.messages import translated
 
 _ROW = 17
 _AROUND = 62
@@ -25,6 +26,7 @@ _LEGEND = marked(
     "Bars: one standard deviation, of the estimate where a sitting has one test, of its repeats otherwise."
 )
 READING = marked("Reading the subject's other sittings…")
+THIS = marked("this sitting")
 
 
 class ComparisonCard(QFrame):
@@ -78,7 +80,7 @@ class ComparisonCard(QFrame):
             self.hide()
             return
         self._build_plots()
-        self.words.setText(" ".join(filter(None, [comparison.remark, comparison.left_out])))
+        self.words.setText(" ".join(map(translated, filter(None, [comparison.remark, comparison.left_out]))))
         rows = range(len(sightings), 0, -1)
         self._ticks = [(row, one.label) for row, one in zip(rows, sightings, strict=True)]
         for card, (bars, dots), quantity in zip(self.cards, self._parts, QUANTITIES, strict=True):
@@ -101,7 +103,7 @@ class ComparisonCard(QFrame):
             card.setFixedHeight(_AROUND + _ROW * max(3, len(sightings)))
             card.show()
         self._label()
-        said = "; ".join(f"{one.label}{', ' + _('this sitting') if one.this else ''}" for one in sightings)
+        said = "; ".join(f"{one.label}{', ' + _(THIS) if one.this else ''}" for one in sightings)
         self.setAccessibleName(_("Comparison of {count} sittings: {said}").format(count=len(sightings), said=said))
         self.show()
 
@@ -112,7 +114,7 @@ class ComparisonCard(QFrame):
         row.setSpacing(8)
         for place, quantity in enumerate(QUANTITIES):
             name, si_unit = label_and_unit(quantity)
-            key = {_("this sitting"): "model", _("others"): "measured"} if place == 0 else {}
+            key = {_(THIS): "model", _("others"): "measured"} if place == 0 else {}
             card = PlotCard(_(name), _("± one SD"), display_unit(si_unit)[0], key=key, unit_of="bottom")
             bars = [card.line(role, width=2) for role in ("measured", "model")]
             dots = [card.dots(role, size) for role, size in (("measured", 8), ("model", 11))]

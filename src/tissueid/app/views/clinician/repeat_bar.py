@@ -12,6 +12,7 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.sitting import NORM, Sitting
 from tissueid.language import _, marked
+from tissueid.messages import Message, translated
 
 _COLOURS = {"good": "good", "look": "check", "repeat": "poor", None: "muted"}
 _WORDS = {
@@ -21,7 +22,7 @@ _WORDS = {
     None: marked("not judged"),
 }
 
-_FINISH_ONE = marked("Finish: use this test")
+_FINISH_ONE = Message("sitting.finish", "Finish: use this test")
 
 
 class RepeatBar(QWidget):
@@ -40,13 +41,22 @@ class RepeatBar(QWidget):
         self.dots.setTextFormat(Qt.TextFormat.RichText)
         self.repeat = QPushButton(_("Measure again"))
         self.repeat.setToolTip(
-            _("The same test once more, into a file of its own. Five are usual: their mean is steadier than one test")
+            translated(
+                Message(
+                    "sitting.repeat_tip",
+                    "The same test once more, into a file of its own. Five are usual: their mean is steadier than one "
+                    "test",
+                )
+            )
         )
-        self.accept = QPushButton(_(_FINISH_ONE))
+        self.accept = QPushButton(translated(_FINISH_ONE))
         self.accept.setToolTip(
-            _(
-                "Enough was measured here: the mean of the tests that count is the result, and the next test begins a "
-                "new sitting. No file is changed or deleted"
+            translated(
+                Message(
+                    "sitting.finish_tip",
+                    "Enough was measured here: the mean of the tests that count is the result, and the next test "
+                    "begins a new sitting. No file is changed or deleted",
+                )
             )
         )
         self.undo = QPushButton(_("Undo Finish"))
@@ -71,14 +81,26 @@ class RepeatBar(QWidget):
         self._shown = tuple(repeat.verdict if repeat.counts else "repeat" for repeat in sitting.repeats)
         self._left = max(0, NORM - sitting.counted)
         newest = bool(sitting.repeats) and sitting.repeats[-1].counts
-        self.repeat.setText(_("Measure again ({number} of {count})").format(number=sitting.counted + 1, count=NORM))
+        self.repeat.setText(
+            translated(
+                Message(
+                    "sitting.measure_again",
+                    "Measure again ({number} of {count})",
+                    number=sitting.counted + 1,
+                    count=NORM,
+                )
+            )
+        )
         self.repeat.setVisible(newest and self._left > 0 and not sitting.accepted)
         self.accept.setVisible(sitting.counted > 0 and not sitting.accepted)
         self.accept.setText(_finish(sitting))
         self.undo.setVisible(sitting.accepted)
         said = ", ".join(f"{place} {_(_WORDS[verdict])}" for place, verdict in enumerate(self._shown, 1))
-        count = _("{done} of {count} repeats, finished") if sitting.accepted else _("{done} of {count} repeats")
-        count = count.format(done=sitting.counted, count=NORM)
+        done = {"done": sitting.counted, "count": NORM}
+        if sitting.accepted:
+            count = translated(Message("sitting.repeats_finished", "{done} of {count} repeats, finished", **done))
+        else:
+            count = translated(Message("sitting.repeats", "{done} of {count} repeats", **done))
         self.dots.setAccessibleName(f"{count}: {said}")
         self.dots.setToolTip(
             _("{count}. Green: good. Yellow: to be looked at. Red: not counted. Ring: to come.").format(count=count)
@@ -114,7 +136,13 @@ def _finish(sitting: Sitting) -> str:
     """What the button accepts: the only test, one of several by its place, or the mean of those that count."""
     places = sitting.places
     if len(places) == 1:
-        return _(_FINISH_ONE) if len(sitting.repeats) == 1 else _("Finish: use test {place}").format(place=places[0])
+        return (
+            translated(_FINISH_ONE)
+            if len(sitting.repeats) == 1
+            else translated(Message("sitting.finish_test", "Finish: use test {place}", place=places[0]))
+        )
     if len(places) == len(sitting.repeats):
-        return _("Finish: mean of {count}").format(count=len(places))
-    return _("Finish: mean of tests {places}").format(places=", ".join(map(str, places)))
+        return translated(Message("sitting.finish_mean", "Finish: mean of {count}", count=len(places)))
+    return translated(
+        Message("sitting.finish_tests", "Finish: mean of tests {places}", places=", ".join(map(str, places)))
+    )

@@ -14,7 +14,7 @@ import numpy as np
 from tissueid.app.plan import Plan
 from tissueid.formatting import display_unit, fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
-from tissueid.messages import MISSING
+from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue
@@ -230,9 +230,13 @@ def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Find
     if result is not None:
         inside = result.holds(shown.session.session_id, shown.test.number)
         if result.count > 1:
-            heading = _("Accepted result: mean of {count} repeats").format(count=result.count)
+            heading = translated(
+                Message("sitting.accepted_mean", "Accepted result: mean of {count} repeats", count=result.count)
+            )
         else:
-            heading = _("Accepted result: this test") if inside else _("Accepted result: another test of this sitting")
+            one = Message("sitting.accepted_this", "Accepted result: this test")
+            other = Message("sitting.accepted_other", "Accepted result: another test of this sitting")
+            heading = translated(one if inside else other)
         remarks = [] if inside else [_("The test that is shown below does not belong to it.")]
         values = {name: value for name, value in result.values.items() if name in QUANTITIES}
         tests = _("Tests: {names}").format(names=", ".join(test.file for test in result.tests))
@@ -240,7 +244,7 @@ def standing(sitting: Sitting | None, result: AcceptedResult | None, shown: Find
     if sitting is None or sitting.counted < 2:
         return None
     values = sitting.values
-    heading = _("Mean so far of {count} repeats").format(count=sitting.counted)
+    heading = translated(Message("sitting.mean_so_far", "Mean so far of {count} repeats", count=sitting.counted))
     return Standing(heading, values, "", " ".join(_identical(values)))
 
 

@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 )
 
 from tissueid.app.calibration_state import CalibrationState
+from tissueid.app.chooser import TYPED
 from tissueid.app.context import AppContext
 from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.theme import Theme
@@ -38,6 +39,7 @@ from tissueid.app.words import RESEARCH_USE
 from tissueid.audit import Role
 from tissueid.formatting import clean
 from tissueid.language import _, marked, plural
+from tissueid.messages import code_of, translated
 
 WHAT_ROLES_DO: dict[Role, str] = {
     "clinician": marked(
@@ -53,7 +55,8 @@ WHAT_ROLES_DO: dict[Role, str] = {
     ),
 }
 HINT = marked("No instrument? simulated://forearm plays one.")
-TYPED = marked("Typed address: tried when the test starts.")
+_LEVELS = {"instruments.ready": "good", "instruments.no_answer": "poor"}
+"""Levels of a colour by the code of the state of an instrument."""
 _MOST_NAMES = 3
 
 
@@ -134,26 +137,28 @@ class StartView(View):
         self._soon.start()
 
     def show_instruments(self, known: Mapping[str, tuple[str, CalibrationState]], chosen: str) -> None:
-        """Show what was found, health and calibration in words; ``chosen`` is what the next test is with."""
+        """Show what was found, its state, a message, and calibration; ``chosen`` is what the next test is with."""
         urls = list(known)
         if chosen and chosen not in known:
             urls.insert(0, chosen)
         lines = []
         for url in urls:
-            health, state = known.get(url, (_(TYPED), CalibrationState()))
-            level = (
-                "good" if health.startswith(_("Ready")) else "poor" if health.startswith(_("Does not answer")) else ""
-            )
+            health, state = known.get(url, (TYPED, CalibrationState()))
+            level = _LEVELS.get(code_of(health), "")
             calibration = _calibration(state)
             mark = "✓ " if url == chosen else ""
             lines.append(
-                ((f"{mark}{clean(url)}", ""), (brief(clean(health)), level), (clean(calibration), state.level))
+                (
+                    (f"{mark}{clean(url)}", ""),
+                    (brief(clean(translated(health))), level),
+                    (clean(calibration), state.level),
+                )
             )
         self._urls = urls
         self.instruments.fill(lines)
         for row, url in enumerate(urls):
-            health, state = known.get(url, (_(TYPED), CalibrationState()))
-            self.instruments.explain(row, "\n".join([health, _(state.words), *state.warnings]))
+            health, state = known.get(url, (TYPED, CalibrationState()))
+            self.instruments.explain(row, "\n".join([translated(health), _(state.words), *state.warnings]))
         self.about_instruments.setText(
             _("The next test is with {url}.").format(url=clean(chosen)) if chosen else _("None is chosen.")
         )
