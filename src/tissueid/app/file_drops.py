@@ -12,6 +12,7 @@ from PySide6.QtGui import QDropEvent
 from PySide6.QtWidgets import QWidget
 
 from tissueid.app.context import AppContext
+from tissueid.app.job_control import JobControl
 from tissueid.app.pages import Pages
 from tissueid.app.words import sentence
 from tissueid.atomic_write import private_folder
@@ -21,7 +22,8 @@ from tissueid.messages import translated
 from tissueid.procedures.output_files import unused_path
 
 if TYPE_CHECKING:  # imports are seldom: the window starts without their readers
-    from tissueid.app.import_dialog import ImportDialog, ImportPlan, Preview
+    from tissueid.app.import_dialog import ImportDialog, Preview
+    from tissueid.procedures.import_export import ImportPlan
     from tissueid.sessions.imports import ImportedSession
 
 RECORDS = "*.csv *.txt *.tsv *.mat *.lvm"
@@ -40,6 +42,7 @@ class FileDrops(QObject):
         self._context, self._pages, self._folder, self._window = context, pages, folder, window
         self.dialog: ImportDialog | None = None
         self._out = Path()
+        self._control = JobControl()
 
     def can_take(self, paths: list[Path]) -> bool:
         """Return whether these may be opened now: not while a coil may be energised or work goes on."""
@@ -83,40 +86,27 @@ class FileDrops(QObject):
         self.dialog = None
 
     def _import(self, plan: ImportPlan) -> None:
-        from tissueid.sessions.imports import import_session
+        from tissueid.procedures.import_export import run_import
 
-        self._out, trail = plan.out, self._context.trail
+        self._out, self._control = plan.out, JobControl()
         if plan.out.parent == self._context.services.folder:
             private_folder(plan.out.parent)
-
-        def work() -> ImportedSession:
-            made = import_session(
-                plan.sources,
-                plan.wanted,
-                [plan.choices] * len(plan.sources),
-                plan.out,
-                pseudonym=plan.pseudonym,
-                rate_hz=plan.rate_hz,
-            )
-            samples = sum(test.samples for test in made.session.tests)
-            new = {"tests": len(made.session.tests), "samples": samples}
-            trail.note("session.imported", subject=made.session.session_id, new=new)
-            return made
-
         why = _("Records are being imported: wait a moment.")
+        work = functools.partial(run_import, plan, self._control, self._context.trail)
         self._context.jobs.do(work, self._imported, self._not_imported, why=why)
 
     def _imported(self, made: ImportedSession) -> None:
+        problems = self._control.notices
         if self.dialog is not None:
             self.dialog.accept()
         count = len(made.session.tests)
         said = plural("Imported {count} test into {path}.", "Imported {count} tests into {path}.", count)
-        doubts = [*(notice for test in made.tests for notice in test.notices), *made.notices]
+        doubts = [*(notice for test in made.tests for notice in test.notices), *made.notices, *problems]
         words = [said.format(count=count, path=clean(str(self._out))), *(sentence(translated(one)) for one in doubts)]
         self._pages.on_session_saved(self._out)
         if not self._pages.show_new(self._out):
             self._context.open_session(self._out)
-        self._context.say(" ".join(words))
+        self._context.say(" ".join(words), problem=bool(problems))
 
     def _not_imported(self, words: str) -> None:
         if self.dialog is not None:

@@ -32,11 +32,10 @@ from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, number
 from tissueid.language import _, marked
 from tissueid.messages import Message
+from tissueid.procedures.import_export import ImportPlan
 from tissueid.sessions import KINDS
 from tissueid.sessions.imports import (
     ROLES,
-    Choices,
-    Source,
     alternatives,
     guessed_role,
     open_foreign,
@@ -92,18 +91,6 @@ class Preview:
     format: str
     columns: tuple[ColumnPreview, ...]
     described: bool
-
-
-@dataclass(frozen=True)
-class ImportPlan:
-    """What is to be imported, as ``import_session`` takes it."""
-
-    sources: tuple[Source, ...]
-    wanted: dict[str, tuple[str, str]] | None
-    choices: Choices
-    out: Path
-    pseudonym: str | None
-    rate_hz: float | None
 
 
 def preview_of(paths: Sequence[Path]) -> Preview:
@@ -184,22 +171,25 @@ class ImportDialog(QDialog):
         Raises:
             UnusableInputError: the columns, units or numbers do not make an import.
         """
-        wanted = None
+        mapping = []
         if not self._preview.described:
-            options = []
             for row in range(self.table.rowCount()):
                 role, unit = self._role(row).currentData(), self._unit(row).currentText().strip()
                 if role:
-                    options.append(f"{role}={row + 1}:{unit}" if unit else f"{role}={row + 1}")
-            wanted = parse_map(options)
+                    mapping.append(f"{role}={row + 1}:{unit}" if unit else f"{role}={row + 1}")
+            parse_map(mapping)
         rows = Rows(_whole(self.first), _whole(self.last))
+        suffix = "" if rows == Rows() else f"@{rows}"
+        kind, site, configuration = self.kind.currentData(), self.site.text().strip(), self.configuration.currentData()
         return ImportPlan(
-            tuple(Source(path, rows) for path in self._preview.paths),
-            wanted,
-            Choices(self.kind.currentData(), self.site.text().strip() or None, self.configuration.currentData()),
-            Path(self.out.text().strip()),
-            self.subject.text().strip() or None,
-            _rate(self.rate),
+            files=tuple(Path(f"{path}{suffix}") for path in self._preview.paths),
+            out=Path(self.out.text().strip()),
+            mapping=tuple(mapping),
+            rate_hz=_rate(self.rate),
+            kinds=(kind,) if kind else (),
+            sites=(site,) if site else (),
+            configurations=(configuration,) if configuration else (),
+            subject=self.subject.text().strip() or None,
         )
 
     def say(self, words: str) -> None:
@@ -339,11 +329,8 @@ def _rate(field: QLineEdit) -> float | None:
     if not text:
         return None
     try:
-        rate_hz = float(text)
+        return float(text)
     except ValueError:
-        rate_hz = 0.0
-    if not 1e-6 <= rate_hz <= 1e9:
         raise UnusableInputError(
             Message("import.rate", "the sample rate is a number above 0, not {text}", text=clean(text)[:20])
-        )
-    return rate_hz
+        ) from None

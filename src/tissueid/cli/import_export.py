@@ -1,108 +1,124 @@
-"""Options of ``tissueid import`` and ``tissueid export``."""
+"""``tissueid import`` and ``tissueid export``."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tissueid.cli.audit_records import audit_trail
+from tissueid.cli.output import (
+    ConsoleControl,
+    check_json,
+    human_output,
+    messages_json,
+    progress_bars,
+    table,
+    write_json,
+)
+from tissueid.cli.plan_command import plan_command
+from tissueid.formatting import clean, number
+from tissueid.procedures.import_export import ExportPlan, ImportPlan, run_export, run_import
+from tissueid.procedures.output_files import check_different
+
+if TYPE_CHECKING:  # takes long to import
+    from tissueid.sessions import Test
+    from tissueid.sessions.imports import Imported
+
 _JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="write the result as JSON; - prints it")]
-_EACH = "; once for all tests, or once for each in order"
 
 
-def import_command(
-    files: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="FILE[@FIRST:LAST]...",
-            help="CSV, MAT or LVM file, one test each; rows from 0, LAST excluded, negative rows count from the end",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[Path, typer.Option("--out", metavar="SESSION", help="new session file; never overwritten")],
-    mapping: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map",
-            metavar="ROLE=COLUMN:UNIT",
-            help="which column is which signal: time, force, position, command, voltage, current, temperature, "
-            "or input and output of another system. COLUMN is a name, or a number from 1; "
-            "without UNIT, the file must contain it",
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="sample rate of a file without times")
-    ] = None,
-    resample: Annotated[
-        float | None, typer.Option("--resample", metavar="HZ", help="interpolate irregular times to this rate")
-    ] = None,
-    kind: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--kind", metavar="KIND", help=f"stochastic, quiet, slow_ramp, step_hold, spring or free_air{_EACH}"
-        ),
-    ] = None,
-    site: Annotated[
-        list[str] | None, typer.Option("--site", metavar="TEXT", help=f"site on the body, or material{_EACH}")
-    ] = None,
-    configuration: Annotated[
-        list[str] | None,
-        typer.Option("--configuration", metavar="NAME", help=f"indentation, extension or surface{_EACH}"),
-    ] = None,
-    preload: Annotated[
-        list[float] | None,
-        typer.Option("--preload", metavar="SECONDS", help=f"length of the preload at the beginning{_EACH}"),
-    ] = None,
-    surface: Annotated[
-        list[float] | None,
-        typer.Option("--surface", metavar="METRE", help=f"position of the tissue surface{_EACH}"),
-    ] = None,
-    subject: Annotated[
-        str | None, typer.Option("--subject", metavar="PSEUDONYM", help="pseudonym, never a name")
-    ] = None,
-    instrument: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--instrument",
-            metavar="KEY=VALUE",
-            help="a value of the instrument in SI units, such as moving_mass_kg=0.06",
-        ),
-    ] = None,
-    json_file: _JsonFile = None,
-) -> None:
+@plan_command
+def import_command(plan: ImportPlan, json_file: _JsonFile = None) -> None:
     """Import CSV, MAT or LVM files as a session. Files of 'tissueid export' need no --map."""
-    from tissueid.cli.importing import ImportPlan, run_import
-
-    run_import(
-        ImportPlan(
-            files=tuple(files),
-            out=out,
-            mapping=tuple(mapping or ()),
-            rate_hz=rate,
-            resample_hz=resample,
-            kinds=tuple(kind or ()),
-            sites=tuple(site or ()),
-            configurations=tuple(configuration or ()),
-            preloads_s=tuple(preload or ()),
-            surfaces_m=tuple(surface or ()),
-            subject=subject,
-            instrument=tuple(instrument or ()),
-            json_file=json_file,
-        )
-    )
+    check_json(json_file)
+    check_different(plan.out, json_file)
+    with progress_bars() as show:
+        made = run_import(plan, ConsoleControl(show), audit_trail())
+    tests = [_answer(item, test) for item, test in zip(made.tests, made.session.tests, strict=True)]
+    _print_result(plan.out, json_file, tests, made.notices)
+    if json_file is not None:
+        answer: dict[str, Any] = {
+            "session": str(plan.out),
+            "session_id": made.session.session_id,
+            "tests": tests,
+            "notices": list(made.notices),
+            "notice_messages": messages_json(made.notices),
+        }
+        write_json(json_file, answer)
 
 
-def export_command(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="new or empty folder")],
-    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="csv, mat or parquet")],
-    json_file: _JsonFile = None,
-) -> None:
+def _answer(item: Imported, test: Test) -> dict[str, Any]:
+    """Return the summary of one test for JSON."""
+    import numpy as np
+
+    signals = {}
+    for column in item.columns:
+        values = test.signals[column.role]
+        some = bool(np.isfinite(values).any())
+        signals[column.role] = {
+            "column": column.header,
+            "unit": column.unit.symbol,
+            "si_unit": column.unit.si,
+            "missing": int(np.isnan(values).sum()),
+            "minimum": float(np.nanmin(values)) if some else None,
+            "maximum": float(np.nanmax(values)) if some else None,
+        }
+    return {
+        "test": test.number,
+        "file": str(item.source.path),
+        "format": item.format,
+        "rows": [item.rows.start, item.rows.stop],
+        "kind": test.kind,
+        "site": test.site,
+        "samples": test.samples,
+        "sample_rate_hz": test.sample_rate_hz,
+        "signals": signals,
+        "notices": list(item.notices),
+        "notice_messages": messages_json(item.notices),
+    }
+
+
+def _print_result(path: Path, json_file: Path | None, tests: Sequence[dict[str, Any]], notices: Sequence[str]) -> None:
+    out = human_output(json_file)
+    if not out.is_terminal:
+        out.width = 120
+    rows = table(str(path), "test", "kind", "samples", "rate Hz", "signal", "column", "unit", "from", "to", "missing")
+    for test in tests:
+        first = [str(test["test"]), test["kind"], str(test["samples"]), number(test["sample_rate_hz"], 6)]
+        for name, signal in test["signals"].items():
+            ends = (number(signal["minimum"]), number(signal["maximum"]), str(signal["missing"]))
+            rows.add_row(*first, name, clean(signal["column"]), signal["si_unit"], *ends)
+            first = [""] * 4
+    out.print(rows)
+    for test in tests:
+        for notice in test["notices"]:
+            out.print(f"test {test['test']}: {notice}", markup=False, soft_wrap=True)
+    for notice in notices:
+        out.print(notice, markup=False, soft_wrap=True)
+
+
+@plan_command
+def export_command(plan: ExportPlan, json_file: _JsonFile = None) -> None:
     """Export a session for other programs, one file per test.
 
     The attributes of each test are written as JSON next to it.
     """
-    from tissueid.cli.importing import run_export
-
-    run_export(session, out, kind, json_file)
+    check_json(json_file)
+    check_different(plan.out, json_file)
+    with progress_bars() as show:
+        made = run_export(plan, ConsoleControl(show), audit_trail())
+    out = human_output(json_file)
+    out.print(f"{plan.out} contains {len(made.session.tests)} test(s), each with its attributes in JSON:", markup=False)
+    for test, name in zip(made.session.tests, made.files[::2], strict=True):
+        out.print(f"  {name}: {test.kind}, {test.samples} samples", markup=False)
+    if json_file is not None:
+        answer = {
+            "folder": str(plan.out),
+            "format": plan.kind,
+            "session_id": made.session.session_id,
+            "files": list(made.files),
+        }
+        write_json(json_file, answer)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from tissueid.app.views.researcher.background_work import BackgroundWork
 from tissueid.app.views.researcher.selected_test import SelectedTest
-from tissueid.app.words import in_words
+from tissueid.app.words import in_words, sentence
 from tissueid.audit import AuditTrail
 from tissueid.errors import CancelledError, TissueIDError
 from tissueid.language import _, marked
-from tissueid.sessions import read_session_head, read_test
-from tissueid.sessions.imports import export_session
+from tissueid.messages import translated
+from tissueid.procedures.import_export import ExportPlan, run_export
 
 EXPORTS = {"csv": marked("CSV tables"), "mat": marked("MATLAB files"), "parquet": marked("Parquet tables")}
 
@@ -45,6 +44,7 @@ class SessionExport(BackgroundWork):
                     self.problems.append(in_words(error))
         except CancelledError:
             pass  # what is written stays
+        self.problems += [sentence(translated(notice)) for notice in self.notices]
         return self
 
     @property
@@ -63,20 +63,15 @@ class SessionExport(BackgroundWork):
         return " ".join([*said, *dict.fromkeys(self.problems)])
 
     def _export(self, path: Path, numbers: Sequence[int]) -> None:
-        self.tell(self._begun)
-        session = read_session_head(path)
-        tests = []
-        for number in numbers:
-            tests.append(read_test(path, number))
-            self.tell(self._begun)
+        self.check()
         folder = self._free_name(path.stem)
-        export_session(replace(session, tests=tuple(tests)), folder, self._kind, self._on_progress)
+        plan = ExportPlan(session=path, out=folder, kind=self._kind, tests=tuple(numbers))
+        run_export(plan, self, self._trail)
         self.written.append(folder)
-        counts = {"tests": len(tests), "format": self._kind}
-        self._trail.record("session.exported", subject=session.session_id, new=counts)
 
-    def _on_progress(self, share: float) -> None:
-        self.tell(self._begun + share / len(self._tests))
+    def progress(self, fraction: float | None, step: str) -> None:
+        """Keep the completed share of all sessions."""
+        super().progress(self._begun + (fraction or 0.0) / len(self._tests), step)
 
     def _free_name(self, stem: str) -> Path:
         """Return an unused folder."""
