@@ -10,13 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, cast
 
+import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt
 from PySide6.QtGui import QContextMenuEvent, QKeyEvent, QMouseEvent, QResizeEvent, QShowEvent, QWheelEvent
 from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, QVBoxLayout, QWidget
 
+from tissueid.analysis.curves.plot import Axis
 from tissueid.app.theme import LIGHT, Theme
 from tissueid.app.units import shown
 from tissueid.app.words import sentence
+from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.messages import translated
 
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.backend_bases import MouseButton
     from mpl_toolkits.mplot3d import Axes3D
 
-    from tissueid.analysis.curves import Plot
+    from tissueid.analysis.curves import Plot, Surface
     from tissueid.reports.plot_renderer import DrawnLine, Look
 
 FILES = {
@@ -39,6 +42,8 @@ _STEP = 0.1
 """Share of the range by which an arrow key moves."""
 _TURN = 10.0
 """Angle by which an arrow key turns a surface, degrees."""
+_HOW_FLAT = marked("Drag to move, turn the wheel to look closer; a double click shows everything")
+_HOW = marked("Drag or use the arrow keys to turn it, the wheel or + and − to come closer; Home turns it back.")
 _WIDTH, _HEIGHT = 7.2, 3.2
 """Size of a saved panel, inches."""
 
@@ -78,7 +83,6 @@ class PlotCanvas(QFrame):
         self._inside.addWidget(self._missing, 1)
         self.setMinimumHeight(150)
         self.setAccessibleName(name)
-        self.setToolTip(_("Drag to move, turn the wheel to look closer; a double click shows everything"))
 
     def show_plots(self, plots: Sequence[Plot], *, relief: bool = False, key: bool = True) -> None:
         """Draw plots, at once or when the widget is shown.
@@ -94,6 +98,7 @@ class PlotCanvas(QFrame):
         self._missing.setText(" ".join(reasons))
         self._missing.setVisible(empty)
         self.readout.hide()
+        self.setToolTip(_(_HOW) if relief else _(_HOW_FLAT))
         if self._canvas is not None:
             self._canvas.setVisible(not empty)
         self._describe()
@@ -263,8 +268,10 @@ class PlotCanvas(QFrame):
             return
         x, y = axes.transData.inverted().transform(at)
         plot = self.plots[self.axes.index(axes)]
-        ends = ((float(x), plot.x.unit), (float(y), plot.y.unit))
-        self.readout.setText("   ".join(f"{value:.4g} {shown(unit)[0]}".strip() for value, unit in ends))
+        ends = [(float(x), shown(plot.x.unit)[0]), (float(y), shown(plot.y.unit)[0])]
+        if plot.surface is not None:
+            ends.append(_value_at(plot, plot.surface, float(x), float(y)))
+        self.readout.setText("   ".join(f"{value:.4g} {unit}".strip() for value, unit in ends))
         self.readout.adjustSize()
         self.readout.move(self.width() - self.readout.width() - 10, 6)
         self.readout.raise_()
@@ -366,10 +373,15 @@ class PlotCanvas(QFrame):
         """Give the canvas its accessible name."""
         names = [self._name] if self._name else [translated(plot.title) for plot in self.plots]
         title = ", ".join(dict.fromkeys(filter(None, names)))
-        units = ", ".join(dict.fromkeys(filter(None, (shown(plot.y.unit)[0] for plot in self.plots))))
+        every = (plot.surface.unit if plot.surface else plot.y.unit for plot in self.plots)
+        units = ", ".join(dict.fromkeys(filter(None, (shown(unit)[0] for unit in every))))
+        extremes = " ".join(filter(None, (_extremes(plot) for plot in self.plots)))
+        if self._relief:
+            extremes = f"{extremes} {_(_HOW)}"
         text = _("Plot: {title}, {unit}") if units else _("Plot: {title}")
         for widget in [self] if self._canvas is None else [self, self._canvas]:
             widget.setAccessibleName(text.format(title=title, unit=units))
+            widget.setAccessibleDescription(extremes)
 
     @property
     def _scrolled(self) -> bool:
@@ -389,6 +401,37 @@ class PlotCanvas(QFrame):
 
     def _axes_at(self, at: tuple[float, float]) -> Axes | None:
         return next((axes for axes in self.axes if axes.bbox.contains(*at)), None)
+
+
+def _extremes(plot: Plot) -> str:
+    """Return in words where the surface of a plot has its largest and its smallest value; "" without a surface."""
+    surface = plot.surface
+    if surface is None or not np.isfinite(surface.values).any():
+        return ""
+    words = []
+    for place, text in (
+        (np.nanargmax(surface.values), _("Greatest {value} at {x} and {y}.")),
+        (np.nanargmin(surface.values), _("Least {value} at {x} and {y}.")),
+    ):
+        row, column = np.unravel_index(place, surface.values.shape)
+        value = _value(Axis("", surface.unit), float(surface.values[row, column]))
+        x, y = _value(plot.x, float(surface.x[column])), _value(plot.y, float(surface.y[row]))
+        words.append(text.format(value=value, x=x, y=y))
+    return " ".join(words)
+
+
+def _value(axis: Axis, value: float) -> str:
+    """Return quantity, value and unit."""
+    unit, factor = shown(axis.unit)
+    return " ".join(filter(None, [translated(axis.label), number(factor * value, 3), unit]))
+
+
+def _value_at(plot: Plot, surface: Surface, x: float, y: float) -> tuple[float, str]:
+    """Return the value of the surface of a plot nearest to a point in the active units, and its unit."""
+    column = int(np.argmin(np.abs(shown(plot.x.unit)[1] * surface.x - x)))
+    row = int(np.argmin(np.abs(shown(plot.y.unit)[1] * surface.y - y)))
+    unit, factor = shown(surface.unit)
+    return factor * float(surface.values[row, column]), unit
 
 
 def _in_space(axes: Axes) -> TypeGuard[Axes3D]:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from tissueid.analysis import EngineComparison, Scored, SweepRow
 from tissueid.analysis.curves.plot import CONFIDENCE
+from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, display_unit
 from tissueid.identification import engine_label
@@ -33,7 +34,6 @@ from tissueid.reports.style import (
     log_axis,
     new_figure,
 )
-from tissueid.reports.units import kernel_unit
 
 _MARKERS = "os^DvPX*<>"
 NO_MEMORY_SWEEP = Message(

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from numpy.typing import NDArray
 
+from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label
 from tissueid.gap.dataset import DatasetTest
@@ -21,7 +22,7 @@ from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.reports.gap_chain import draw_chain
 from tissueid.reports.panel_sheet import Panel, missing_panel
-from tissueid.reports.panels import image
+from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import BLUE, DASHES, GREEN, INK, MUTED, ORANGE, SHADE, frequency_axis, log_axis
 from tissueid.twin.effect import STAGE_NAMES
 
@@ -250,10 +251,8 @@ def draw_surface(figure: FigureBase, found: Diagnosis) -> None:
     surface = found.where.regions.surface
     if surface is None:
         raise UnusableInputError(Message("report.no_surface", "too little of depth and velocity was visited"))
-    axes = figure.subplots(1, 1)
-    image(axes, 1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, _("Residual (× noise)"))
-    axes.set_xlabel(_("Depth (mm)"))
-    axes.set_ylabel(_("Velocity (mm/s)"))
+    values = Surface(1e3 * surface.depth_m, 1e3 * surface.velocity_m_s, surface.residual, marked("Residual"), "× noise")
+    draw_plot(figure.subplots(1, 1), Plot("", Axis(marked("Depth"), "mm"), Axis(marked("Velocity"), "mm/s"), (values,)))
 
 
 def draw_ranking(figure: FigureBase, found: Diagnosis) -> None:

@@ -13,6 +13,8 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
@@ -176,14 +178,42 @@ def draw_plots(
 
 
 def draw_relief(
-    figure: Figure, plot: Plot, look: Look = PAGE, *, units: Units = clinical, title: bool = True
+    figure: Figure,
+    plot: Plot,
+    look: Look = PAGE,
+    *,
+    units: Units = clinical,
+    title: bool = True,
+    place: tuple[int, int, int] = (1, 1, 1),
+    scale: bool = True,
 ) -> Axes3D:
-    """Draw the surface of a plot in space."""
-    axes = cast(Axes3D, figure.add_subplot(1, 1, 1, projection="3d"))
+    """Draw the surface of a plot in space.
+
+    Args:
+        figure: the figure to draw into.
+        plot: a plot with a surface.
+        look: colours.
+        units: units of the reader.
+        title: whether the title stands above.
+        place: rows, columns and number of the part of the figure.
+        scale: whether the heights have numbers and a label.
+    """
+    axes = cast(Axes3D, figure.add_subplot(*place, projection="3d"))
     draw_plot(axes, plot, look, units=units, title=title)
     surface = plot.surface
-    if surface is not None:
+    if not scale:
+        axes.set_zticklabels([])
+    elif surface is not None:
         axes.set_zlabel(label_of(Axis(surface.name, surface.unit), units))
+        dress(axes, look)
+    return axes
+
+
+def draw_kernel(figure: Figure, plot: Plot) -> Axes:
+    """Draw a surface as an image, and in space to its right; return the axes of the image."""
+    axes = figure.add_subplot(1, 2, 1)
+    draw_plot(axes, plot, title=False)
+    draw_relief(figure, plot, title=False, place=(1, 2, 2), scale=False)
     return axes
 
 
@@ -203,7 +233,7 @@ def dress(axes: Axes, look: Look) -> None:
             spine.set_color(look.muted)
             spine.set_linewidth(0.8)
             spine.set_visible(side in ("left", "bottom"))
-        if axes.images:
+        if axes.images or any(isinstance(one, QuadMesh) for one in axes.collections):
             axes.grid(visible=False)
         elif axes.axison:
             axes.grid(visible=True, color=look.grid, linewidth=0.7)
@@ -212,6 +242,8 @@ def dress(axes: Axes, look: Look) -> None:
     labels: list[Any] = [axes.xaxis.label, axes.yaxis.label, *titles]
     if isinstance(axes, Axes3D):
         labels.append(axes.zaxis.label)
+        for axis in cast(Any, axes)._axis_map.values():  # there is no public way to colour this grid
+            axis._axinfo["grid"].update(color=look.grid, linewidth=0.7)
     for text in labels:
         if isinstance(text, Text):
             text.set(color=look.ink, fontsize=look.font_size)
@@ -275,17 +307,17 @@ def _bars(axes: Axes, bars: Bars, factors: tuple[float, float], look: Look) -> N
 def _image(axes: Axes, surface: Surface, factors: tuple[float, float], units: Units, look: Look) -> None:
     x, y = factors[0] * surface.x, factors[1] * surface.y
     unit, factor = units(surface.unit)
-    values, top = factor * surface.values, _top(factor * surface.values)
-    drawn = axes.imshow(
-        values,
-        origin="lower",
-        extent=(*_edges(x), *_edges(y)),
-        aspect="auto",
-        cmap=DIVERGING if surface.signed else SEQUENTIAL,
-        vmin=-top if surface.signed else 0.0,
-        vmax=top,
-        interpolation="nearest",
-    )
+    values = factor * surface.values
+    top = factor * surface.limit if surface.limit else _top(values)
+    usual: dict[str, Any] = {"cmap": DIVERGING if surface.signed else SEQUENTIAL, "vmax": top}
+    usual["vmin"] = -top if surface.signed else 0.0
+    drawn: ScalarMappable
+    if surface.edges is None:
+        extent = (*_edges(x), *_edges(y))
+        drawn = axes.imshow(values, origin="lower", extent=extent, aspect="auto", interpolation="nearest", **usual)
+    else:
+        columns = np.linspace(*_edges(x), x.size + 1)
+        drawn = axes.pcolormesh(columns, factors[1] * surface.edges, values, rasterized=True, linewidth=0.0, **usual)
     bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.95, pad=0.02)
     if bar.solids is not None:
         bar.solids.set_rasterized(True)
@@ -313,6 +345,7 @@ def _relief(axes: Axes3D, surface: Surface, factors: tuple[float, float], factor
         rasterized=True,
     )
     axes.view_init(elev=32.0, azim=-125.0)
+    axes.tick_params(pad=-1.0)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.line.set_color(MUTED)
@@ -375,10 +408,10 @@ def _scale(axes: Axes, plot: Plot, factors: tuple[float, float]) -> None:
     if plot.y.log:
         log_axis(axes)
     elif not isinstance(axes, Axes3D) and not any(isinstance(p, Bars) and p.names and p.across for p in plot.parts):
-        axes.yaxis.set_major_locator(MaxNLocator(nbins=6))
+        axes.yaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 5, 10]))
     if plot.x.reverse:
         axes.invert_xaxis()
-    if plot.y.reverse:
+    if plot.y.reverse and not isinstance(axes, Axes3D):
         axes.invert_yaxis()
 
 
@@ -388,6 +421,7 @@ __all__ = [
     "Look",
     "Units",
     "clinical",
+    "draw_kernel",
     "draw_plot",
     "draw_plots",
     "draw_relief",

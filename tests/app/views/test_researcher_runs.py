@@ -99,22 +99,20 @@ def test_kernels_and_depth_can_be_seen(qtbot, panel, two):
     run(qtbot, panel, two[:1], "volterra")
     run(qtbot, panel, two[:1], "direction")
     volterra, direction = panel.results.outcomes
-    (kernel,) = volterra.plots.images
-    assert kernel.values.shape == (kernel.x.size, kernel.y.size)
-    assert kernel.unit == "mm/(N²·s²)"
+    (kernel,) = volterra.plots.kernels
+    assert kernel.surface.unit == "mm/(N²·s²)"
     assert direction.plots.lines["damping"].out_x is not None
-    kernels, magnitude = direction.plots.images
+    magnitude = direction.plots.kernels[1].surface
     assert magnitude.unit == "mm/N"
-    assert magnitude.values.shape == (magnitude.x.size, kernels.y.size)
     # Without motion the tissue is a spring: its compliance is one over the stiffness, 3 N/mm.
     assert magnitude.x[0] == 0.0
-    assert np.median(magnitude.values[0]) == pytest.approx(1.0 / 3.0, rel=0.25)
-    assert magnitude.values[-1].max() < 0.05 * magnitude.values.max()
+    assert np.median(magnitude.values[:, 0]) == pytest.approx(1.0 / 3.0, rel=0.25)
+    assert magnitude.values[:, -1].max() < 0.05 * magnitude.values.max()
     assert 50.0 < magnitude.x[-1] < 600.0
     assert panel.pictures.kernel.choice.count() == 3
     panel.pictures.choice.setCurrentIndex(panel.pictures.choice.count() - 1)
-    assert panel.pictures.kernel.card.plot.isVisible()
-    assert panel.pictures.kernel.image is kernel
+    assert panel.pictures.kernel.canvas.axes
+    assert panel.pictures.kernel.plot is kernel
 
 
 def test_one_session_that_fails_costs_itself_alone(qtbot, panel, strip, tmp_path, two):

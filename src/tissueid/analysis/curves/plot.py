@@ -67,7 +67,18 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """``values`` (rows, columns) over ``x`` (columns,) and ``y`` (rows,), both evenly spaced, with name and unit."""
+    """``values`` (rows, columns) over ``x`` (columns,) and ``y`` (rows,), with name and unit.
+
+    Args:
+        x: evenly spaced.
+        y: evenly spaced, or the middle of each row where ``edges`` (rows + 1,) are the limits of the rows.
+        values: shown as colours or as heights.
+        name: quantity of the values.
+        unit: unit of the values.
+        signed: whether the colours differ below and above zero.
+        limit: value of the fullest colour; None for the largest.
+        edges: limits of the rows, where they are not evenly spaced.
+    """
 
     x: Array
     y: Array
@@ -75,6 +86,8 @@ class Surface:
     name: str = ""
     unit: str = ""
     signed: bool = True
+    limit: float | None = None
+    edges: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from tissueid.analysis.curves.units import kernel_unit
 from tissueid.formatting import number
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.language import _, marked
@@ -12,7 +13,6 @@ from tissueid.records import Record
 from tissueid.reports.captions import second_order
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import BLUE, DASHES, HALF_WIDTH, MUTED, ORANGE, drawing, new_figure
-from tissueid.reports.units import kernel_unit
 
 
 @figure(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissueid.analysis.curves.plot import CONFIDENCE, thin
+from tissueid.analysis.curves.plot import CONFIDENCE, Plot, Surface, thin
+from tissueid.analysis.curves.units import LAG, TIME, kernel_unit, signal_axis
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, display_unit, fixed
 from tissueid.identification.engines.als import AlsModel
@@ -15,7 +16,8 @@ from tissueid.messages import Message
 from tissueid.reports.captions import joined, second_order
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.panels import depth_bar, depth_colours, image, uneven_image
+from tissueid.reports.panels import depth_bar, depth_colours
+from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -26,7 +28,6 @@ from tissueid.reports.style import (
     SERIES,
     new_figure,
 )
-from tissueid.reports.units import kernel_unit
 
 
 @figure(
@@ -128,9 +129,8 @@ def over_time(subject: Subject[OnlineModel]) -> Drawn:
     nearest = np.clip(np.searchsorted(time_s, even), 0, time_s.size - 1)
     settled = course[course.shape[0] // 4 :]
     top = scale * float(np.quantile(np.abs(settled), 0.999)) or None
-    image(lower, even, 1e3 * model.lag_s, scale * course[nearest].T, f"({unit})", limit=top)
-    lower.set_ylabel(_("Lag (ms)"))
-    lower.set_xlabel(_("Time (s)"))
+    surface = Surface(even, 1e3 * model.lag_s, scale * course[nearest].T, unit=unit, limit=top)
+    draw_plot(lower, Plot("", TIME, LAG, (surface,)))
     upper.set_xlim(0.0, float(time_s[-1]))
     drawn.align_ylabels()
     text = _(
@@ -166,10 +166,9 @@ def by_depth(subject: Subject[AlsModel]) -> Drawn:
     lag_ms, responses = 1e3 * model.lag_s, scale * model.depth_response
     drawn = new_figure(FULL_WIDTH, 3.7)
     left, right = drawn.subplots(1, 2)
-    uneven_image(left, lag_ms, edges, responses, f"({unit})")
-    left.invert_yaxis()
-    left.set_xlabel(_("Lag (ms)"))
-    left.set_ylabel(axis_label(record.output_name, out_unit))
+    surface = Surface(lag_ms, 0.5 * (edges[1:] + edges[:-1]), responses, unit=unit, edges=edges)
+    depth = signal_axis(record.output_name, record.output_unit, reverse=True)
+    draw_plot(left, Plot("", LAG, depth, (surface,)))
     right.axhline(0.0, color=MUTED, linewidth=0.8)
     for response, colour in zip(responses, depth_colours(len(responses)), strict=True):
         right.plot(lag_ms, response, color=colour, linewidth=1.2)

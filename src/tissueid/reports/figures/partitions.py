@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from tissueid.analysis.curves.plot import CONFIDENCE, thin
+from tissueid.analysis.curves.kernels import kernels_by_depth
+from tissueid.analysis.curves.plot import CONFIDENCE, Surface, thin
+from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, display_unit, fixed
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.language import _, marked
-from tissueid.messages import Message
 from tissueid.reports import captions
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.panels import depth_bar, depth_colours, diagonal, residual_cloud, surface, uneven_image
+from tissueid.reports.panels import depth_bar, depth_colours, diagonal, residual_cloud
+from tissueid.reports.plot_renderer import draw_kernel
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, POINTS, SHADE, new_figure
-from tissueid.reports.units import kernel_unit
 
 _WAYS = {1: marked("into the tissue"), -1: marked("out of the tissue"), 0: marked("as fitted")}
 _STRETCH_S = 4.0
@@ -127,21 +129,11 @@ def _curves(axes: Axes, lag_ms: Array, rows: Array, std: Array | None) -> None:
 def kernel_image(subject: Subject[PartitionedModel]) -> Drawn:
     """Draw the kernels about the mean input as an image and as a surface (Chen 2010, Figs. 5.5c and d)."""
     model, record = subject.model, subject.record
-    if model.partitions.depths < 2 or model.lag_s.size < 3:
-        raise UnusableInputError(Message("report.no_image", "an image needs at least two partitions and three lags"))
-    unit, scale = kernel_unit(record)
-    out_unit, out_scale = display_unit(record.output_unit)
-    points = out_scale * model.breakpoints_m
-    lag_ms, rows = 1e3 * model.lag_s, scale * model.operating_kernels
+    plot = kernels_by_depth(model, record)
     drawn = new_figure(FULL_WIDTH, 4.0)
-    axes = drawn.add_subplot(1, 2, 1)
-    uneven_image(axes, lag_ms, points, rows, _("Kernel ({unit})").format(unit=unit))
-    axes.invert_yaxis()
-    axes.set_xlabel(_("Lag (ms)"))
-    axes.set_ylabel(axis_label(record.output_name, out_unit))
-    relief = surface(drawn, (1, 2, 2), lag_ms, 0.5 * (points[1:] + points[:-1]), rows)
-    relief.set_xlabel(_("Lag (ms)"))
-    relief.set_ylabel(axis_label(record.output_name, out_unit))
+    draw_kernel(drawn, plot)
+    surface = cast(Surface, plot.surface)
+    lag_ms, rows = surface.x, surface.values
     peaks = lag_ms[np.argmax(np.abs(rows), axis=1)]
     return drawn, _(
         "The kernels about the mean input, deep at the bottom of the image. Orange is positive. In a Wiener system all "

@@ -8,6 +8,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from tissueid.analysis.curves.plot import CONFIDENCE
+from tissueid.analysis.curves.units import ratio_unit
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import fixed
 from tissueid.identification.engines.spectral import Spectral, SpectralModel
@@ -28,7 +29,6 @@ from tissueid.reports.style import (
     log_axis,
     new_figure,
 )
-from tissueid.reports.units import ratio_unit
 
 
 @figure(

@@ -7,7 +7,9 @@ from typing import cast
 
 import numpy as np
 
-from tissueid.analysis.curves.plot import CONFIDENCE
+from tissueid.analysis.curves.kernels import second_order_kernel
+from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Plot, Surface
+from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, display_unit, fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel
@@ -16,7 +18,8 @@ from tissueid.messages import Message
 from tissueid.reports import captions
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.panels import diagonal, image, residual_cloud, surface
+from tissueid.reports.panels import diagonal, residual_cloud
+from tissueid.reports.plot_renderer import draw_kernel, draw_plot
 from tissueid.reports.style import (
     BLUE,
     DASHES,
@@ -29,7 +32,6 @@ from tissueid.reports.style import (
     SERIES,
     new_figure,
 )
-from tissueid.reports.units import kernel_unit
 
 _HEIGHT = 2.0
 """Height of the impulse of Eq. 4.15 in standard deviations of the input."""
@@ -88,17 +90,10 @@ def first_kernel(subject: Subject[VolterraModel]) -> Drawn:
 def second_kernel(subject: Subject[VolterraModel]) -> Drawn:
     """Draw h2 as an image and as a surface (Chen 2010, Figs. 4.3, 4.6b and 4.9)."""
     model = subject.model
-    kernel, unit = kernel_in_units(subject)
-    lag_ms = 1e3 * model.lag_s
+    plot = second_order_kernel(model, subject.record)
     drawn = new_figure(FULL_WIDTH, 4.1)
-    axes = drawn.add_subplot(1, 2, 1)
-    image(axes, lag_ms, lag_ms, kernel, _("Second-order kernel ({unit})").format(unit=unit))
-    axes.set_box_aspect(1.0)
-    axes.set_xlabel(_("First lag (ms)"))
-    axes.set_ylabel(_("Second lag (ms)"))
-    relief = surface(drawn, (1, 2, 2), lag_ms, lag_ms, kernel)
-    relief.set_xlabel(_("First lag (ms)"))
-    relief.set_ylabel(_("Second lag (ms)"))
+    draw_kernel(drawn, plot).set_box_aspect(1.0)
+    kernel = cast(Surface, plot.surface).values
     text = _(
         "Joint effect of two past inputs. Blue is negative: together they move the tissue less than the sum of both "
         "alone, as where it stiffens with depth. A rounded peak swept in both directions indicates a Wiener system, a "
@@ -117,27 +112,6 @@ def second_kernel(subject: Subject[VolterraModel]) -> Drawn:
     return drawn, captions.joined(text, largest, outside)
 
 
-def kernel_in_units(subject: Subject[VolterraModel]) -> tuple[Array, str]:
-    """Return the second-order kernel (lags, lags) in its display unit, and the unit.
-
-    Raises:
-        UnusableInputError: the model has no second-order kernel, or fewer than three lags.
-    """
-    kernel = subject.model.kernel2
-    if kernel is None:
-        raise UnusableInputError(
-            Message(
-                "report.no_second_kernel",
-                "a model of order {order} has no second-order kernel",
-                order=subject.model.order,
-            )
-        )
-    if kernel.shape[0] < 3:
-        raise UnusableInputError(Message("report.few_lags", "the second-order kernel has fewer than three lags"))
-    unit, scale = kernel_unit(subject.record, 2)
-    return scale * kernel, unit
-
-
 @figure(
     VolterraModel,
     "third-kernel",
@@ -154,19 +128,20 @@ def third_kernel(subject: Subject[VolterraModel]) -> Drawn:
     unit, scale = kernel_unit(subject.record, 3)
     lag_ms = 1e3 * model.lag_s
     if lag_ms.size < 3:
-        raise UnusableInputError(Message("report.few_lags", "the third-order kernel has fewer than three lags"))
+        raise UnusableInputError(Message("report.few_lags_third", "the third-order kernel has fewer than three lags"))
     strength = np.cumsum(np.abs(kernel).sum(axis=(0, 1)))
     shown = np.unique(np.searchsorted(strength, _SLICES_AT * strength[-1]))
     drawn = new_figure(FULL_WIDTH, 2.7)
     every = drawn.subplots(1, shown.size, sharey=True, squeeze=False)[0]
     top = scale * float(np.abs(kernel[:, :, shown]).max())
+    first, second = Axis(marked("First lag"), "ms"), Axis(marked("Second lag"), "ms")
     for place, (axes, lag) in enumerate(zip(every, shown, strict=True)):
-        label = f"({unit})" if place == shown.size - 1 else ""
-        image(axes, lag_ms, lag_ms, scale * kernel[:, :, lag], label, limit=top)
+        surface = Surface(
+            lag_ms, lag_ms, scale * kernel[:, :, lag], unit=unit if place == shown.size - 1 else "", limit=top
+        )
+        draw_plot(axes, Plot("", first, second if place == 0 else Axis(), (surface,)))
         axes.set_box_aspect(1.0)
         axes.set_title(_("third lag {lag} ms").format(lag=fixed(float(lag_ms[lag]), 1)))
-        axes.set_xlabel(_("First lag (ms)"))
-    every[0].set_ylabel(_("Second lag (ms)"))
     return drawn, _(
         "Joint effect of three past inputs, one slice for each of a few third lags, on one scale. Blue is negative. "
         "The kernel is symmetric in all three lags."

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
 from tissueid.analysis import Analysis
+from tissueid.analysis.curves.kernels import second_order_kernel
+from tissueid.analysis.curves.plot import Axis, Plot, Surface
+from tissueid.analysis.curves.units import LAG
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import axis_label, display_unit, fixed
 from tissueid.identification.base import Model
@@ -19,8 +23,8 @@ from tissueid.messages import Message
 from tissueid.reports import captions
 from tissueid.reports.diagnostics import held_out_prediction, power_spectrum
 from tissueid.reports.figures.registry import Drawn, Subject, figure
-from tissueid.reports.figures.volterra import kernel_in_units
-from tissueid.reports.panels import diagonal, image, residual_cloud
+from tissueid.reports.panels import diagonal, residual_cloud
+from tissueid.reports.plot_renderer import draw_plot
 from tissueid.reports.style import (
     DASHES,
     FULL_WIDTH,
@@ -58,25 +62,25 @@ def _has_second(subject: Subject[VolterraModel]) -> bool:
 def processing(subject: Subject[VolterraModel]) -> Drawn:
     """Draw the raw and smoothed kernels in time and frequency (Chen 2010, Figs. 4.8, 4.9, 4.13 and 4.15)."""
     models = _strategies(subject)
-    lag_ms = 1e3 * subject.model.lag_s
     drawn = new_figure(FULL_WIDTH, 5.4)
     every = drawn.subplots(2, len(models), squeeze=False)
     rate = subject.model.sample_rate_hz / subject.model.lag_spacing
-    frequency_hz = np.fft.fftshift(np.fft.fftfreq(lag_ms.size, 1.0 / rate))
+    frequency_hz = np.fft.fftshift(np.fft.fftfreq(subject.model.lag_s.size, 1.0 / rate))
+    frequency = Axis(marked("Frequency"), "Hz")
     scores = []
     for (label, model), upper, lower in zip(models, every[0], every[1], strict=True):
-        kernel, unit = kernel_in_units(subject.with_model(model))
-        image(upper, lag_ms, lag_ms, kernel, f"({unit})")
-        upper.set_title(_(label))
-        upper.set_xlabel(_("Lag (ms)"))
-        magnitude = np.abs(np.fft.fftshift(np.fft.fft2(kernel)))
-        image(lower, frequency_hz, frequency_hz, magnitude / magnitude.max(), _("relative to maximum"), signed=False)
-        lower.set_xlabel(_("Frequency (Hz)"))
+        plot = second_order_kernel(model, subject.record)
+        surface = cast(Surface, plot.surface)
+        magnitude = np.abs(np.fft.fftshift(np.fft.fft2(surface.values)))
+        magnitude /= magnitude.max()
+        draw_plot(upper, Plot(label, LAG, LAG, (replace(surface, name=""),)))
+        spectrum = Surface(frequency_hz, frequency_hz, magnitude, marked("relative to maximum"), signed=False)
+        draw_plot(lower, Plot("", frequency, frequency, (spectrum,)))
         for axes in (upper, lower):
             axes.set_box_aspect(1.0)
         scores.append(f"{_(label)} {fixed(_held_out_vaf(subject, model), 1)} %")
-    every[0, 0].set_ylabel(_("Lag (ms)"))
-    every[1, 0].set_ylabel(_("Frequency (Hz)"))
+    for axes in every[:, 1:].flat:
+        axes.set_ylabel("")
     return drawn, _(
         "Upper row: the kernel by plain least squares, after a two-dimensional Gaussian filter, and of the model; each "
         "has its own scale. Lower row: magnitude of the Fourier transform; values near the edges are noise. Held-out "

@@ -58,7 +58,7 @@ class EngineOutcome:
     @property
     def without_curves(self) -> bool:
         """Whether the result was stored without its curves."""
-        return self.report is not None and not self.plots.lines and not self.plots.images
+        return self.report is not None and not self.plots.lines and not self.plots.kernels
 
     @property
     def key(self) -> tuple[Any, ...]:

@@ -1,31 +1,25 @@
-"""Plot of a kernel as an image with a colour bar, or as a surface."""
+"""Plot of a kernel as an image, or as a surface that is turned."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import numpy as np
-import pyqtgraph as pg
-from PySide6.QtCore import QRectF
-from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QStackedWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QPushButton, QVBoxLayout, QWidget
 
-from tissueid.app.plotting import PlotCard
-from tissueid.app.surface_plot import SurfacePlot
+from tissueid.app.plot_canvas import PlotCanvas
 from tissueid.app.theme import Theme
-from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.plot_data import Image
 from tissueid.language import _, marked
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves import Plot
 
 _MISSING = marked("No result has a kernel to show: run Volterra, Depth or Direction.")
 
 
 class KernelPlot(QWidget):
-    """Plot of one kernel, selected by ``choice``; ``flat`` is the image, ``raised`` the surface.
-
-    ``surface`` is None until it is asked for.
-    """
+    """Plot of one kernel, selected by ``choice``: an image where ``flat`` is checked, a surface where ``raised`` is."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -35,15 +29,11 @@ class KernelPlot(QWidget):
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choice.setMinimumContentsLength(10)
         self.choice.currentIndexChanged.connect(self._show)
-        self.card = PlotCard(_("Kernel"), " ", "", unit_of="colours")
-        self.card.plot.getAxis("left").setWidth(66)
-        self._item = pg.ImageItem()
-        self.card.plot.addItem(self._item)
-        self._bar = pg.ColorBarItem(interactive=False, width=14)
-        self._bar.setImageItem(self._item, insert_in=self.card.plot.getPlotItem())
-        self._images: list[Image] = []
-        self._theme: Theme | None = None
-        self.surface: SurfacePlot | None = None
+        self.canvas = PlotCanvas()
+        self._plots: list[Plot] = []
+        self.back = QPushButton(_("Turn back"))
+        self.back.setToolTip(_("Look at it as at first (Home)"))
+        self.back.clicked.connect(self.canvas.show_everything)
         self.flat, self.raised = QPushButton(_("Image")), QPushButton(_("Surface"))
         self.flat.setToolTip(_("Seen from above, every value a colour"))
         self.raised.setToolTip(_("In space, every value a height; it can be turned"))
@@ -51,27 +41,26 @@ class KernelPlot(QWidget):
         top = QHBoxLayout()
         top.setSpacing(4)
         top.addWidget(self.choice, 1)
+        top.addWidget(self.back)
         for button in (self.flat, self.raised):
             button.setCheckable(True)
             button.setProperty("role", "toggle")
             self._ways.addButton(button)
             top.addWidget(button)
         self.flat.setChecked(True)
-        self._ways.buttonToggled.connect(self._turn)
-        self._pages = QStackedWidget()
-        self._pages.addWidget(self.card)
+        self.raised.toggled.connect(self._show)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(4)
         layout.addLayout(top)
-        layout.addWidget(self._pages, 1)
+        layout.addWidget(self.canvas, 1)
         self._show()
 
     @property
-    def image(self) -> Image | None:
-        """The shown image."""
+    def plot(self) -> Plot | None:
+        """The shown kernel."""
         place = self.choice.currentIndex()
-        return self._images[place] if 0 <= place < len(self._images) else None
+        return self._plots[place] if 0 <= place < len(self._plots) else None
 
     @property
     def turned(self) -> bool:
@@ -79,76 +68,30 @@ class KernelPlot(QWidget):
         return self.raised.isChecked()
 
     def offer(self, outcomes: Sequence[EngineOutcome]) -> None:
-        """Offer the images of results; the selection stays."""
+        """Offer the kernels of results; the selection stays."""
         before = self.choice.currentText()
-        pairs = [(f"{outcome.label}: {image.title}", image) for outcome in outcomes for image in outcome.plots.images]
+        pairs = [(f"{outcome.label}: {_(plot.title)}", plot) for outcome in outcomes for plot in outcome.plots.kernels]
         self.choice.blockSignals(True)
         self.choice.clear()
         self.choice.addItems([text for text, _ in pairs])
-        self._images = [image for _, image in pairs]
+        self._plots = [plot for _, plot in pairs]
         self.choice.setCurrentIndex(max(0, self.choice.findText(before)) if pairs else -1)
         self.choice.blockSignals(False)
         self._show()
 
     def apply_theme(self, theme: Theme) -> None:
-        """Take on the colours of a theme: nothing is the colour of the card, so that only what there is stands out."""
-        self._theme = theme
-        self.card.apply_theme(theme)
-        ends = QColor(theme.measured), QColor(theme.panel), QColor(theme.model)
-        self._bar.setColorMap(pg.ColorMap([0.0, 0.5, 1.0], list(ends)))
-        self._bar.axis.setPen(theme.line)
-        self._bar.axis.setTextPen(theme.muted)
-        if self.surface is not None:
-            self.surface.apply_theme(theme)
-        self._label()
-
-    def take_units(self) -> None:
-        """Show all values in the active unit system."""
-        self._label()
+        """Apply the colours of a theme."""
+        self.canvas.apply_theme(theme)
 
     def _show(self) -> None:
-        image = self.image
-        self.card.say_missing("" if image else _(_MISSING))
+        plot = self.plot
         for widget in (self.choice, self.flat, self.raised):
-            widget.setVisible(image is not None)
-        if image is None:
-            self._pages.setCurrentIndex(0)
-            return
-        if self.surface is not None:
-            self.surface.show_image(image)
-            self._pages.setCurrentIndex(int(self.raised.isChecked()))
-        # Cells are drawn about the points that they stand for.
-        (left, width), (low, height) = _reach(image.x), _reach(image.y)
-        limit = float(np.nanmax(np.abs(image.values))) or 1.0
-        self._item.setImage(image.values, levels=(-limit, limit))
-        self._item.setRect(QRectF(left, low, width, height))
-        self._bar.setLevels((-limit, limit))
-        self.card.plot.setXRange(left, left + width, padding=0.0)
-        self.card.plot.setYRange(low, low + height, padding=0.0)
-        self.card.retitle(image.title, image.unit)
-        self._label()
-
-    def _label(self) -> None:
-        image, theme = self.image, self._theme
-        if image is not None and theme is not None:
-            self.card.relabel(image.x_label)
-            text, factor = shown_label(image.y_label)
-            axis = self.card.plot.getAxis("left")
-            axis.setScale(factor)
-            axis.setLabel(text, siPrefixEnableRanges=(), color=theme.muted)
-            self._bar.axis.setScale(shown(image.unit)[1])
-
-    def _turn(self) -> None:
-        """Switch between image and surface; the surface is created on first use."""
-        if self.raised.isChecked() and self.surface is None:
-            self.surface = SurfacePlot()
-            if self._theme is not None:
-                self.surface.apply_theme(self._theme)
-            self._pages.addWidget(self.surface)
-        self._show()
+            widget.setVisible(plot is not None)
+        self.back.setVisible(plot is not None and self.turned)
+        if plot is None:
+            self.canvas.say_missing(_(_MISSING))
+        else:
+            self.canvas.show_plots([plot], relief=self.turned)
 
 
-def _reach(points: np.ndarray) -> tuple[float, float]:
-    """Return the start of the first of evenly spaced cells, and the total width."""
-    step = float(points[1] - points[0]) if points.size > 1 else 1.0
-    return float(points[0]) - 0.5 * step, step * points.size
+__all__ = ["KernelPlot"]

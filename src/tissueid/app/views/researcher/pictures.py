@@ -84,7 +84,7 @@ class Pictures(QWidget):
         self._total = max(total, len(there))
         for panel in self._cards:
             self._fill(panel)
-        self.kernel.offer([o for o in there if o.plots.images])
+        self.kernel.offer([o for o in there if o.plots.kernels])
         self._show_legend()
         return self._drawn
 
@@ -128,9 +128,9 @@ class Pictures(QWidget):
     def figure(self) -> PictureFigure | KernelFigure | None:
         """The shown plot as a figure for files; None if nothing is shown."""
         name = list(PICTURES)[self._pages.currentIndex()]
-        image = self.kernel.image
+        plot = self.kernel.plot
         if name == KERNELS:
-            return None if image is None else KernelFigure(self.kernel.choice.currentText(), image, self.kernel.turned)
+            return None if plot is None else KernelFigure(self.kernel.choice.currentText(), plot, self.kernel.turned)
         return PictureFigure(name, tuple(self._drawn), *self.keys) if self._drawn else None
 
     # -- inside -------------------------------------------------------------------------------------------

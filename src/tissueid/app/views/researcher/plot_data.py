@@ -1,12 +1,15 @@
-"""Plot data of an analysis: decimated lines and images in display units."""
+"""Plot data of an analysis: decimated lines, and kernels in display units."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from tissueid.analysis.curves import Plot
 
 Array = NDArray[np.float64]
 
@@ -46,19 +49,6 @@ class Line:
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
-    """``values`` (columns, rows) over evenly spaced ``x`` (columns,) and ``y`` (rows,), with their names and units."""
-
-    title: str
-    unit: str
-    x: Array
-    y: Array
-    values: Array
-    x_label: str
-    y_label: str
-
-
-@dataclass(frozen=True, eq=False)
 class PlotData:
     """Plot data of one analysis; ``units`` holds the units of the panels that have one.
 
@@ -67,9 +57,9 @@ class PlotData:
 
     lines: dict[Panel, Line]
     units: dict[Panel, str]
-    images: tuple[Image, ...]
+    kernels: tuple[Plot, ...]
     missing: dict[Panel, str]
     measured: dict[Panel, Line] = field(default_factory=dict)
 
 
-__all__ = ["Array", "Image", "Line", "Panel", "PlotData"]
+__all__ = ["Array", "Line", "Panel", "PlotData"]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.app.views.researcher.kernel_images import images_of
+from tissueid.analysis.curves.kernels import kernel_plots
 from tissueid.app.views.researcher.model_output_curves import model_output
 from tissueid.app.views.researcher.plot_data import Array, Line, Panel, PlotData
 from tissueid.app.words import sentence
@@ -66,7 +66,7 @@ def plot_data_of(analysis: Analysis) -> tuple[PlotData, tuple[str, ...]]:
         attempt(("autocorrelation", "cross"), lambda: _residuals(tests))
     except UnusableInputError as error:
         missing |= dict.fromkeys(("autocorrelation", "cross"), sentence(translated(error.message)))
-    return PlotData(lines, _units(record), images_of(analysis), missing, measured), findings
+    return PlotData(lines, _units(record), kernel_plots(analysis.model, record), missing, measured), findings
 
 
 def _units(record: Record) -> dict[Panel, str]:

@@ -12,7 +12,7 @@ import numpy as np
 from tissueid.app.theme import LIGHT
 from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
-from tissueid.app.views.researcher.plot_data import Array, Image, Line, Panel
+from tissueid.app.views.researcher.plot_data import Array, Line, Panel
 from tissueid.app.views.researcher.plot_panels import OUTPUT, PANELS, PICTURES, PanelStyle
 from tissueid.app.views.researcher.population import DATE, DISTRIBUTION, Population
 from tissueid.app.views.researcher.results_table import SERIES
@@ -21,6 +21,8 @@ from tissueid.language import _
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from tissueid.analysis.curves import Plot
 
 _WIDTH, _PANEL, _REST = 7.2, 2.1, 0.8
 """Inches: width of a figure, height of a panel, and of a legend and an axis label."""
@@ -132,28 +134,21 @@ class KernelFigure:
     """Figure of a kernel as an image or a surface."""
 
     title: str
-    image: Image
+    plot: Plot
     turned: bool = False
 
     def draw(self) -> Figure:
-        """Draw the kernel with a colour bar."""
-        from tissueid.reports.panels import image, surface
+        """Draw the kernel."""
+        from tissueid.reports.plot_renderer import draw_plot, draw_relief
         from tissueid.reports.style import new_figure
 
         figure = new_figure(_WIDTH, 5.0)
-        unit, factor = shown(self.image.unit)
-        (x_label, x_factor), (y_label, y_factor) = shown_label(self.image.x_label), shown_label(self.image.y_label)
-        x, y, values = x_factor * self.image.x, y_factor * self.image.y, factor * self.image.values.T
-        words = f"{self.image.title} ({unit})" if unit else self.image.title
-        axes: Axes
         if self.turned:
-            axes = surface(figure, (1, 1, 1), x, y, values)
+            axes: Axes = draw_relief(figure, self.plot, units=shown, title=False)
         else:
             axes = figure.subplots()
-            image(axes, x, y, values, words)
-        axes.set_title(_legible(self.title if not self.turned else f"{self.title}: {words}"), wrap=True)
-        axes.set_xlabel(x_label)
-        axes.set_ylabel(y_label)
+            draw_plot(axes, self.plot, units=shown, title=False)
+        axes.set_title(_legible(self.title), wrap=True)
         return figure
 
 

@@ -1,9 +1,23 @@
-"""Display units of ratios and kernels."""
+"""Axes of signals, and display units of ratios and kernels."""
 
 from __future__ import annotations
 
-from tissueid.formatting import display_unit, superscript
+from tissueid.analysis.curves.plot import Axis
+from tissueid.formatting import display_unit, label_and_unit, superscript
+from tissueid.language import marked
 from tissueid.records import Record
+
+_LONGEST_LABEL = 40
+LAG = Axis(marked("Lag"), "ms")
+TIME = Axis(marked("Time"), "s")
+FREQUENCY = Axis(marked("Frequency"), "Hz", log=True)
+
+
+def signal_axis(name: str, si_unit: str, *, reverse: bool = False) -> Axis:
+    """Return the axis of a signal, or of a quantity in its unit, in the display unit."""
+    label = label_and_unit(name)[0]
+    label = label if len(label) <= _LONGEST_LABEL else label[:_LONGEST_LABEL] + "…"
+    return Axis(label, display_unit(si_unit)[0], reverse=reverse)
 
 
 def ratio_unit(record: Record, power: int = 1) -> tuple[str, float]:
