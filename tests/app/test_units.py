@@ -24,7 +24,7 @@ from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.app.views.gap.candidates_tab import CandidatesTab
 from tissueid.app.views.gap.page_content import Fitted, Rival
 from tissueid.app.views.researcher.recorded_signal import RecordedSignal
-from tissueid.app.views.researcher.saved_files import write_figure
+from tissueid.app.views.researcher.save_dialog import write_figure
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signal_figure import SignalFigure
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest

@@ -3,18 +3,150 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 
-from PySide6.QtCore import QObject, Qt
-from PySide6.QtWidgets import QApplication, QDockWidget, QMainWindow, QToolButton, QWidget
+from platformdirs import user_log_path
+from PySide6.QtCore import QObject, Qt, Signal
+from PySide6.QtGui import QFontDatabase, QGuiApplication
+from PySide6.QtWidgets import (
+    QApplication,
+    QDockWidget,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QMainWindow,
+    QPlainTextEdit,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from tissueid.app.context import AppContext
 from tissueid.app.help_panel import HelpPanel
-from tissueid.app.log_panel import LogPanel
 from tissueid.app.navigation_bar import NavigationBar
 from tissueid.app.notice import Notice
 from tissueid.app.theme import Theme
+from tissueid.app.words import in_words
+from tissueid.atomic_write import write_private
+from tissueid.formatting import clean
 from tissueid.language import _
+
+MOST_LINES = 2_000
+MOST_DETAILS = 100_000
+"""Characters of a defect's details that are shown."""
+
+
+class LogPanel(QDockWidget):
+    """Lines with their times. ``saved`` carries what became of saving them, and whether that was a problem."""
+
+    saved = Signal(str, bool)
+
+    def __init__(self, now: Callable[[], datetime], folder: Path, parent: QWidget | None = None) -> None:
+        super().__init__(_("What happened"), parent)
+        self.setObjectName("log")
+        self._now, self._folder, self._last = now, folder, ""
+        self.lines = _reader(_("What happened"))
+        self.lines.setMaximumBlockCount(MOST_LINES)
+        self.copy = QPushButton(_("Copy"))
+        self.copy.setAccessibleName(_("Copy all lines"))
+        self.save = QPushButton(_("Save…"))
+        self.save.setAccessibleName(_("Save all lines to a file"))
+        self.fold = QToolButton()
+        self.fold.setText(_("Details of the last defect"))
+        self.fold.setProperty("role", "fold")
+        self.fold.setCheckable(True)
+        self.fold.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.fold.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.details = _reader(_("Details of the last defect"))
+        about = QLabel(
+            _("Since the program was started; the last {count} lines").format(
+                count=f"{MOST_LINES:,}".replace(",", "\u202f")
+            )
+        )
+        about.setProperty("role", "muted")
+        inside = QWidget()
+        column = QVBoxLayout(inside)
+        column.setContentsMargins(10, 2, 10, 8)
+        column.setSpacing(4)
+        top = QHBoxLayout()
+        top.addWidget(about, 1)
+        for part in (self.fold, self.copy, self.save):
+            top.addWidget(part)
+        column.addLayout(top)
+        texts = QHBoxLayout()
+        texts.addWidget(self.lines, 1)
+        texts.addWidget(self.details, 1)
+        column.addLayout(texts)
+        self.setWidget(inside)
+        self.copy.clicked.connect(self._copy)
+        self.save.clicked.connect(self._choose)
+        self.fold.toggled.connect(self._unfold)
+        self._unfold(False)
+        self.fold.hide()
+
+    def note(self, text: str, problem: bool = False) -> None:
+        """Add a line; what was said just before is not said again."""
+        text = clean(text).strip()
+        if not text or text == self._last:
+            return
+        self._last = text
+        mark = "!" if problem else " "
+        self.lines.appendPlainText(f"{self._now():%H:%M:%S} {mark} {text}")
+        if str(_defect_path()) in text:
+            self.fold.show()
+            self._unfold(self.fold.isChecked())
+
+    def _unfold(self, opened: bool) -> None:
+        self.fold.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
+        self.details.setVisible(opened)
+        if opened:
+            try:
+                with _defect_path().open(encoding="utf-8", errors="replace") as file:
+                    self.details.setPlainText(f"{_defect_path()}\n\n{file.read(MOST_DETAILS)}")
+            except OSError as error:
+                self.details.setPlainText(in_words(error))
+
+    def _copy(self) -> None:
+        QGuiApplication.clipboard().setText(self.lines.toPlainText())
+        self.saved.emit(_("The lines are copied."), False)
+
+    def _choose(self) -> None:
+        name = self._folder / f"tissueid-log-{self._now():%Y-%m-%d_%H-%M-%S}.txt"
+        dialog = QFileDialog(self, _("Save what happened"), str(self._folder), _("Text (*.txt)"))
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setDefaultSuffix("txt")
+        dialog.selectFile(name.name)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.save_to)
+        dialog.open()
+
+    def save_to(self, path: str) -> None:
+        """Write all lines to a file."""
+        try:
+            write_private(Path(path), self.lines.toPlainText() + "\n")
+        except OSError as error:
+            self.saved.emit(in_words(error), True)
+        else:
+            self.saved.emit(_("What happened is saved in {path}.").format(path=path), False)
+
+
+def _defect_path() -> Path:
+    """Where the details of the newest defect are; :func:`tissueid.app.words.in_words` writes them."""
+    return user_log_path("tissueid", appauthor=False) / "last-defect.txt"
+
+
+def _reader(name: str) -> QPlainTextEdit:
+    text = QPlainTextEdit()
+    text.setReadOnly(True)
+    text.setTabChangesFocus(True)
+    text.setAccessibleName(name)
+    text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+    text.setMinimumHeight(32)
+    return text
+
 
 HELP_KEY = "F1"
 LOG_KEY = "F9"

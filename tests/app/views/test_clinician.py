@@ -11,7 +11,7 @@ from tissueid.acquisition import Phase
 from tissueid.app.live_signals import Snapshot
 from tissueid.app.plan import SITES
 from tissueid.app.safety import Safety
-from tissueid.app.views.clinician.body import HEIGHT, SPOTS, WIDTH, outline
+from tissueid.app.views.clinician.body_map import HEIGHT, SPOTS, WIDTH, outline
 from tissueid.app.views.clinician.contact import Contact, contact_in_test, contact_of_free
 from tissueid.app.views.clinician.watching import Sight, watch
 from tissueid.device import DeviceDescription

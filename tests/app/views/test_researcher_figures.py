@@ -10,7 +10,7 @@ from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QFileDialog, QMessageBox
 
 from tissueid.app.views.researcher.plot_panels import KERNELS, OUTPUT, PICTURES
-from tissueid.app.views.researcher.saved_files import FIGURES, free_name, write_figure
+from tissueid.app.views.researcher.save_dialog import FIGURES, free_name, write_figure
 from tissueid.errors import UnusableInputError
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]

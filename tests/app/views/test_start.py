@@ -13,8 +13,7 @@ from PySide6.QtGui import QGuiApplication
 
 from tissueid.acquisition import journal_path
 from tissueid.app.help_panel import FOLDER
-from tissueid.app.log_panel import MOST_LINES
-from tissueid.app.panels import HELP_KEY
+from tissueid.app.panels import HELP_KEY, MOST_LINES
 from tissueid.app.views.start.recent import MOST_SHOWN, look_into
 from tissueid.instrument import FoundInstrument
 from tissueid.sessions import read_session, write_session
@@ -317,7 +316,7 @@ def test_the_log_has_every_notice_and_failure_with_its_time(qtbot, window, tmp_p
 def test_the_details_of_a_defect_are_folded_away(qtbot, window, tmp_path, monkeypatch):
     where = lambda *_, **__: tmp_path  # noqa: E731
     monkeypatch.setattr("tissueid.app.words.user_log_path", where)
-    monkeypatch.setattr("tissueid.app.log_panel.user_log_path", where)
+    monkeypatch.setattr("tissueid.app.panels.user_log_path", where)
     log = window.panels.log
     qtbot.keyClick(window, Qt.Key.Key_F9)
     assert log.fold.isHidden()

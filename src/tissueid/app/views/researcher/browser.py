@@ -3,27 +3,80 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from queue import Empty
 
 from PySide6.QtCore import QByteArray, QItemSelection, QModelIndex, Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QMenu, QPushButton, QVBoxLayout, QWidget
 
 from tissueid.app.context import AppContext
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
 from tissueid.app.views.researcher.filter_bar import FilterBar
-from tissueid.app.views.researcher.folder_button import FolderButton
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.session_filter import SessionFilter
 from tissueid.app.views.researcher.session_model import DATE, ITEM, SessionModel
 from tissueid.app.views.researcher.session_search import SessionEntry, SessionSearch, TestEntry
 from tissueid.app.views.researcher.session_tree import SessionTree
 from tissueid.app.views.researcher.text_settings import load_texts, save_texts
+from tissueid.app.views.researcher.tool_tips import plain_tip
 from tissueid.formatting import clean, grouped, subject_text
 from tissueid.language import _, plural
+
+_LONGEST = 70
+
+
+class FolderButton(QPushButton):
+    """Button with a menu to add and remove folders; ``changed`` is emitted on each change."""
+
+    changed = Signal()
+
+    def __init__(self, paths: Sequence[Path], parent: QWidget | None = None) -> None:
+        super().__init__(_("Folders"), parent)
+        self.paths = list(paths)
+        self.setMenu(QMenu(self))
+        self._fill()
+
+    def add(self, path: str) -> None:
+        """Add a folder."""
+        folder = Path(path)
+        if path and folder not in self.paths:
+            self.paths.append(folder)
+            self._fill()
+            self.changed.emit()
+
+    def remove(self, path: Path) -> None:
+        """Remove a folder."""
+        if path in self.paths:
+            self.paths.remove(path)
+            self._fill()
+            self.changed.emit()
+
+    def _fill(self) -> None:
+        menu = self.menu()
+        menu.clear()
+        menu.addAction(_("Add a folder…"), self._choose)
+        menu.addSeparator()
+        for path in self.paths:
+            text = clean(str(path))
+            text = text if len(text) <= _LONGEST else f"…{text[-_LONGEST:]}"
+            menu.addAction(_("Remove {path}").format(path=text).replace("&", "&&"), partial(self.remove, path))
+        listed = "\n".join(clean(str(path)) for path in self.paths)
+        self.setToolTip(plain_tip(f"{_('Sessions are looked for in these folders, and below them:')}\n{listed}"))
+        self.setAccessibleName(_("Folders that are looked through: {count}").format(count=len(self.paths)))
+
+    def _choose(self) -> None:
+        where = str(self.paths[-1]) if self.paths else ""
+        dialog = QFileDialog(self.window(), _("Look for sessions in"), where)
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        dialog.fileSelected.connect(self.add)
+        dialog.open()
+
 
 _FOLDERS, _ASKED, _HEADER = "research/folders", "research/asked", "research/columns"
 _SETTLED_MS = 120

@@ -9,6 +9,7 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
+    QMenu,
     QPushButton,
     QSplitter,
     QVBoxLayout,
@@ -20,8 +21,7 @@ from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.researcher.background_work import ProgressStrip
-from tissueid.app.views.researcher.channel_button import ChannelButton
-from tissueid.app.views.researcher.plot_stack import SHORTEST_S, PlotStack
+from tissueid.app.views.researcher.plot_stack import MOST_PLOTS, SHORTEST_S, PlotStack
 from tissueid.app.views.researcher.save_dialog import SaveDialog
 from tissueid.app.views.researcher.selected_test import SelectedTest
 from tissueid.app.views.researcher.signal_figure import SignalFigure
@@ -31,6 +31,63 @@ from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.app.views.researcher.text_settings import load_texts, save_texts
 from tissueid.formatting import fixed, grouped
 from tissueid.language import _, marked
+
+_FIRST = ("force", "position", "voltage", "input", "output", "current")
+"""Signals drawn by default: the first three of these that exist."""
+_AT_FIRST = 3
+
+
+class ChannelButton(QPushButton):
+    """Button with a checkable menu of all signals; ``changed`` is emitted on each change."""
+
+    changed = Signal()
+
+    def __init__(self, wanted: Sequence[str], parent: QWidget | None = None) -> None:
+        super().__init__(_("Signals"), parent)
+        self.wanted = list(wanted)
+        """Names of the selected signals; none before a selection."""
+        self._channels: list[Channel] = []
+        self.setMenu(QMenu(self))
+        self.setToolTip(_("Which signals are drawn"))
+        self.offer([])
+
+    def offer(self, channels: Sequence[Channel]) -> None:
+        """Offer signals in this order."""
+        self._channels = list(channels)
+        menu = self.menu()
+        menu.clear()
+        drawn = self.drawn
+        for channel in channels:
+            action = menu.addAction(channel.title.replace("&", "&&"))
+            action.setCheckable(True)
+            action.setChecked(channel in drawn)
+            action.setData(channel)
+            action.setEnabled(channel in drawn or len(drawn) < MOST_PLOTS)
+            action.toggled.connect(self._toggle)
+        self.setEnabled(bool(channels))
+        self.setText(
+            _("Signals ({drawn} of {count})").format(drawn=len(drawn), count=len(channels))
+            if channels
+            else _("Signals")
+        )
+
+    @property
+    def drawn(self) -> list[Channel]:
+        """Signals to draw, from top to bottom."""
+        names = {channel.name for channel in self._channels}
+        wanted = [name for name in self.wanted if name in names]
+        if not wanted:
+            wanted = [name for name in _FIRST if name in names][:_AT_FIRST]
+        if not wanted:
+            wanted = [channel.name for channel in self._channels][:_AT_FIRST]
+        return [channel for channel in self._channels if channel.name in wanted][:MOST_PLOTS]
+
+    def _toggle(self) -> None:
+        checked = [action.data().name for action in self.menu().actions() if action.isChecked()]
+        self.wanted = checked
+        self.offer(self._channels)
+        self.changed.emit()
+
 
 _SIGNALS = "research/signals"
 _STEP_S = 0.1
