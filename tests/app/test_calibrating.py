@@ -14,8 +14,9 @@ from tissueid.app.emergency import BY_BUTTON, BY_KEY, EmergencyStop
 from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
 from tissueid.app.words import sentence
 from tissueid.audit import AuditLog, last_lines
-from tissueid.calibration import Calibration, Quantity, StaticPlan, read_calibration
+from tissueid.calibration import Calibration, Quantity, read_calibration
 from tissueid.calibration.store import free_name
+from tissueid.errors import CancelledError
 
 PROBLEM, REMARK = "the spring is not the one that was named", "2.0 mm was left out"
 
@@ -30,8 +31,7 @@ def spring(stage=True):
 @pytest.fixture
 def technicians(open_window, calibrations, audit_file, monkeypatch):
     """Opens windows for technicians who are short of time: not all steps of a static calibration."""
-    quick = functools.partial(StaticPlan, steps=("electrical", "temperature"))
-    monkeypatch.setattr("tissueid.app.calibration_job.StaticPlan", quick)
+    monkeypatch.setattr("tissueid.calibration.static_procedure.STEPS", ("electrical", "temperature"))
     return functools.partial(open_window, role="technician", calibrations=calibrations, audit=AuditLog(audit_file))
 
 
@@ -260,8 +260,9 @@ def test_a_question_ends_with_the_answer_or_with_stop():
     stop = EmergencyStop()
     prompts = OperatorPrompts(stop)
     stop.press("stopped by key")
-    prompts.prompt_and_wait("Do something.")
-    assert prompts.stopped
+    with pytest.raises(CancelledError):
+        prompts.ask("Do something.")
+    assert prompts.cancelled()
     assert prompts.snapshot().instruction == ""
 
 

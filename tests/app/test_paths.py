@@ -1,7 +1,6 @@
 """Whole paths, one a role, by keyboard and mouse: from the page where somebody begins to the file that is left."""
 
 import csv
-import functools
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from support import connect
 
 from firmware_sim.identity import Identity
 from tissueid.audit import AuditLog, last_lines
-from tissueid.calibration import StaticPlan, read_calibration
+from tissueid.calibration import read_calibration
 from tissueid.instrument import SimulatedInstrument
 from tissueid.instrument.twin_file import read_twin
 from tissueid.sessions import read_session, write_session
@@ -192,8 +191,7 @@ def test_a_researcher_finds_looks_identifies_compares_and_exports(qtbot, from_st
 
 
 def test_a_technician_asks_calibrates_and_verifies(qtbot, from_start, calibrations, audit_file, monkeypatch):
-    quick = functools.partial(StaticPlan, steps=("electrical", "temperature"))
-    monkeypatch.setattr("tissueid.app.calibration_job.StaticPlan", quick)
+    monkeypatch.setattr("tissueid.calibration.static_procedure.STEPS", ("electrical", "temperature"))
     window = from_start(
         "technician",
         opener=lambda _: connect("calibration-spring", seed=3, identity=Identity(stage=True)),

@@ -201,8 +201,8 @@ def test_a_calibration_from_the_shell_that_broke_off_has_an_end_in_the_log(
     def fails(*_, **__):
         raise error
 
-    monkeypatch.setattr("tissueid.cli.calibrate_static.calibrate_static", fails)
-    monkeypatch.setattr("tissueid.cli.calibrate_sweep.Sweep.run", fails)
+    monkeypatch.setattr("tissueid.procedures.static_calibration.calibrate_static", fails)
+    monkeypatch.setattr("tissueid.procedures.sweep.Sweep.run", fails)
     assert main(["calibrate", kind, "--device", "simulated://forearm", "--out", str(tmp_path / "c.toml")]) != 0
     lines = [line for line in last_lines(audit_file, 100) if line.what.startswith("calibration.")]
     assert [line.what for line in lines] == ["calibration.begun", what]

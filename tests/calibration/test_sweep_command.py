@@ -90,18 +90,18 @@ def test_without_a_stage_a_person_on_a_terminal_moves_the_spring(device, tmp_pat
     device[0] = SPRING.model_copy(update={"stage": False})
     asked = []
 
-    def there(instrument, place_m, tell):
+    def there(instrument, place_m, tell, cancelled):
         asked.append(place_m)
         instrument._link.firmware.bench.place_fixture(place_m - 0.6e-3)
         tell(Standing(place_m - 1.4e-3, False))
 
-    monkeypatch.setattr("tissueid.cli.calibrate_sweep.wait_until_there", there)
+    monkeypatch.setattr("tissueid.procedures.sweep.wait_until_there", there)
     for stream in ("stdin", "stderr"):
         monkeypatch.setattr(f"sys.{stream}.isatty", lambda: True, raising=False)
     out = tmp_path / "sweep.toml"
     assert sweep("--device", "spring", "--out", out, *SHORT) == 0
     assert asked == pytest.approx([8e-3, 12e-3, 16e-3, 20e-3, 24e-3])
-    assert "Move the spring until the probe is at 12.0 mm" in capsys.readouterr().err
+    assert "the probe stands at 12.0 mm" in " ".join(capsys.readouterr().err.split())
     assert read_calibration(out).conditions["by"] == "hand"
 
 

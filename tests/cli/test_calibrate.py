@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from coded import message, says
+from coded import message, says, shows
 
 from tissueid.calibration import keep_calibration, read_calibration, write_calibration
 from tissueid.calibration.file import utc_date
@@ -152,13 +152,14 @@ def test_a_failed_calibration_goes_beside_one_that_passed(kept, tmp_path, capsys
     out, failed, answer = (tmp_path / name for name in ("a.toml", "a.failed.toml", "a.json"))
     out.write_bytes((kept / "a.toml").read_bytes())
     failing = [*STATIC, "--out", str(out), "--json", str(answer), "--steps", "force", "--spring", "1400"]
-    for _ in range(2):  # a failed one is written over by the next
-        assert main(failing) == 2
-        assert f"saved in {failed}; {out}, which passed, is unchanged" in capsys.readouterr().err.splitlines()[-1]
+    assert shows(complaint(capsys, *failing), "calibration.exists")
+    for kept_in in (failed, tmp_path / "a.failed_2.toml"):
+        assert main([*failing, "--overwrite"]) == 2
+        assert f"saved in {kept_in}; {out}, which passed, is unchanged" in capsys.readouterr().err.splitlines()[-1]
     assert out.read_bytes() == (kept / "a.toml").read_bytes()
     assert read_calibration(failed).verdict == "failed"
-    assert json.loads(answer.read_text())["file"] == str(failed)
-    assert sorted(path.name for path in tmp_path.glob("*.toml")) == ["a.failed.toml", "a.toml"]
+    assert json.loads(answer.read_text())["file"] == str(kept_in)
+    assert sorted(path.name for path in tmp_path.glob("*.toml")) == ["a.failed.toml", "a.failed_2.toml", "a.toml"]
 
 
 def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
@@ -167,7 +168,8 @@ def test_a_failed_one_never_takes_the_place_of_any_that_passed(kept, tmp_path):
         write_calibration(tmp_path / name, passed)
     failed = passed.model_copy(update={"verdict": "failed", "problems": ("too noisy",)})
     assert keep_calibration(tmp_path / "a.toml", failed) == tmp_path / "a.failed_2.toml"
-    assert keep_calibration(tmp_path / "a.toml", passed) == tmp_path / "a.toml"
+    assert keep_calibration(tmp_path / "a.toml", passed) == tmp_path / "a_2.toml"
+    assert keep_calibration(tmp_path / "a.toml", passed, overwrite=True) == tmp_path / "a.toml"
     assert read_calibration(tmp_path / "a.failed.toml").verdict == "passed"
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 from PySide6.QtCore import QObject
 
 from tissueid.app.calibration_page import CalibrationPage
+from tissueid.app.calibration_state import calibration_state
 from tissueid.app.chooser import InstrumentChooser
 from tissueid.app.context import AppContext
 from tissueid.app.emergency import EmergencyStop
@@ -17,14 +19,20 @@ from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.live_calibration import LiveCalibration
 from tissueid.app.navigation_bar import MEASURE
 from tissueid.app.notice import Notice
-from tissueid.app.operator_prompts import CalibrationOutcome, CalibrationPlan, Kind, OperatorPrompts
+from tissueid.app.operator_prompts import CalibrationOutcome, OperatorPrompts
+from tissueid.app.plan import NO_INSTRUMENT
 from tissueid.app.readouts import SafetyReadouts
+from tissueid.app.services import AppServices
 from tissueid.app.signals import SignalPlots
-from tissueid.app.words import in_words
-from tissueid.calibration.store import made_folder
-from tissueid.errors import TissueIDError
+from tissueid.app.words import in_words, sentence
+from tissueid.audit import AuditTrail
+from tissueid.calibration.active import put_in_force
+from tissueid.calibration.store import made_folder, stored_calibrations
+from tissueid.errors import TissueIDError, UnusableInputError
+from tissueid.instrument import Instrument
 from tissueid.language import _
-from tissueid.messages import translated
+from tissueid.messages import Message, translated
+from tissueid.procedures.calibration_plans import DynamicSweepPlan, Kind, StaticCalibrationPlan
 
 
 class CalibrationController(QObject):
@@ -61,33 +69,44 @@ class CalibrationController(QObject):
 
     def begin(self, kind: Kind) -> None:
         """Calibrate the chosen instrument."""
-        from tissueid.app.calibration_job import calibrate
-
-        services = self._context.services
         if self._context.busy:
             return
         try:
-            folder = services.calibrations or made_folder()
-            plan = CalibrationPlan(
-                self._instruments.url, kind, folder, self._page.ambient_c, not self._page.fixed.isChecked()
-            )
-            plan.check()
+            plan = self._plan(kind)
         except (TissueIDError, OSError) as error:
             self._notice.say(in_words(error), problem=True, about_form=True)
             return
-        self._url = plan.url
+        self._url = self._instruments.url
         stop = self._begin_energised(self._show)
         self._safety.expect(calibrating=True)
         self._signals.clear()
         self._analysis.hide()
         self._prompts = prompts = OperatorPrompts(stop)
         self._live = live = LiveCalibration(sweep=kind == "sweep")
-        trail = self._context.trail
         self._page.expect(kind)
         self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(calibrate, plan, prompts, stop, services.opener, trail, services.now, live)
+        work = functools.partial(_calibrate, plan, prompts, self._context.trail, self._context.services, live)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
+
+    def _plan(self, kind: Kind) -> StaticCalibrationPlan | DynamicSweepPlan:
+        """Return the plan of the form.
+
+        Raises:
+            UnusableInputError: no instrument is chosen.
+        """
+        if not self._instruments.url:
+            raise UnusableInputError(NO_INSTRUMENT)
+        folder = self._context.services.calibrations or made_folder()
+        if kind == "sweep":
+            return DynamicSweepPlan(device=self._instruments.url, folder=folder, all_files=True)
+        return StaticCalibrationPlan(
+            device=self._instruments.url,
+            folder=folder,
+            all_files=True,
+            ambient_c=self._page.ambient_c,
+            push_only=not self._page.fixed.isChecked(),
+        )
 
     def _show(self) -> None:
         if self._live is not None:
@@ -95,7 +114,7 @@ class CalibrationController(QObject):
             self._safety.show_safety(snapshot.safety)
             self._signals.show_rolling(snapshot)
             self._page.show_curve(*self._live.curve())
-        if self._prompts is not None and not self._prompts.stopped:
+        if self._prompts is not None and not self._prompts.cancelled():
             state = self._prompts.snapshot()
             self._page.show_prompts(state)
             said = translated(state.instruction) or _("Calibrating. Keep hands and cables clear of the probe.")
@@ -115,9 +134,10 @@ class CalibrationController(QObject):
         self._instruments.tell_calibration(self._url, outcome.state)
 
     def _failed(self, words: str) -> None:
+        notices = [] if self._prompts is None else [sentence(translated(line)) for line in self._prompts.notices]
         self._close()
         self._page.clear()
-        self._notice.say(words, problem=True, page=MEASURE)
+        self._notice.say(" ".join([words, *notices]), problem=True, page=MEASURE)
 
     def _close(self) -> None:
         self._end_energised()
@@ -127,3 +147,39 @@ class CalibrationController(QObject):
     def _open_report(self) -> None:
         if self._report is not None:
             self._context.show_file(self._report)
+
+
+def _calibrate(
+    plan: StaticCalibrationPlan | DynamicSweepPlan,
+    prompts: OperatorPrompts,
+    trail: AuditTrail,
+    services: AppServices,
+    live: LiveCalibration,
+) -> CalibrationOutcome:
+    """Run a calibration in the thread that owns the instrument; ``live`` gets the samples."""
+
+    def opened(url: str) -> Instrument:
+        instrument = services.opener(url)
+        live.watch(instrument)
+        return instrument
+
+    if isinstance(plan, StaticCalibrationPlan):
+        from tissueid.procedures.static_calibration import run_static_calibration
+
+        result = run_static_calibration(plan, prompts, trail, opened, services.now)
+    else:
+        from tissueid.procedures.sweep import run_sweep
+
+        result = run_sweep(plan, prompts, trail, opened, services.now)
+    remarks = (*result.notes, *prompts.notices)
+    if result.report_error is not None:
+        remarks += (
+            Message(
+                "calibration.no_report",
+                "its report could not be written ({problem}); the calibration is complete without it",
+                problem=in_words(result.report_error).removesuffix("."),
+            ),
+        )
+    stored = stored_calibrations(plan.folder)
+    state = calibration_state(put_in_force(result.nominal, stored, datetime.now(UTC)))
+    return CalibrationOutcome(result.calibration, result.path, result.report, remarks, state)

@@ -23,7 +23,7 @@ from tissueid.app.buttons import BigButton
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.live_signals import Array
 from tissueid.app.number_field import NumberField
-from tissueid.app.operator_prompts import CalibrationOutcome, Kind, PromptState
+from tissueid.app.operator_prompts import CalibrationOutcome, PromptState
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox, PageScroll
 from tissueid.app.theme import Theme
@@ -32,6 +32,7 @@ from tissueid.calibration.file import Quantity
 from tissueid.calibration.labels import headline_of, problems_of
 from tissueid.language import _, marked
 from tissueid.messages import translated
+from tissueid.procedures.calibration_plans import Kind
 
 _KINDS: dict[Kind, tuple[str, str, str]] = {
     "static": (

@@ -1,43 +1,17 @@
-"""Communication between the window and the calibration thread: plan, progress, prompts to the person, result."""
+"""Communication between the window and the calibration thread: progress, prompts to the person, result."""
 
 from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 from tissueid.app.calibration_state import CalibrationState
 from tissueid.app.emergency import EmergencyStop
-from tissueid.app.plan import NO_INSTRUMENT
 from tissueid.calibration.file import Calibration
-from tissueid.errors import UnusableInputError
+from tissueid.procedures.control import Control
 
-Kind = Literal["static", "sweep"]
 _WAIT_S = 0.1
-
-
-@dataclass(frozen=True)
-class CalibrationPlan:
-    """Which calibration of which instrument. ``ambient_c`` is the measured temperature of the room, or None.
-
-    With ``push_only`` the probe leans on the spring and is not fixed to it.
-    """
-
-    url: str
-    kind: Kind
-    folder: Path
-    ambient_c: float | None = None
-    push_only: bool = False
-
-    def check(self) -> None:
-        """Raise an error for a plan that is wrong before an instrument is opened.
-
-        Raises:
-            UnusableInputError: no instrument is chosen.
-        """
-        if not self.url:
-            raise UnusableInputError(NO_INSTRUMENT)
 
 
 @dataclass(frozen=True)
@@ -67,39 +41,64 @@ class PromptState:
     answer: bool = False
 
 
-class OperatorPrompts:
-    """Passes progress and instructions from the calibration thread to the window, and confirmations back."""
+class OperatorPrompts(Control):
+    """Passes progress and instructions from the calibration thread to the window, and confirmations back.
+
+    ``notices`` are collected for the end.
+    """
 
     def __init__(self, stop: EmergencyStop) -> None:
+        self.notices: list[str] = []
         self._stop = stop
         self._prompts = PromptState()
         self._done = threading.Event()
 
-    def show(self, step: str, fraction: float) -> None:
+    def progress(self, fraction: float | None, step: str) -> None:
         """Show the fraction of a step that is done."""
-        self._prompts = PromptState(step, fraction)
+        now = self._prompts
+        self._prompts = replace(now, step=step, fraction=now.fraction if fraction is None else fraction)
 
-    def prompt_and_wait(self, words: str) -> None:
-        """Show an instruction; return when the person confirms that it is done, or when the stop is triggered."""
+    def notice(self, message: str) -> None:
+        """Keep a notice for the end."""
+        self.notices.append(message)
+
+    @property
+    def attended(self) -> bool:
+        """There is a person at the window."""
+        return True
+
+    def ask(self, prompt: str) -> None:
+        """Show an instruction; return when the person confirms that it is done.
+
+        Raises:
+            CancelledError: the stop was triggered.
+        """
         self._done.clear()
-        self._prompts = replace(self._prompts, instruction=words, answer=True)
+        self._prompts = replace(self._prompts, instruction=prompt, answer=True)
         while not self._done.wait(_WAIT_S) and not self._stop.is_set():
             pass
-        self.prompt("")
+        self.instruct("")
+        self.check()
 
-    def prompt(self, words: str, step: str | None = None) -> None:
-        """Show an instruction that needs no confirmation; empty ``words`` remove it."""
-        shown = self._prompts.step if step is None else step
-        self._prompts = replace(self._prompts, step=shown, instruction=words, answer=False)
+    def instruct(self, prompt: str) -> None:
+        """Show an instruction that needs no confirmation; "" removes it."""
+        self._prompts = replace(self._prompts, instruction=prompt, answer=False)
 
     def answer(self) -> None:
         """Confirm that the instruction was carried out."""
         self._done.set()
 
-    @property
-    def stopped(self) -> bool:
+    def cancelled(self) -> bool:
         """Whether the calibration is being stopped."""
         return self._stop.is_set()
+
+    def check(self) -> bool:
+        """Return False, or raise if the stop was triggered.
+
+        Raises:
+            CancelledError: the stop was triggered; the message says why.
+        """
+        return self._stop.check()
 
     def snapshot(self) -> PromptState:
         """Return the current state."""

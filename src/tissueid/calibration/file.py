@@ -211,36 +211,48 @@ def check_writable(path: Path) -> None:
             )
 
 
-def write_calibration(path: Path, calibration: Calibration) -> None:
+def write_calibration(path: Path, calibration: Calibration, *, new: bool = False) -> None:
     """Write a calibration atomically and flushed to the disk. Only another calibration is overwritten.
 
     Raises:
+        FileExistsError: ``new``, and the file exists.
         UnusableInputError: another kind of file is there, the folder is missing, or writing fails.
     """
-    check_writable(path)
+    if not new:
+        check_writable(path)
     try:
-        with atomic_file(path, synced=True, shared=True) as partial:
+        with atomic_file(path, synced=True, new=new, shared=True) as partial:
             partial.write_text(as_text(calibration), encoding="utf-8")
+    except FileExistsError:
+        raise
     except OSError as error:
         raise UnusableInputError(
             Message("file.not_written", "cannot write {path}: {reason}", path=str(path), reason=str(error.strerror))
         ) from error
 
 
-def keep_calibration(path: Path, calibration: Calibration) -> Path:
-    """Write a calibration and return its path. A failed one never overwrites one that passed.
+def keep_calibration(path: Path, calibration: Calibration, *, overwrite: bool = False) -> Path:
+    """Write a calibration and return its path. Without ``overwrite`` no file is replaced.
 
-    It is then written to ``<stem>.failed.toml``, or ``<stem>.failed_2.toml`` and so on.
+    A failed calibration never replaces one that passed: it is written to ``<stem>.failed.toml``. If a file must not be
+    replaced, ``_2`` and so on is appended to the name.
 
     Raises:
         UnusableInputError: as ``write_calibration``.
     """
-    target, number = path, 1
-    while calibration.verdict == "failed" and _passed(target):
-        target = path.with_name(f"{path.stem}.failed{'' if number == 1 else f'_{number}'}.toml")
-        number += 1
-    write_calibration(target, calibration)
-    return target
+    failed = calibration.verdict == "failed" and _passed(path)
+    if overwrite and not failed:
+        write_calibration(path, calibration)
+        return path
+    wanted = path.with_name(f"{path.stem}.failed.toml") if failed else path
+    target, number = wanted, 2
+    while True:
+        try:
+            write_calibration(target, calibration, new=True)
+        except FileExistsError:
+            target, number = wanted.with_name(f"{wanted.stem}_{number}{wanted.suffix}"), number + 1
+        else:
+            return target
 
 
 def _passed(path: Path) -> bool:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from tissueid.audit import ROLE_ENVIRONMENT, ROLES, AuditLog, AuditTrail, Role, active_role, default_path
 from tissueid.cli.output import console
-from tissueid.errors import CancelledError, UnusableInputError
+from tissueid.errors import UnusableInputError
 
 
 def set_role(role: str) -> None:
@@ -49,17 +47,6 @@ def audit_note(role: Role, what: str, *, subject: str = "", old: Any = None, new
     own.note(what, subject=subject, old=old, new=new)
     print_audit_problems(own)
     return own.head
-
-
-@contextmanager
-def audit_failure(role: Role, what: str, *, subject: str) -> Iterator[None]:
-    """Log that ``what`` was stopped or failed, with the reason, if the block raises an error."""
-    try:
-        yield
-    except BaseException as error:
-        how = "stopped" if isinstance(error, CancelledError | KeyboardInterrupt) else "broken_off"
-        audit_note(role, f"{what}.{how}", subject=subject, new=str(error) or type(error).__name__)
-        raise
 
 
 def print_audit_problems(own: AuditTrail) -> None:

@@ -9,7 +9,8 @@ from tissueid.calibration import Calibration, calibration_folder, read_calibrati
 from tissueid.calibration.labels import headline_of, notes_of, readable
 from tissueid.calibration.status import Age, age_of
 from tissueid.cli.output import check_json, human_output, message_json, table, write_json
-from tissueid.procedures.output_files import check_output
+from tissueid.procedures.calibration_files import write_calibration_report
+from tissueid.procedures.output_files import HTML, check_new, check_output
 
 
 def list_calibrations(folder: Path | None, serial: str | None, json_file: Path | None) -> None:
@@ -78,7 +79,8 @@ def _listed(path: Path, found: Calibration | None, age: Age, is_newest: bool) ->
 def show_calibration(file: Path, report: Path | None, json_file: Path | None) -> None:
     """Print one calibration: instrument, date, verdict, all values."""
     check_json(json_file)
-    check_output(report, ("<!DOCTYPE html",))
+    check_output(report, HTML)
+    check_new(report)
     calibration = read_calibration(file)
     out = human_output(json_file)
     if not out.is_terminal:
@@ -97,9 +99,6 @@ def show_calibration(file: Path, report: Path | None, json_file: Path | None) ->
     for line in (*calibration.problems, *notes_of(calibration)):
         out.print(f"- {line}", markup=False, soft_wrap=True)
     if report is not None:
-        from tissueid.reports.calibration import sweep_report
-        from tissueid.reports.calibration_static import static_report
-
-        (sweep_report if calibration.kind == "sweep" else static_report)(calibration).write(report)
+        write_calibration_report(calibration, report)
     if json_file is not None:
         write_json(json_file, calibration.model_dump(mode="json"))

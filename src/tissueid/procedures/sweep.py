@@ -1,0 +1,244 @@
+"""Run a dynamic sweep, or analyse a saved one."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tissueid.acquisition import SessionRecorder
+from tissueid.audit import AuditTrail
+from tissueid.calibration.active import go_by_static, static_conditions
+from tissueid.calibration.manual_positioning import Standing, wait_until_there
+from tissueid.calibration.sweep import Sweep, sweep_tests
+from tissueid.calibration.sweep_analysis import analyse_sweep
+from tissueid.calibration.sweep_file import as_calibration
+from tissueid.device import DeviceDescription
+from tissueid.errors import UnusableInputError
+from tissueid.instrument import Instrument
+from tissueid.messages import Message, Quantity, Verbatim
+from tissueid.procedures.audit_notes import audit_failure
+from tissueid.procedures.calibration_files import CalibrationResult, calibration_path, check_files, keep
+from tissueid.procedures.calibration_plans import DynamicSweepPlan
+from tissueid.procedures.control import Control
+from tissueid.sessions import Session, read_session
+
+_SWEEPING = Message("calibration.step.sweep", "identifying the spring along the stroke")
+_ANALYSING = Message("calibration.step.analysis", "analysing the sweep")
+_FIRST_YEAR = 2000
+"""Earliest plausible year of a session."""
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    session: Session
+    path: Path
+    nominal: DeviceDescription
+    conditions: dict[str, float | str]
+    remarks: tuple[str, ...] = ()
+    made: datetime | None = None
+
+
+def run_sweep(
+    plan: DynamicSweepPlan,
+    control: Control,
+    trail: AuditTrail,
+    opener: Callable[[str], Instrument],
+    now: Callable[[], datetime] = datetime.now,
+) -> CalibrationResult:
+    """Run a sweep or read a saved one, analyse it and save the calibration, also a failed one.
+
+    The coil is released in every case.
+
+    Args:
+        plan: of the sweep and its files.
+        control: progress, cancellation, and instructions to a person.
+        trail: gets the audit entries.
+        opener: opens the instrument at an address.
+        now: local time, for the name of a new file.
+
+    Raises:
+        UnusableInputError: an option cannot be used, a file exists, or the recording cannot be analysed.
+        CancelledError, InstrumentError, LimitError, AuditError, JournalError: there is no calibration.
+    """
+    plan.sweep()
+    plan.spring(DeviceDescription())  # checks the options before anything moves
+    if (plan.device is None) == (plan.kept is None):
+        raise UnusableInputError(Message("sweep.device_or_kept", "give either --device, or --kept for a saved sweep"))
+    if plan.kept is not None and plan.session is not None:
+        raise UnusableInputError(
+            Message("sweep.session_and_kept", "--session saves a new recording: leave it out with --kept")
+        )
+    check_files(plan)
+    begin = time.perf_counter()
+    logged: AbstractContextManager[None] = nullcontext()
+    if plan.kept is None:
+        recorded = _record(plan, control, trail, opener, now)
+        logged = audit_failure(trail, control, "calibration", subject=recorded.nominal.serial_number)
+    else:
+        recorded = _read(plan, plan.kept, now)
+    seconds = time.perf_counter() - begin
+    control.progress(None, _ANALYSING)
+    session = recorded.session
+    with logged:
+        result = analyse_sweep(
+            sweep_tests(session), session.instrument, plan.spring(session.instrument), remarks=recorded.remarks
+        )
+        calibration = as_calibration(
+            result,
+            conditions=recorded.conditions | {"session_id": session.session_id},
+            valid_days=plan.valid_days,
+            now=recorded.made,
+        )
+    saved = recorded.path.with_suffix(".h5") if plan.all_files else plan.session
+    return keep(
+        plan,
+        calibration,
+        recorded.path,
+        control,
+        trail,
+        nominal=recorded.nominal,
+        seconds=seconds,
+        session=saved,
+        sweep=result,
+    )
+
+
+def _read(plan: DynamicSweepPlan, kept: Path, now: Callable[[], datetime]) -> _Recorded:
+    session = read_session(kept)
+    device = session.instrument
+    path = calibration_path(plan, device.serial_number, now)
+    return _Recorded(session, path, device, static_conditions(device), made=_date_of(session))
+
+
+def _date_of(session: Session) -> datetime:
+    """Return when a session was recorded; a time without zone is UTC.
+
+    Raises:
+        UnusableInputError: the session has no date, or an implausible one.
+    """
+    try:
+        made = datetime.fromisoformat(session.created)
+        made = made.replace(tzinfo=UTC) if made.tzinfo is None else made.astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise UnusableInputError(
+            Message("sweep.date", "the date of the session is not valid: '{date}'", date=Verbatim(session.created[:40]))
+        ) from error
+    if made.year < _FIRST_YEAR:
+        raise UnusableInputError(
+            Message("sweep.year", "the date of the session is not plausible: {year}", year=made.year)
+        )
+    return made
+
+
+def _record(
+    plan: DynamicSweepPlan,
+    control: Control,
+    trail: AuditTrail,
+    opener: Callable[[str], Instrument],
+    now: Callable[[], datetime],
+) -> _Recorded:
+    """Run a sweep and save its recording."""
+    instrument = opener(plan.device or "")
+    try:
+        control.check()
+        device = instrument.device
+        path = calibration_path(plan, device.serial_number, now)
+        conditions = go_by_static(instrument, plan.folder)
+        trail.record("calibration.begun", subject=device.serial_number, new=plan.kind)
+        wanted = path.with_suffix(".h5") if plan.all_files else plan.session
+        with (
+            audit_failure(trail, control, "calibration", subject=device.serial_number),
+            _session_file(wanted) as file,
+        ):
+            recorder = SessionRecorder(file, instrument.device, trail=trail)
+            sweep = Sweep(
+                instrument,
+                plan.sweep(),
+                recorder,
+                bring=(lambda position_m: _bring(instrument, position_m, control)) if control.attended else None,
+                progress=lambda fraction: control.progress(fraction, _SWEEPING),
+                cancelled=control.check,
+            )
+            try:
+                sweep.run()
+            except BaseException as error:
+                _broken_off(sweep, recorder, error, wanted, control)
+                raise
+            session = recorder.finish()
+    finally:
+        instrument.close()
+    conditions |= {
+        "from_m": plan.from_m,
+        "to_m": plan.to_m,
+        "step_m": plan.step_m,
+        "seconds": plan.seconds,
+        "by": "motorised stage" if sweep.has_stage else "hand",
+    }
+    return _Recorded(session, path, instrument.nominal, conditions, tuple(sweep.remarks))
+
+
+def _broken_off(
+    sweep: Sweep, recorder: SessionRecorder, error: BaseException, wanted: Path | None, control: Control
+) -> None:
+    """Save what was recorded, and say where the stage stands and where the recording is."""
+    if sweep.stage_m is not None:
+        control.notice(
+            Message(
+                "sweep.stage_stays",
+                "the stage stays at {position}: move it to mid-stroke before a test",
+                position=Quantity(1e3 * sweep.stage_m, "mm", 1),
+            )
+        )
+    if recorder.finish_or_discard(error) is not None and wanted is not None:
+        control.notice(
+            Message("sweep.kept", "the recording is saved in {path}: analyse it by --kept", path=str(wanted))
+        )
+
+
+@contextmanager
+def _session_file(wanted: Path | None) -> Iterator[Path]:
+    """Yield the session file of a sweep: ``wanted``, or a temporary file."""
+    if wanted is not None:
+        yield wanted
+        return
+    with tempfile.TemporaryDirectory(prefix="tissueid-sweep-") as folder:
+        yield Path(folder) / "sweep.h5"
+
+
+def _bring(instrument: Instrument, position_m: float, control: Control) -> None:
+    """Ask the person to move the spring, and return when the probe is at rest at ``position_m``."""
+    control.instruct(
+        Message(
+            "calibration.move_spring",
+            "Move the spring so that the probe stands at {position:.1f} mm, and let go. It goes on by itself.",
+            position=1e3 * position_m,
+        )
+    )
+
+    def show(standing: Standing) -> None:
+        position_mm, off_mm = 1e3 * standing.position_m, 1e3 * (standing.position_m - position_m)
+        if standing.there:
+            step = Message("calibration.probe_there", "The probe stands at {position:.2f} mm.", position=position_mm)
+        elif off_mm < 0:
+            step = Message(
+                "calibration.probe_before",
+                "The probe stands at {position:.2f} mm: {distance:.1f} mm further out.",
+                position=position_mm,
+                distance=-off_mm,
+            )
+        else:
+            step = Message(
+                "calibration.probe_beyond",
+                "The probe stands at {position:.2f} mm: {distance:.1f} mm further in.",
+                position=position_mm,
+                distance=off_mm,
+            )
+        control.progress(None, step)
+
+    wait_until_there(instrument, position_m, show, control.check)
+    control.instruct("")
