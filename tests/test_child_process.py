@@ -15,11 +15,12 @@ import firmware_sim
 import tissueid
 from tissueid.acquisition.live_estimator import LiveSettings
 from tissueid.acquisition.live_process import LiveProcess
-from tissueid.app.views.gap.separate_process import run_in_process
 from tissueid.child_process import run
 from tissueid.cli.demo import firmware_process
 from tissueid.cli.gap_blind import _record
 from tissueid.gap.workers import executor
+from tissueid.procedures.control import Control
+from tissueid.procedures.separate_process import run_in_process
 
 HOSTILE = (
     "multiprocessing",
@@ -86,11 +87,12 @@ def ran_in(folder: Path) -> str:
     return path.read_text(encoding="utf-8") if path.exists() else ""
 
 
-def work_apart(step, people, cancelled):
+def work_apart(control):
     import numpy as np
 
-    step("counting", 1, 2)
-    return people.do(neg, [float(np.float64(3.0)), 4.0], cancelled, lambda _: None)
+    control.progress(0.5, "counting")
+    with executor() as people:
+        return people.do(neg, [float(np.float64(3.0)), 4.0], control.check, lambda _: None)
 
 
 def test_the_trap_shuts_on_an_unprotected_process(hostile: Path):
@@ -106,7 +108,7 @@ def test_fits_in_other_processes_run_nothing_of_the_folder(hostile: Path):
 
 
 def test_a_diagnosis_of_the_window_runs_nothing_of_the_folder(hostile: Path):
-    assert run_in_process(work_apart, lambda *_: None, lambda: False) == [-3.0, -4.0]
+    assert run_in_process(work_apart, Control()) == [-3.0, -4.0]
     assert ran_in(hostile) == ""
 
 

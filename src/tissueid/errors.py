@@ -76,5 +76,11 @@ class FirmwareFaultError(InstrumentError):
         self.faults = faults
 
 
+CANCELLED = Message("procedure.cancelled", "it was cancelled")
+
+
 class CancelledError(TissueIDError):
     """The user cancelled; what was recorded is kept."""
+
+    def __init__(self, message: str = CANCELLED) -> None:
+        super().__init__(message)

@@ -38,7 +38,6 @@ from tissueid.app.notice import Notice
 from tissueid.app.operator_prompts import CalibrationOutcome
 from tissueid.app.services import AppServices
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.calibration import Calibration, Quantity
 from tissueid.calibration.active import calibrated
@@ -46,6 +45,8 @@ from tissueid.gap import diagnose, prepare
 from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument import SimulatedInstrument
 from tissueid.language import current_language, set_language
+from tissueid.procedures.diagnosis import DiagnosedSession
+from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.twin import catalogue as shelf
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
@@ -360,7 +361,9 @@ def in_state(qtbot, opened, request):
             page = ui.views[name]
             if page.history.result is None:
                 session, answer = request.getfixturevalue("diagnosis")
-                page.history.add(result_of(answer, session, DiagnosisRequest(Path("friction.h5"))))
+                page.history.add(
+                    result_of(DiagnosedSession(DiagnosisPlan(session=Path("friction.h5")), session, None, answer))
+                )
             page.result.tabs.setCurrentIndex(int(part.removeprefix("diagnosed ")))
         elif name == "gap":
             ui.views[name].asking.fold.setChecked(part == "settings")

@@ -34,7 +34,7 @@ def pair():
 @pytest.fixture
 def accept(tmp_path, pair, monkeypatch):
     """Runs the command with an answer at the terminal, None for a script; returns its exit code."""
-    monkeypatch.setattr("tissueid.cli.gap_diagnosis.run_diagnose", lambda *_args, **_options: pair)
+    monkeypatch.setattr("tissueid.procedures.diagnosis.diagnose", lambda *_args, **_options: pair)
     session = tmp_path / "session.h5"
     write_session(session, recorded(PAIR[0], samples=SAMPLES))
 

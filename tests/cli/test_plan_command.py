@@ -9,8 +9,8 @@ from coded import coded
 from pydantic import Field
 
 from tissueid.cli.plan_command import plan_command
-from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.procedures.control import CANCELLED, Control
+from tissueid.errors import CANCELLED, CancelledError, UnusableInputError
+from tissueid.procedures.control import Control
 from tissueid.procedures.plan_options import Option, Plan
 
 

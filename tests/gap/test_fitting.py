@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from gap_records import changed, observed, recorded, scenario
 
+from tissueid.errors import CancelledError
 from tissueid.gap.dataset import Purpose
-from tissueid.gap.fitting import Cancelled, Fit, differences, fit, predict, re_estimate
+from tissueid.gap.fitting import Fit, differences, fit, predict, re_estimate
 from tissueid.gap.parameters import WITHIN_STDS, parametrise
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import errors
@@ -120,7 +121,7 @@ def test_the_same_twice():
 
 
 def test_cancelled():
-    with pytest.raises(Cancelled):
+    with pytest.raises(CancelledError):
         fit(observed(), cancelled=lambda: True)
 
 

@@ -7,8 +7,8 @@ from functools import cache
 import pytest
 from gap_records import changed, observed, recorded
 
+from tissueid.errors import CancelledError
 from tissueid.gap.diagnosis import diagnose
-from tissueid.gap.fitting import Cancelled
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.search import Search, SearchProgress, SearchResult, applicable
@@ -88,7 +88,7 @@ def test_cancelled(after):
         steps.append,
         cancelled=lambda: len(steps) > after,
     )
-    with pytest.raises(Cancelled):
+    with pytest.raises(CancelledError):
         search.singles(search.baseline())
 
 

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from tissueid.gap.fitting import Cancelled
+from tissueid.errors import CancelledError
 from tissueid.gap.workers import Pool, SerialExecutor, executor
 
 
@@ -27,7 +27,7 @@ def test_one_worker_works_in_this_process():
 
 def test_the_serial_executor_stops_before_the_next_item():
     done: list[int] = []
-    with pytest.raises(Cancelled):
+    with pytest.raises(CancelledError):
         SerialExecutor().do(operator.neg, [1, 2, 3], lambda: len(done) == 2, done.append)
     assert done == [1, 2]
 
@@ -41,7 +41,7 @@ def test_several_workers_answer_in_order_raise_and_can_be_cancelled():
         assert people.do(math.factorial, [], never, done.append) == []
         with pytest.raises(ValueError, match="negative"):
             people.do(math.factorial, [2, -1], never, done.append)
-        with pytest.raises(Cancelled):
+        with pytest.raises(CancelledError):
             people.do(math.factorial, list(range(100)), lambda: True, done.append)
         assert people.do(math.factorial, [3], never, done.append) == [6]
 

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import typer
 
+from tissueid.cli.plan_command import plan_command
+from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan
+
 gap = typer.Typer(help="Diagnose the gap between simulation and recording.", no_args_is_help=True)
 
-Session = Annotated[Path, typer.Argument(metavar="SESSION", help="a session file")]
-Fit = Annotated[str, typer.Option(metavar="N,...", help="tests to fit; default: chosen automatically")]
-Check = Annotated[str, typer.Option(metavar="N,...", help="tests to hold out; default: chosen automatically")]
-Twin = Annotated[Path | None, typer.Option("--twin", metavar="FILE", help="saved twin to start from")]
 Workers = Annotated[
     int | None, typer.Option(min=1, max=64, metavar="N", help="number of processes; default: one per core")
 ]
@@ -20,54 +19,36 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="w
 
 
 @gap.command("diagnose")
-def diagnose_command(
-    session: Session,
-    fit: Fit = "",
-    check: Check = "",
-    out: Annotated[Path | None, typer.Option(metavar="PAGE", help="write the report, one HTML page")] = None,
-    twin: Twin = None,
-    twin_out: Annotated[Path | None, typer.Option("--twin-out", metavar="FILE", help="save the resulting twin")] = None,
-    workers: Workers = None,
-    json_file: JsonFile = None,
-) -> None:
+@plan_command
+def diagnose_command(plan: DiagnosisPlan, json_file: JsonFile = None) -> None:
     """Locate the gap of a session and name its cause.
 
     Also reports how far the effect closes the gap on held-out data.
     """
-    from tissueid.cli.gap_diagnosis import diagnose_session
+    from tissueid.cli.gap_diagnosis import run_diagnose
 
-    diagnose_session(session, fit, check, out, twin, twin_out, workers, json_file)
+    run_diagnose(plan, json_file)
 
 
 @gap.command("batch")
+@plan_command
 def batch_command(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="a folder of session files")],
+    plan: FolderPlan,
     json_file: Annotated[Path, typer.Option("--json", metavar="FILE", help="write the results by file name")],
-    workers: Workers = None,
 ) -> None:
     """Diagnose every session of a folder.
 
     For a file that cannot be used, the result is the reason.
     """
-    from tissueid.cli.gap_diagnosis import diagnose_folder
+    from tissueid.cli.gap_diagnosis import run_batch
 
-    diagnose_folder(folder, json_file, workers)
+    run_batch(plan, json_file)
 
 
 @gap.command("accept")
+@plan_command
 def accept_command(
-    session: Session,
-    out: Annotated[Path, typer.Option("--out", metavar="TWIN.toml", help="the twin to write")],
-    effects: Annotated[
-        list[str] | None, typer.Option("--effect", metavar="NAME", help="effect to accept; may be repeated")
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="name of the twin; default: that of the file")
-    ] = None,
-    twin: Twin = None,
-    fit: Fit = "",
-    check: Check = "",
-    workers: Workers = None,
+    plan: AcceptPlan,
     yes: Annotated[bool, typer.Option("--yes", help="accept all members of a combination, and do not ask")] = False,
     json_file: JsonFile = None,
 ) -> None:
@@ -77,7 +58,7 @@ def accept_command(
     """
     from tissueid.cli.gap_accept import run_accept
 
-    run_accept(session, out, effects or [], name, twin, fit, check, workers, json_file, yes=yes)
+    run_accept(plan, json_file, yes=yes)
 
 
 @gap.command("effects")

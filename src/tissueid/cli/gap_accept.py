@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tissueid.cli.audit_records import audit_note
-from tissueid.cli.output import check_json, console, human_output, progress_bars
+from tissueid.cli.audit_records import audit_trail
+from tissueid.cli.output import check_json, console, console_control, human_output
 from tissueid.cli.twin_output import print_twin
 from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.gap import Diagnosis, executor
-from tissueid.gap.accepting import accept_named, accepted
-from tissueid.gap.search import SearchProgress
+from tissueid.gap import Diagnosis
+from tissueid.gap.accepting import NamedEffects
 from tissueid.gap.statement import members_of, percent
-from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
+from tissueid.procedures.accept_effects import accept_effects
+from tissueid.procedures.diagnosis import diagnose_session
+from tissueid.procedures.gap_plans import AcceptPlan
 from tissueid.procedures.output_files import check_different
-from tissueid.sessions import read_session
 
 
-def run_accept(
-    session: Path,
-    out: Path,
-    effects: Sequence[str],
-    name: str | None,
-    before: Path | None,
-    fit: str,
-    check: str,
-    workers: int | None,
-    json_file: Path | None,
-    *,
-    yes: bool = False,
-) -> None:
-    """Save the twin with the effects of a diagnosis, or with those that are named.
+def run_accept(plan: AcceptPlan, json_file: Path | None, *, yes: bool = False) -> None:
+    """Save the twin with the effects of a diagnosis, or with those of the plan.
 
     At a terminal the user is asked which members of a combination to accept, except with ``yes``.
 
@@ -40,37 +27,21 @@ def run_accept(
         UnusableInputError: the session, the twin, an effect or an option cannot be used, or there is nothing to accept.
         CancelledError: interrupted, or no member was chosen; nothing was written.
     """
-    from tissueid.cli.gap_diagnosis import interruptible, numbers_of, run_diagnose
-
     check_json(json_file)
-    check_different(out, json_file)
-    check_twin_writable(out)
-    saved = None if before is None else read_twin(before)
-    called = name or (saved.name if saved is not None else out.stem)
-
-    def fitted(names: Sequence[str]) -> TwinFile:
-        chosen = numbers_of("--fit", fit), numbers_of("--check", check)
-        with progress_bars() as show, executor(workers) as pool:
-            return accept_named(session, names, called, saved, pool, _shown(show), *chosen)
-
-    with interruptible():
-        if effects:
-            content = fitted(effects)
-        else:
-            read = read_session(session)
-            with progress_bars() as show:
-                found = run_diagnose(read, fit, check, workers, show, twin=saved)
-            content = accepted(found, called, read.session_id, saved)
-            for line in _odds(found):
-                human_output(json_file).print(line, markup=False)
-            wanted = found.combination if yes else _chosen(found.combination)
-            if wanted != found.combination:
-                content = fitted(wanted)
-        write_twin(out, content)
-    made = {"file": out.name, "name": content.name, "version": content.version}
-    made |= {"effects": [item.name for item in content.effects]}
-    audit_note("researcher", "twin.accepted", subject=content.source.session_id, new=made)
-    print_twin(out, content, json_file)
+    check_different(plan.out, json_file)
+    trail = audit_trail()
+    named: NamedEffects | None = None
+    if not plan.effects:
+        with console_control() as control:
+            diagnosed = diagnose_session(plan.diagnosis, control)
+        named = diagnosed.named
+        for line in _odds(diagnosed.found):
+            human_output(json_file).print(line, markup=False)
+        chosen = named.effects if yes else _chosen(named.effects)
+        plan = plan.model_copy(update={"effects": chosen})
+    with console_control() as control:
+        content = accept_effects(plan, control, trail, named)
+    print_twin(plan.out, content, json_file)
 
 
 def _odds(found: Diagnosis) -> list[str]:
@@ -101,7 +72,3 @@ def _chosen(members: tuple[str, ...]) -> tuple[str, ...]:
         raise UnusableInputError(f"choose numbers from 1 to {len(members)}, not {line.strip()!r}; nothing was written")
     wanted = {int(number) for number in numbers} or set(range(1, len(members) + 1))
     return tuple(member for place, member in enumerate(members, 1) if place in wanted)
-
-
-def _shown(show: Callable[[str, float], None]) -> Callable[[SearchProgress], None]:
-    return lambda step: show(step.what, step.done / max(step.total, 1))

@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from tissueid.cli.output import check_json, human_output, progress_bars, table, write_json
-from tissueid.errors import CancelledError, UnusableInputError
-from tissueid.gap import Diagnosis, as_answer, diagnose, executor, prepare
-from tissueid.gap.accepting import accepted
-from tissueid.gap.search import SearchProgress
+from tissueid.cli.audit_records import audit_trail
+from tissueid.cli.output import check_json, console_control, human_output, table, write_json
+from tissueid.gap import Diagnosis, as_answer
 from tissueid.gap.statement import headline_of, members_of, ordered_candidates, percent
-from tissueid.gap.twin_export import with_prior_twin
-from tissueid.gap.workers import SerialExecutor
-from tissueid.instrument.twin_file import TwinFile, check_twin_writable, read_twin, write_twin
 from tissueid.messages import MISSING
-from tissueid.procedures.output_files import check_different, check_output, check_report
-from tissueid.sessions import Session, read_session
+from tissueid.procedures.accept_effects import accept_effects
+from tissueid.procedures.diagnosis import diagnose_folder, diagnose_session
+from tissueid.procedures.gap_plans import AcceptPlan, DiagnosisPlan, FolderPlan
+from tissueid.procedures.output_files import check_different
 from tissueid.twin.effect import STAGE_NAMES
 
 
-def diagnose_session(
-    session: Path,
-    fit: str,
-    check: str,
-    out: Path | None,
-    twin: Path | None,
-    twin_out: Path | None,
-    workers: int | None,
-    json_file: Path | None,
-) -> None:
+def run_diagnose(plan: DiagnosisPlan, json_file: Path | None) -> None:
     """Diagnose a session, print the result and write the requested files.
 
     Raises:
@@ -42,115 +28,46 @@ def diagnose_session(
         CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
-    check_output(out, ("<!",))
-    check_different(json_file, out, twin_out)
-    if twin_out is not None:
-        check_twin_writable(twin_out)
-    saved = None if twin is None else read_twin(twin)
-    with interruptible(), progress_bars() as show:
-        read = read_session(session)
-        check_report(out, read)
-        found = run_diagnose(read, fit, check, workers, show, saved)
-        if out is not None:
-            from tissueid.reports.gap import Origin, write_gap_report
-
-            write_gap_report(found, out, origin=Origin(read, session))
-    console = human_output(json_file)
+    check_different(json_file, plan.report, plan.twin_out)
+    trail = audit_trail()
+    with console_control() as control:
+        diagnosed = diagnose_session(plan, control)
+    found, console = diagnosed.found, human_output(json_file)
     for line in summary_lines(found):
         console.print(line, markup=False)
     if ordered_candidates(found):
         console.print(ranking_table(found))
     if json_file is not None:
         write_json(json_file, as_answer(found))
-    if out is not None:
-        console.print(f"report: {out}", markup=False)
-    if twin_out is not None:
-        called = saved.name if saved is not None else twin_out.stem
-        write_twin(twin_out, accepted(found, called, read.session_id, saved))
-        console.print(f"twin: {twin_out}", markup=False)
+    if plan.report is not None:
+        console.print(f"report: {plan.report}", markup=False)
+    if plan.twin_out is not None:
+        accepted = AcceptPlan(session=plan.session, out=plan.twin_out)
+        with console_control() as control:
+            accept_effects(accepted, control, trail, diagnosed.named)
+        console.print(f"twin: {plan.twin_out}", markup=False)
 
 
-def diagnose_folder(folder: Path, json_file: Path, workers: int | None) -> None:
-    """Diagnose every session of a folder; for a file that cannot be used, the result is the reason.
+def run_batch(plan: FolderPlan, json_file: Path) -> None:
+    """Diagnose every session of a folder, print a line for each and write the answers.
 
     Raises:
         UnusableInputError: there are no session files.
         CancelledError: the diagnosis was interrupted; nothing was written.
     """
     check_json(json_file)
-    files = sorted(folder.glob("*.h5"))
-    if not files:
-        raise UnusableInputError(f"there are no session files in {folder}")
+    with console_control() as control:
+        answers = diagnose_folder(plan, control, _line_and_answer)
     console = human_output(json_file)
-    with interruptible(), progress_bars() as show, executor(workers) as pool:
-        count = 0
-
-        def done(path: Path) -> None:
-            nonlocal count
-            count += 1
-            show("sessions", count / len(files))
-
-        show("sessions", 0.0)
-        answered = pool.do(_of_file, files, lambda: False, done)
-    for path, (line, _) in zip(files, answered, strict=True):
+    written: dict[str, Any] = {}
+    for path, answer in answers.items():
+        line, written[path.name] = (answer, {"error": answer}) if isinstance(answer, str) else answer
         console.print(f"{path.name}: {line}", markup=False, soft_wrap=True)
-    answers = {path.name: answer for path, (_, answer) in zip(files, answered, strict=True)}
-    write_json(json_file, answers)
+    write_json(json_file, written)
 
 
-def _of_file(path: Path) -> tuple[str, dict[str, Any]]:
-    # One process per session is faster than all processes on one session after another.
-    try:
-        found = diagnose(prepare(read_session(path)), SerialExecutor())
-    except UnusableInputError as error:
-        return str(error), {"error": str(error)}
+def _line_and_answer(found: Diagnosis) -> tuple[str, dict[str, Any]]:
     return _short(found), as_answer(found)
-
-
-def run_diagnose(
-    session: Session,
-    fit: str,
-    check: str,
-    workers: int | None,
-    show: Callable[[str, float], None],
-    twin: TwinFile | None = None,
-) -> Diagnosis:
-    """Diagnose one session and show progress; ``twin`` is a saved twin to start from.
-
-    Raises:
-        UnusableInputError: the session cannot be used.
-    """
-    observed = prepare(session, numbers_of("--fit", fit), numbers_of("--check", check))
-    known: tuple[str, ...] = ()
-    if twin is not None:
-        observed, known = with_prior_twin(observed, twin.twin), twin.twin.effects
-    with executor(workers) as pool:
-        return diagnose(observed, pool, known=known, progress=lambda step: show(*_bar(step)))
-
-
-def _bar(step: SearchProgress) -> tuple[str, float]:
-    return step.what, step.done / max(step.total, 1)
-
-
-def numbers_of(option: str, text: str) -> tuple[int, ...]:
-    """Return test numbers from a text separated by commas.
-
-    Raises:
-        UnusableInputError: the text is something else.
-    """
-    try:
-        return tuple(int(part) for part in text.split(",") if part.strip())
-    except ValueError:
-        raise UnusableInputError(f"{option} must be test numbers separated by commas, got {text!r}") from None
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Convert an interrupt from the keyboard to a ``CancelledError``."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise CancelledError("cancelled; nothing was written") from None
 
 
 def _short(found: Diagnosis) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -20,7 +18,7 @@ from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.formatting import clean
 from tissueid.messages import Message
 from tissueid.procedures.control import COUNTED, Control
-from tissueid.procedures.output_files import check_output, write_text
+from tissueid.procedures.output_files import check_output, json_text, write_text
 
 _SPACES = frozenset("\n\u00a0\u202f")
 """Characters that are not printable by Unicode category, but are used in tables and numbers."""
@@ -71,7 +69,7 @@ def write_json(target: Path, value: Any) -> None:
     Raises:
         UnusableInputError: the file cannot be written.
     """
-    text = json.dumps(_finite(value), indent=2, allow_nan=False) + "\n"
+    text = json_text(value)
     if str(target) == "-":
         sys.stdout.write(text)
         try:
@@ -81,18 +79,6 @@ def write_json(target: Path, value: Any) -> None:
         return
     check_json(target)
     write_text(target, text)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 @contextmanager

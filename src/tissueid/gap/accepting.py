@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from tissueid.errors import UnusableInputError
@@ -10,7 +12,7 @@ from tissueid.gap.diagnosis import Diagnosis
 from tissueid.gap.preparation import prepare
 from tissueid.gap.scoring import Candidate, closed, floor, gap, quiet_tests
 from tissueid.gap.search import Search, SearchProgress, applicable
-from tissueid.gap.twin_export import twin_file_of, with_prior_twin
+from tissueid.gap.twin_export import next_version, time_of_creation, twin_file_of, with_prior_twin
 from tissueid.gap.workers import Executor
 from tissueid.instrument.twin_file import MOST_NAMED, TwinFile
 from tissueid.language import marked
@@ -19,40 +21,56 @@ from tissueid.sessions import read_session
 from tissueid.twin.catalogue import effect
 
 _CHOOSE = Action("accept.choose", "--effect NAME", marked("choose it on the page Gap"))
+_NO_GAP = Message("accept.no_gap", "nothing to accept: there is no gap. To accept an effect: {choose}", choose=_CHOOSE)
+_UNEXPLAINED = Message(
+    "accept.unexplained",
+    "nothing to accept: no candidate explains the gap. To accept an effect: {choose}",
+    choose=_CHOOSE,
+)
 
 
-def accepted(found: Diagnosis, name: str, session_id: str, before: TwinFile | None) -> TwinFile:
-    """Return the twin file of the effects that a diagnosis names.
+@dataclass(frozen=True)
+class NamedEffects:
+    """The effects that a diagnosis names, and the twin that has them.
 
-    Raises:
-        UnusableInputError: the diagnosis names no effect.
+    ``twin`` is None where there is no such twin, and ``refused`` says why. ``baseline`` is the twin that it extends;
+    None is the nominal one.
     """
+
+    effects: tuple[str, ...]
+    twin: TwinFile | None
+    refused: str = ""
+    baseline: TwinFile | None = None
+
+    def twin_called(self, name: str, now: datetime | None = None) -> TwinFile:
+        """Return the twin under another name; the next version where it extends a twin of that name.
+
+        Raises:
+            UnusableInputError: there is no twin.
+        """
+        if self.twin is None:
+            raise UnusableInputError(self.refused)
+        changes = {"name": name, "version": next_version(name, self.baseline), "created": time_of_creation(now)}
+        return TwinFile(**self.twin.model_dump() | changes)
+
+
+def named_effects(found: Diagnosis, session_id: str, baseline: TwinFile | None) -> NamedEffects:
+    """Return the effects that a diagnosis names, with the twin that has them."""
     if found.verdict != "effect" or found.best is None:
-        if found.verdict == "no_gap":
-            raise UnusableInputError(
-                Message(
-                    "accept.no_gap",
-                    "nothing to accept: there is no gap. To accept an effect: {choose}",
-                    choose=_CHOOSE,
-                )
-            )
-        raise UnusableInputError(
-            Message(
-                "accept.unexplained",
-                "nothing to accept: no candidate explains the gap. To accept an effect: {choose}",
-                choose=_CHOOSE,
-            )
+        return NamedEffects((), None, _NO_GAP if found.verdict == "no_gap" else _UNEXPLAINED, baseline)
+    try:
+        twin = twin_file_of(
+            found.best,
+            "twin" if baseline is None else baseline.name,
+            session_id=session_id,
+            verdict=found.verdict,
+            closed=found.gap.closed,
+            probability=found.ranking[0].probability if found.ranking else None,
+            before=baseline,
         )
-    probability = found.ranking[0].probability if found.ranking else None
-    return twin_file_of(
-        found.best,
-        name,
-        session_id=session_id,
-        verdict=found.verdict,
-        closed=found.gap.closed,
-        probability=probability,
-        before=before,
-    )
+    except UnusableInputError as error:
+        return NamedEffects(found.combination, None, error.message, baseline)
+    return NamedEffects(found.combination, twin, baseline=baseline)
 
 
 def accept_named(

@@ -134,7 +134,7 @@ def diagnose(
         known: effects that the baseline already includes.
         candidates: effects to consider; all applicable effects where None.
         progress: callback for progress.
-        cancelled: callback that returns True to stop with ``workers.Cancelled``.
+        cancelled: callback that returns True to stop with ``CancelledError``.
     """
     began = time.monotonic()
     search = Search(dataset, crew, candidates, progress, cancelled)

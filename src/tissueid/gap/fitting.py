@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tissueid.errors import CancelledError
 from tissueid.gap.dataset import LEAST_NOISE, Dataset, DatasetTest, Purpose
 from tissueid.gap.forward_model import simulate_test
 from tissueid.gap.parameters import Parametrisation, parametrise
@@ -53,10 +54,6 @@ class Fit:
         return float(self.theta[self.parameters.index[name]])
 
 
-class Cancelled(Exception):  # noqa: N818 - a signal to stop, not an error that a user meets
-    """The work was cancelled."""
-
-
 def fit(
     dataset: Dataset,
     effects: Sequence[Effect] = (),
@@ -74,7 +71,7 @@ def fit(
         starts: starting point of each effect; its first declared one where none is given.
         near: another fit that provides the starting values of common coordinates.
         most_steps: most accepted steps.
-        cancelled: callback that returns True to stop with ``Cancelled``.
+        cancelled: callback that returns True to stop with ``CancelledError``.
     """
     before, known = ((), None) if near is None else (near.predictions, near.parameters)
     parameters = parametrise(dataset, effects, starts, before, known)
@@ -267,7 +264,7 @@ class _Search:
         found = np.empty((residuals.size, len(places)))
         for column, k in enumerate(places):
             if self._cancelled():
-                raise Cancelled
+                raise CancelledError
             step = self._steps[k] if theta[k] + self._steps[k] <= self._high[k] else -self._steps[k]
             other = theta.copy()
             other[k] += step

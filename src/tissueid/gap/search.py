@@ -139,7 +139,7 @@ class Search:
         crew: the executor of the fits.
         names: effects to try; all applicable effects of the library where None.
         progress: callback for progress.
-        cancelled: callback that returns True to stop with ``Cancelled``.
+        cancelled: callback that returns True to stop with ``CancelledError``.
     """
 
     def __init__(

@@ -96,7 +96,6 @@ def twin_file_of(
     Raises:
         UnusableInputError: the twin cannot be simulated.
     """
-    version = before.version + 1 if before is not None and before.name == name else 1
     source = Source(
         session_id=session_id,
         tests=tuple(test.number for test in candidate.fit.parameters.dataset.tests),
@@ -105,8 +104,18 @@ def twin_file_of(
         probability=probability,
         improves="" if before is None else f"{before.name}, version {before.version}",
     )
-    created = (now or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return content_of(twin_of(candidate, name, version), source, created, f"tissueid {__version__}")
+    twin = twin_of(candidate, name, next_version(name, before))
+    return content_of(twin, source, time_of_creation(now), f"tissueid {__version__}")
+
+
+def next_version(name: str, before: TwinFile | None) -> int:
+    """Return the version of a twin that extends another one: the next one where the name stays."""
+    return before.version + 1 if before is not None and before.name == name else 1
+
+
+def time_of_creation(now: datetime | None = None) -> str:
+    """Return a time, UTC, as the file of a twin states it."""
+    return (now or datetime.now(UTC)).astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def with_prior_twin(dataset: Dataset, twin: NamedTwin) -> Dataset:

@@ -14,7 +14,7 @@ from multiprocessing.process import BaseProcess, parent_process
 from typing import Any, Protocol, TypeVar
 
 from tissueid.child_process import spawn_context
-from tissueid.gap.fitting import Cancelled
+from tissueid.errors import CancelledError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -34,7 +34,7 @@ class Executor(Protocol):
         """Return results in the order of ``things``; call ``done`` with each finished item.
 
         Raises:
-            Cancelled: ``cancelled`` returned True.
+            CancelledError: ``cancelled`` returned True.
         """
         ...
 
@@ -49,7 +49,7 @@ class SerialExecutor:
         found = []
         for thing in things:
             if cancelled():
-                raise Cancelled
+                raise CancelledError
             found.append(work(thing))
             done(thing)
         return found
@@ -78,7 +78,7 @@ class Pool:
         """Return results in the order of ``things``; drop unfinished items when cancelled.
 
         Raises:
-            Cancelled: ``cancelled`` returned True.
+            CancelledError: ``cancelled`` returned True.
             RuntimeError: a process died.
             Exception: the first exception of the work in the order of ``things``.
         """
@@ -99,7 +99,7 @@ class Pool:
                     del doing[pipe]
                     idle.append(pipe)
                 if cancelled():
-                    raise Cancelled
+                    raise CancelledError
         except (EOFError, OSError) as error:
             raise RuntimeError("a process that fits ended unexpectedly") from error
         finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from tissueid.atomic_write import atomic_file
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
+from tissueid.formatting import clean
 from tissueid.instrument.twin_list import FORMAT, MOST_BYTES, SUFFIX, twin_model
 from tissueid.messages import Message, Verbatim, joined
 from tissueid.option_errors import validation_reason
@@ -31,6 +33,7 @@ _Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 _Figure = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 _Std = Annotated[float, Field(ge=0.0, le=1e12, allow_inf_nan=False)]
 _Line = Annotated[str, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+_NAME = r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}"
 _POSITIVE = ("resistance_ohm", "inductance_h", "force_constant_n_per_a", "moving_mass_kg", "amplifier_gain", "stroke_m")
 _LEAST = 1e-9
 _MOST = {"resistance_ohm": 1e4, "inductance_h": 10.0, "force_constant_n_per_a": 1e4, "moving_mass_kg": 1e3}
@@ -89,7 +92,7 @@ class TwinFile(_Part):
 
     format: Literal["tissueid-twin"] = FORMAT
     format_version: Literal["1.0"] = "1.0"
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,79}$")]
+    name: Annotated[str, Field(pattern=rf"^{_NAME}$")]
     version: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     created: _Line = ""
     software: _Line = ""
@@ -195,7 +198,7 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
     """Return the content of the file of a twin.
 
     Raises:
-        UnusableInputError: the twin has more than ``MOST_NAMED`` effects.
+        UnusableInputError: the twin has more than ``MOST_NAMED`` effects, or cannot be simulated.
     """
     if len(twin.acting) > MOST_NAMED:
         raise UnusableInputError(
@@ -218,18 +221,21 @@ def content_of(twin: NamedTwin, source: Source, created: str, software: str) -> 
         )
         for item in twin.acting
     )
-    return TwinFile(
-        name=twin.name,
-        version=twin.version,
-        created=created,
-        software=software,
-        sample_rate_hz=twin.sample_rate_hz,
-        source=source,
-        instrument=asdict(twin.instrument),
-        tissue=asdict(twin.tissue),
-        stds={name: value for name, value in twin.stds.items() if "." not in name},
-        effects=effects,
-    )
+    try:
+        return TwinFile(
+            name=twin.name,
+            version=twin.version,
+            created=created,
+            software=software,
+            sample_rate_hz=twin.sample_rate_hz,
+            source=source,
+            instrument=asdict(twin.instrument),
+            tissue=asdict(twin.tissue),
+            stds={name: value for name, value in twin.stds.items() if "." not in name},
+            effects=effects,
+        )
+    except ValidationError as error:
+        raise UnusableInputError(validation_reason(error)) from error
 
 
 def read_twin(path: Path) -> TwinFile:
@@ -281,6 +287,23 @@ def read_twin(path: Path) -> TwinFile:
                 why=validation_reason(error),
             )
         ) from error
+
+
+def check_twin_name(name: str) -> None:
+    """Check the name of a new twin.
+
+    Raises:
+        UnusableInputError: it is empty, too long, or has characters that are not permitted.
+    """
+    if re.fullmatch(_NAME, name) is None:
+        raise UnusableInputError(
+            Message(
+                "twin.name",
+                "the name of a twin (that of its file, unless another is given) must begin with a letter or digit and "
+                "have only letters of the English alphabet, digits, blanks, dots, dashes and underscores, not {name}",
+                name=Verbatim(f"“{clean(name)[:40]}”"),
+            )
+        )
 
 
 def check_twin_writable(path: Path) -> None:

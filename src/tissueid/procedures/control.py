@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from tissueid.errors import CancelledError
+from tissueid.errors import CANCELLED, CancelledError
 from tissueid.messages import Message
 
-CANCELLED = Message("procedure.cancelled", "it was cancelled")
 COUNTED = "procedure.counted"
 """Code of a step with the number of its items that are done."""
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tissueid.atomic_write import atomic_file, open_regular
 from tissueid.errors import UnusableInputError
@@ -102,6 +104,24 @@ def unused_path(path: Path) -> Path:
     while free.exists() or free.is_symlink():
         free, number = path.with_name(f"{path.stem}-{number}{path.suffix}"), number + 1
     return free
+
+
+def finite(value: Any) -> Any:
+    """Return a value for JSON: numbers that are not finite become None, keys texts, numpy's numbers Python's."""
+    if isinstance(value, dict):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def json_text(value: Any) -> str:
+    """Return a value as the text of a JSON file, with null for numbers that are not finite."""
+    return json.dumps(finite(value), indent=2, allow_nan=False) + "\n"
 
 
 def write_text(target: Path, text: str) -> None:

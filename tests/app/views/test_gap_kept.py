@@ -15,7 +15,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 
 from tissueid.app.file_stamp import stamp_of
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest, new_key
+from tissueid.app.views.gap.diagnosis_result import new_key
 from tissueid.app.views.gap.diagnosis_run import result_of
 from tissueid.app.views.gap.diagnosis_store import MOST_KEPT, default_folder, keep, read_kept
 from tissueid.app.views.gap.displayed_text import STATE_TITLES
@@ -27,6 +27,8 @@ from tissueid.gap.workers import SerialExecutor
 from tissueid.instrument.twin_file import read_twin
 from tissueid.language import set_language
 from tissueid.messages import translated
+from tissueid.procedures.diagnosis import DiagnosedSession
+from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import Subject, write_session
 from tissueid.twin.catalogue import all_effects
 
@@ -52,7 +54,7 @@ def friction(tmp_path):
 @pytest.fixture
 def diagnosed(found, friction):
     session = recorded("dry_friction", samples=SAMPLES)
-    return result_of(found, session, DiagnosisRequest(friction), stamp=stamp_of(friction))
+    return result_of(DiagnosedSession(DiagnosisPlan(session=friction), session, None, found), stamp_of(friction))
 
 
 @pytest.fixture
@@ -154,7 +156,8 @@ def test_what_is_removed_is_gone_at_the_next_start_and_comes_back_with_undo(qtbo
 
 
 def test_a_changed_session_is_marked_and_diagnosed_again_by_a_button(qtbot, shown, diagnosed, friction, monkeypatch):
-    keep(replace(diagnosed, asked=replace(diagnosed.asked, fit=(1,), check=(1,))), default_folder())
+    asked = diagnosed.asked.model_copy(update={"fit": (1,), "check": (1,)})
+    keep(replace(diagnosed, asked=asked), default_folder())
     friction.unlink()
     write_session(friction, recorded("dry_friction", samples=SAMPLES + 100))
     window, page = shown()

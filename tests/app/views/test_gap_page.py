@@ -1,10 +1,8 @@
 """The page of the gap as people use it: a session in; verdict, stage, effect, twin, report and answer out."""
 
-import functools
 import json
 import threading
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 from app.benches import WAIT_MS
@@ -19,7 +17,6 @@ from PySide6.QtWidgets import QAbstractButton, QComboBox, QFileDialog, QLabel, Q
 from tissueid.app.file_stamp import stamp_of
 from tissueid.app.views.gap import diagnosis_run
 from tissueid.app.views.gap.diagnosis_export import why_not_accepted
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest
 from tissueid.app.views.gap.effect_dialog import EffectDialog
 from tissueid.app.views.gap.next_test import session_url
 from tissueid.app.views.gap.page_content import Proposal
@@ -28,11 +25,12 @@ from tissueid.audit import AuditLog, last_lines
 from tissueid.device import DeviceDescription
 from tissueid.gap.candidate_tests import candidate_tests
 from tissueid.gap.next_experiment import NextExperiment, command_line
-from tissueid.gap.search import Work
 from tissueid.instrument import open_instrument
 from tissueid.instrument.twin_file import Source, content_of, device_of, read_twin, write_twin
 from tissueid.instrument.twin_list import twins_in
 from tissueid.language import current_language, set_language
+from tissueid.procedures.control import counted
+from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.sessions import read_session, write_session
 from tissueid.twin import catalogue as shelf
 from tissueid.twin.chain_parameters import Instrument, Tissue
@@ -81,9 +79,9 @@ def diagnosed(qtbot, open_window, friction, answers, monkeypatch):
 
     result_of = diagnosis_run.result_of
 
-    def noted(found, *rest):
-        answers["found"] = found
-        return result_of(found, *rest)
+    def noted(diagnosed, *rest):
+        answers["found"] = diagnosed.found
+        return result_of(diagnosed, *rest)
 
     def make(**changes):
         window = open_window(first_page="gap", **changes)
@@ -96,7 +94,9 @@ def diagnosed(qtbot, open_window, friction, answers, monkeypatch):
                 wait(qtbot, window)
             answers[language] = page.history.result
         else:
-            page.history.add(replace(answers[language], asked=DiagnosisRequest(friction), stamp=stamp_of(friction)))
+            page.history.add(
+                replace(answers[language], asked=DiagnosisPlan(session=friction), stamp=stamp_of(friction))
+            )
         wait(qtbot, window)
         return window, page
 
@@ -282,14 +282,11 @@ def test_no_gap_says_so_and_makes_no_twin(qtbot, open_window, tmp_path):
 def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_window, friction, monkeypatch, held):
     reached = threading.Event()
 
-    def slow(asked, step, crew, cancelled):
-        from tissueid.gap.fitting import Cancelled
-
-        step("Fitting", 3, 8)
+    def slow(plan, control):
+        control.progress(3 / 8, counted("Fitting", 3, 8))
         reached.set()
-        while not cancelled():
+        while not control.check():
             threading.Event().wait(0.005)
-        raise Cancelled
 
     monkeypatch.setattr(diagnosis_run, "_diagnosed", slow)
     window = open_window(first_page="gap")
@@ -307,23 +304,13 @@ def test_a_diagnosis_is_cancelled_and_a_window_closed_in_mid_work(qtbot, open_wi
         qtbot.waitUntil(lambda: not window.isVisible(), timeout=WAIT_MS)
 
 
-def test_all_that_a_search_is_busy_with_has_words():
-    assert set(diagnosis_run.WORDS) == set(get_args(Work))
-
-
-def test_processes_of_their_own_leave_when_cancelled(friction):
-    cancelled = functools.partial(next, iter([False] * 3 + [True] * 9))
-    asked = DiagnosisRequest(friction)
-    assert diagnosis_run.run_diagnosis(asked, lambda *_: None, cancelled, separate_process=True) is None
-
-
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
         (lambda page, folder: (folder / "friction.h5").write_bytes(b"rubbish" * 99), "friction.h5"),
         (lambda page, folder: (folder / "friction.h5").unlink(), "friction.h5"),
         (lambda page, folder: page.asking.take(folder / "bad.toml"), "not a twin"),
-        (lambda page, folder: page.asking.fit.setText("one"), "numbers of tests"),
+        (lambda page, folder: page.asking.fit.setText("one"), "test numbers"),
         (lambda page, folder: page.asking.fit.setText("7"), "no test 7"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Request and result of a diagnosis as plain values, which the page shows and stores."""
+"""Result of a diagnosis as plain values, which the page shows and stores."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tissueid.app.file_stamp import Stamp, stamp_of
 from tissueid.device import DeviceDescription
-from tissueid.language import ENGLISH
+from tissueid.procedures.gap_plans import DiagnosisPlan
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import PageContent
@@ -19,20 +18,6 @@ if TYPE_CHECKING:
 
 State = Literal["", "changed", "missing"]
 """State of the session file since its diagnosis; "" if it is unchanged."""
-
-
-@dataclass(frozen=True)
-class DiagnosisRequest:
-    """Input of a diagnosis. ``twin`` None is the nominal twin; ``fit`` and ``check`` are numbers of tests.
-
-    ``language`` is that of the stored texts.
-    """
-
-    session: Path
-    twin: Path | None = None
-    fit: tuple[int, ...] = ()
-    check: tuple[int, ...] = ()
-    language: str = ENGLISH
 
 
 def new_key(when: datetime) -> str:
@@ -46,7 +31,7 @@ def _now() -> datetime:
 
 @dataclass(frozen=True)
 class DiagnosisResult:
-    """A diagnosis with its request.
+    """A diagnosis with its plan.
 
     ``story`` is what the page shows of it, ``answer`` the JSON of ``tissueid gap diagnose``, ``report`` its page as
     HTML. ``twin`` is the content of the baseline twin, None for the nominal one; ``accepted`` that of the twin which
@@ -54,7 +39,7 @@ class DiagnosisResult:
     file as it was diagnosed.
     """
 
-    asked: DiagnosisRequest
+    asked: DiagnosisPlan
     session_id: str
     instrument: DeviceDescription
     twin: TwinFile | None

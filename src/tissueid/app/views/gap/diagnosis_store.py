@@ -18,13 +18,15 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validato
 
 from tissueid.app.stored_text import StoredText
 from tissueid.app.user_data import default_path
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest, DiagnosisResult
+from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.views.gap.page_content import PageContent
 from tissueid.atomic_write import open_regular, private_folder, write_private
 from tissueid.device import DeviceDescription
 from tissueid.errors import UnusableInputError
 from tissueid.instrument.twin_file import TwinFile
+from tissueid.language import ENGLISH
 from tissueid.messages import Message
+from tissueid.procedures.gap_plans import DiagnosisPlan
 from tissueid.untrusted_input import MAX_TESTS, json_value
 
 FOLDER = "diagnoses"
@@ -48,19 +50,20 @@ class _Asked(_Part):
     twin: _Path | None
     fit: _Numbers
     check: _Numbers
-    language: _Line
+    language: _Line = ENGLISH
+    """Of files of earlier versions; it is not used."""
 
     @classmethod
-    def of(cls, asked: DiagnosisRequest) -> _Asked:
-        """Return the stored form of a request."""
+    def of(cls, asked: DiagnosisPlan) -> _Asked:
+        """Return the stored form of a plan."""
         twin = None if asked.twin is None else str(asked.twin)
-        return cls(session=str(asked.session), twin=twin, fit=asked.fit, check=asked.check, language=asked.language)
+        return cls(session=str(asked.session), twin=twin, fit=asked.fit, check=asked.check)
 
     @property
-    def asked(self) -> DiagnosisRequest:
-        """The request."""
+    def asked(self) -> DiagnosisPlan:
+        """The plan."""
         twin = None if self.twin is None else Path(self.twin)
-        return DiagnosisRequest(Path(self.session), twin, self.fit, self.check, self.language)
+        return DiagnosisPlan(session=Path(self.session), twin=twin, fit=self.fit, check=self.check)
 
 
 class _Kept(_Part):

@@ -24,12 +24,12 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.buttons import BigButton
 from tissueid.app.small_window import FoldingBox
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest
-from tissueid.app.views.gap.diagnosis_run import parse_test_numbers
 from tissueid.app.views.gap.session_titles import unique_titles
 from tissueid.app.views.researcher.text_settings import load_texts, save_texts
 from tissueid.formatting import clean
-from tissueid.language import _, current_language, marked
+from tissueid.language import _, marked
+from tissueid.messages import translated
+from tissueid.procedures.gap_plans import DiagnosisPlan, read_test_number
 
 NOMINAL = marked("Nominal twin")
 _NEWEST = 20
@@ -38,6 +38,7 @@ _RECENT = 10
 """Maximum number of listed files from other folders."""
 _LONGEST = 120
 _SETTING = "gap"
+_STEPS = 1000
 _ONE_ROW = 640
 _FIELDS_IN_A_ROW = 480
 
@@ -90,22 +91,22 @@ class RequestPanel(QFrame):
         first = [self.session.choice, self.session.open, self.twin.choice, self.twin.open]
         return [*first, self.run, self.stop, self.fold, self.fit, self.check]
 
-    def asked(self) -> DiagnosisRequest:
-        """Return the current request.
+    def asked(self) -> DiagnosisPlan:
+        """Return the current plan.
 
         Raises:
             UnusableInputError: what is typed are no numbers of tests.
         """
         fit, check = (
-            parse_test_numbers(self.fit.text(), _("tests to fit")),
-            parse_test_numbers(self.check.text(), _("to check")),
+            tuple(read_test_number(what, part) for part in field.text().replace(",", " ").split())
+            for what, field in ((_("Tests to fit"), self.fit), (_("Tests to check"), self.check))
         )
         session, twin = self.session.path or Path(), self.twin.path
-        return DiagnosisRequest(
-            session.absolute(), None if twin is None else twin.absolute(), fit, check, current_language()
+        return DiagnosisPlan(
+            session=session.absolute(), twin=None if twin is None else twin.absolute(), fit=fit, check=check
         )
 
-    def put(self, asked: DiagnosisRequest) -> None:
+    def put(self, asked: DiagnosisPlan) -> None:
         """Select the values of an earlier request."""
         self.session.choose(asked.session)
         if asked.twin is None:
@@ -130,14 +131,11 @@ class RequestPanel(QFrame):
         (self.twin if path.suffix == ".toml" else self.session).add_recent(path)
         self.look()
 
-    def tell(self, what: str, done: int, total: int) -> None:
-        """Show the progress; a ``total`` of 0 means that the total is unknown."""
-        known = total > 1
-        self.doing.setText(
-            _("{what}: {done} of {total}").format(what=_(what), done=done, total=total) if known else f"{_(what)}…"
-        )
-        self.bar.setRange(0, total if known else 0)
-        self.bar.setValue(done if known else 0)
+    def show_progress(self, fraction: float | None, step: str) -> None:
+        """Show the step and its completed share from 0 to 1; None where that is not known."""
+        self.doing.setText(translated(step) if fraction is not None else f"{translated(step)}…")
+        self.bar.setRange(0, 0 if fraction is None else _STEPS)
+        self.bar.setValue(0 if fraction is None else round(_STEPS * fraction))
 
     def clear(self) -> None:
         """Hide the progress."""
@@ -150,7 +148,7 @@ class RequestPanel(QFrame):
         for widget in (self.doing, self.bar, self.stop):
             widget.show()
         self.stop.setEnabled(True)
-        self.tell(_("Starting"), 0, 0)
+        self.show_progress(None, _("Starting"))
 
     def update_enabled(self, *, busy: bool, testing: bool) -> None:
         """Enable or disable the controls."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QTimer, Signal
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -22,6 +21,7 @@ from PySide6.QtWidgets import (
 
 from tissueid.app.context import AppContext
 from tissueid.app.disabled_reason import show_disabled_reason
+from tissueid.app.job_control import JobControl
 from tissueid.app.theme import Theme
 from tissueid.app.views.gap.background_reading import BackgroundReading
 from tissueid.app.views.gap.diagnosis_export import (
@@ -32,7 +32,7 @@ from tissueid.app.views.gap.diagnosis_export import (
     write_report,
 )
 from tissueid.app.views.gap.diagnosis_list import DiagnosisList
-from tissueid.app.views.gap.diagnosis_result import DiagnosisRequest, DiagnosisResult
+from tissueid.app.views.gap.diagnosis_result import DiagnosisResult
 from tissueid.app.views.gap.diagnosis_run import run_diagnosis
 from tissueid.app.views.gap.diagnosis_store import KeptDiagnoses, default_folder, keep, remove
 from tissueid.app.views.gap.effect_dialog import EffectDialog
@@ -42,9 +42,10 @@ from tissueid.app.views.gap.request_panel import RequestPanel
 from tissueid.app.views.gap.result_page import ResultPage
 from tissueid.app.views.view import View
 from tissueid.app.words import in_words
-from tissueid.errors import UnusableInputError
+from tissueid.errors import CancelledError, UnusableInputError
 from tissueid.language import _, marked, plural
 from tissueid.messages import translated
+from tissueid.procedures.gap_plans import DiagnosisPlan
 
 _WELCOME = marked(
     "A simulation of the same test never equals the recording. Choose a session and run: this page says whether the "
@@ -53,24 +54,26 @@ _WELCOME = marked(
 )
 _CANCELLED = marked("The diagnosis was cancelled.")
 _TAB = "gap/tab"
+_LOOK_MS = 100
+"""Interval at which the progress is shown, ms."""
 
 
 class GapView(View):
     """The page ``gap``. A diagnosis runs in separate processes and can be cancelled at any time."""
 
     name = "gap"
-    stepped = Signal(str, int, int)
-    """Progress of the diagnosis, emitted from its thread."""
 
     def __init__(self, context: AppContext, parent: QWidget | None = None) -> None:
         super().__init__(context, parent)
         self._written: tuple[DiagnosisResult, Path] | None = None
-        self._cancelled = threading.Event()
+        self._control = JobControl()
         self._running = self._over = False
-        self._next: DiagnosisRequest | None = None
+        self._next: DiagnosisPlan | None = None
         self._kept_in = default_folder()
         self.background = BackgroundReading(context.jobs, self._kept_in, self)
         self._busy = self._testing = False
+        self._looking = QTimer(self)
+        self._looking.setInterval(_LOOK_MS)
         # Not from within a job's end: the other pages must have settled first.
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
@@ -129,7 +132,7 @@ class GapView(View):
     def cancel(self) -> None:
         """Cancel the running diagnosis and start no further work; the window closes."""
         self._over, self._next = True, None
-        self._cancelled.set()
+        self._control.cancel()
         self.background.cancel()
 
     def save_state(self) -> None:
@@ -148,8 +151,9 @@ class GapView(View):
         except UnusableInputError as error:
             self.context.say(in_words(error), problem=True)
             return
-        self._cancelled, self._running = threading.Event(), True
+        self._control, self._running = JobControl(), True
         self.asking.begin()
+        self._looking.start()
         self.asking.stop.setFocus()
         self.background.cancel()
         if self.context.busy:
@@ -166,9 +170,9 @@ class GapView(View):
     def stop(self) -> None:
         """Cancel the running diagnosis."""
         if self._running:
-            self._cancelled.set()
+            self._control.cancel()
             self.asking.stop.setEnabled(False)
-            self.asking.tell(_("Cancelling"), 0, 0)
+            self.asking.show_progress(None, _("Cancelling"))
 
     @property
     def _only_reading(self) -> bool:
@@ -185,12 +189,14 @@ class GapView(View):
         elif self.isVisible():
             self.background.go_on(self.asking.session.untitled)
 
-    def _diagnose(self, asked: DiagnosisRequest) -> tuple[DiagnosisResult | None, str]:
+    def _diagnose(self, asked: DiagnosisPlan) -> tuple[DiagnosisResult | None, str]:
         """Diagnose and store the result; return the result and why it was not stored. Runs in a thread."""
-        result = run_diagnosis(
-            asked, self.stepped.emit, self._cancelled.is_set, separate_process=self.context.services.separate_process
-        )
-        return result, "" if result is None else self._kept(result)
+        separate_process = self.context.services.separate_process
+        try:
+            result = run_diagnosis(asked, self._control, separate_process=separate_process)
+        except CancelledError:
+            return None, ""
+        return result, self._kept(result)
 
     def _kept(self, result: DiagnosisResult) -> str:
         """Store a diagnosis; return why it was not stored, or ""."""
@@ -200,9 +206,9 @@ class GapView(View):
             return in_words(error)
         return ""
 
-    def _step(self, what: str, done: int, total: int) -> None:
-        if self._running and not self._cancelled.is_set():
-            self.asking.tell(what, done, total)
+    def _look(self) -> None:
+        if not self._control.cancelled():
+            self.asking.show_progress(self._control.fraction, self._control.step or _("Starting"))
 
     def _ended(self, ended: tuple[DiagnosisResult | None, str]) -> None:
         waited = self._rest()
@@ -227,6 +233,7 @@ class GapView(View):
         # The focus would be lost with the button that disappears.
         waited = self.asking.stop.hasFocus() or self.asking.stop.isHidden()
         self._running = False
+        self._looking.stop()
         self.asking.session.choice.setFocus() if waited else None
         self.asking.clear()
         return waited
@@ -378,7 +385,7 @@ class GapView(View):
             QWidget.setTabOrder(before, after)
 
     def _connect(self) -> None:
-        self.stepped.connect(self._step, Qt.ConnectionType.QueuedConnection)
+        self._looking.timeout.connect(self._look)
         self.asking.wanted.connect(self.begin)
         self.asking.unwanted.connect(self.stop)
         self.asking.changed.connect(self._resettle)
