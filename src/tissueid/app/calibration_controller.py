@@ -85,7 +85,7 @@ class CalibrationController(QObject):
         self._live = live = LiveCalibration(sweep=kind == "sweep")
         self._page.expect(kind)
         self._guidance.say(_("Calibrating. Keep hands and cables clear of the probe."))
-        work = functools.partial(_calibrate, plan, prompts, self._context.trail, self._context.services, live)
+        work = functools.partial(calibrate, plan, prompts, self._context.trail, self._context.services, live)
         why = _("A calibration is running on Measure: stop it there, or wait.")
         self._context.jobs.do(work, self._ended, self._failed, why=why)
 
@@ -149,7 +149,7 @@ class CalibrationController(QObject):
             self._context.show_file(self._report)
 
 
-def _calibrate(
+def calibrate(
     plan: StaticCalibrationPlan | DynamicSweepPlan,
     prompts: OperatorPrompts,
     trail: AuditTrail,

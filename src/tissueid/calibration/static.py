@@ -65,8 +65,9 @@ def calibrate_static(
         conditions["ambient_c"] = plan.ambient_c
     if "temperature_at_rest_c" in found.quantities:
         conditions["coil_temperature_c"] = found.quantities["temperature_at_rest_c"].value
-    if plan.in_place or ask is None:
-        conditions["by"] = "motorised stage" if procedure.has_stage else "spring in place"
+    conditions["by"] = (
+        "motorised stage" if procedure.has_stage else "spring in place" if plan.in_place or ask is None else "hand"
+    )
     conditions |= {f"note_{number}": stored_text(note) for number, note in enumerate(found.notes, start=1)}
     problems = found.problems
     calibration = Calibration(
