@@ -82,7 +82,7 @@ class FitReport:
         return {} if self.predicts_nothing else self.parameters
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the keys of ``tissueid identify --json`` in SI units. What is not finite is None."""
+        """Return the keys of ``tissueid identify --json`` in SI units. Values that are not finite become None."""
         return {
             "engine": self.engine,
             "options": dict(self.options),
@@ -192,7 +192,9 @@ class Model(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One line of a figure: ``x`` and ``y`` (n,), its ``label`` in the legend, points in place of a line."""
+    """One curve of a plot: ``x`` and ``y`` (n,), its ``label`` in the legend; ``points`` draws points instead of a
+    line.
+    """
 
     x: Array
     y: Array
@@ -202,10 +204,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class LineFigure:
-    """A figure of curves that an engine declares without drawing code; reports draw it for each of its models.
+    """A line plot that an engine declares without drawing code; reports draw it for each of its models.
 
     ``key`` is a short name of lower-case letters, digits and hyphens. ``curves`` returns the curves of a model and
-    raises ``UnusableInputError`` where it has none. ``group`` is the part of the page where the figure stands.
+    raises ``UnusableInputError`` if the model has none. ``group`` is the section of the page that shows the plot.
     """
 
     key: str
@@ -221,10 +223,10 @@ class LineFigure:
 class Engine(BaseModel, ABC):
     """Specification of a fit: options with bounds, titles and descriptions, from which forms and help are made.
 
-    A subclass needs ``name``, ``fit`` and its options. The other declarations are optional: ``label`` is the name as
-    people write it (default: ``name`` with a capital), ``title`` one sentence that says what is fitted (default: the
-    first paragraph of the docstring), ``family`` its kind for the recommendation. Texts in ``marked("...")`` are
-    translated. ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test.
+    A subclass needs ``name``, ``fit`` and its options. The other declarations are optional: ``label`` is the name shown
+    to users (default: ``name`` with a capital), ``title`` one sentence on what is fitted (default: the first paragraph
+    of the docstring), ``family`` its kind for the recommendation. Texts in ``marked("...")`` are translated.
+    ``figures`` are drawn in reports; ``in_report`` adds the engine to the standard report of a test.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -251,7 +253,7 @@ class Engine(BaseModel, ABC):
         """Fit the engine to a record, or to a contiguous part of it, and return the model.
 
         Raises:
-            UnusableInputError: the record cannot carry this fit; the message says why.
+            UnusableInputError: the record is not sufficient for this fit; the message gives the reason.
         """
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Candidates of a recommendation and their standing among each other on held-out samples."""
+"""Candidates of a recommendation and their scores relative to each other on held-out samples."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Standing:
-    """Scores of a candidate, as in :class:`Candidate`, and its distance to the others on held-out samples.
+    """Scores of a candidate, as in :class:`Candidate`, and their differences from other candidates on held-out samples.
 
-    ``behind`` is the lead of the best candidate over it, ``below`` the lead of the recommended one; ``beaten`` is true
-    where any candidate has a lead over it that counts.
+    ``behind`` is the lead of the best candidate over this one, ``below`` the lead of the recommended one; ``beaten`` is
+    true if any candidate has a significant and relevant lead over it.
     """
 
     engine: str

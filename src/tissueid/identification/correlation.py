@@ -1,8 +1,8 @@
 """Correlations and the normal equations of a finite impulse response (Chen 2010, Eqs. 3.2-3.5).
 
-Without gaps the correlations are the thesis' biased ones, by FFT, and the matrix R is Toeplitz: it is solved and
-inverted in O(lags^2). With gaps the sums run over the complete windows alone, R is no longer Toeplitz, and the
-dense route is taken; nothing is put in place of a missing sample.
+Without gaps, the biased correlations of the thesis are computed by FFT, and the Toeplitz matrix R is solved and
+inverted in O(lags^2). With gaps, only complete windows are summed; R is then not Toeplitz and is solved as a dense
+matrix. Missing samples are never interpolated.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from tissueid.identification.base import Array, Mask
 ROWS_AT_ONCE = 8192
 
 _SOLVED = 1e-6
-"""Largest error of a solution, relative to the right-hand side."""
+"""Largest accepted relative error of a solution."""
 
 
 class Correlator:
-    """Correlations and convolutions of one input x (n,), without its mean, over ``lags`` lags."""
+    """Correlations and convolutions of one input x (n,) with its mean removed, over ``lags`` lags."""
 
     def __init__(self, x: Array, lags: int) -> None:
         self._n = x.size
@@ -39,7 +39,9 @@ class Correlator:
         return self._at_lags(np.conj(self._spectrum) * fft.rfft(y, self._length))
 
     def convolve(self, kernel: Array) -> Array:
-        """Return the first n samples of kernel (lags,) * x: the response of a system at rest before them."""
+        """Return the first n samples of the convolution of kernel (lags,) and x: the response of a system at rest
+        before.
+        """
         product = self._spectrum * fft.rfft(kernel, self._length)
         return np.asarray(fft.irfft(product, self._length)[: self._n], dtype=np.float64)
 
@@ -48,7 +50,7 @@ class Correlator:
 
 
 def toeplitz_solve(first_column: Array, right: Array) -> Array:
-    """Solve R h = p for a symmetric positive definite Toeplitz R given by its first column, shape (m,).
+    """Solve R h = p for a symmetric positive definite Toeplitz matrix R given by its first column (m,).
 
     Raises:
         numpy.linalg.LinAlgError: R is not positive definite to working precision.
@@ -63,7 +65,7 @@ def toeplitz_inverse(first_column: Array) -> Array:
     unit[0] = 1.0
     x = toeplitz_solve(first_column, unit)
     shifted = np.concatenate([[0.0], x[:0:-1]])
-    half = (m + 1) // 2  # the inverse equals itself turned by half a turn, so its upper half is enough
+    half = (m + 1) // 2  # the inverse is symmetric under rotation by 180 degrees: compute its upper half
     upper = np.outer(x[:half], x) - np.outer(shifted[:half], shifted)  # (half, m)
     upper /= x[0]
     for row in range(1, half):
@@ -72,10 +74,10 @@ def toeplitz_inverse(first_column: Array) -> Array:
 
 
 def condition_number(first_column: Array) -> float:
-    """Condition number in the 1-norm of a symmetric positive definite Toeplitz matrix (m,), by one solution more.
+    """Return the 1-norm condition number of a symmetric positive definite Toeplitz matrix (m,), by one more solution.
 
-    The norm of the inverse is taken from its middle column, which is its largest or within a few percent of it once
-    the samples are many times the lags. The 1-norm's number lies between the 2-norm's and m times that.
+    The norm of the inverse is that of its middle column, which is the largest or within a few percent of it if there
+    are many more samples than lags. The 1-norm condition number lies between that of the 2-norm and m times it.
 
     Raises:
         numpy.linalg.LinAlgError: the matrix is not positive definite to working precision.
@@ -84,7 +86,7 @@ def condition_number(first_column: Array) -> float:
     unit = np.zeros(m)
     unit[m // 2] = 1.0
     middle = toeplitz_solve(first_column, unit)
-    through_middle = np.concatenate([first_column[m // 2 : 0 : -1], first_column[: m - m // 2]])  # that row of R
+    through_middle = np.concatenate([first_column[m // 2 : 0 : -1], first_column[: m - m // 2]])  # middle row of R
     if not (middle[m // 2] > 0.0 and abs(float(through_middle @ middle) - 1.0) < _SOLVED):
         raise np.linalg.LinAlgError("the correlation matrix is not positive definite to working precision")
     to_lag = np.cumsum(np.abs(first_column))  # column j of R holds lags 0 .. j above and 1 .. m - 1 - j below
@@ -93,7 +95,7 @@ def condition_number(first_column: Array) -> float:
 
 
 def lagged_products(x: Array, used: Mask, lags: int) -> Array:
-    """Return the r (lags, lags): mean over the used samples n of the products of x[n - i] and x[n - j].
+    """Return the mean products of x[n - i] and x[n - j] over the used samples n, shape (lags, lags).
 
     ``used`` (n,) must mark only samples whose window of ``lags`` inputs is complete.
     """
@@ -108,9 +110,9 @@ def lagged_products(x: Array, used: Mask, lags: int) -> Array:
 
 
 def convolve_at_rest(kernel: Array, x: Array) -> Array:
-    """Return the first n samples of kernel (m,) * x (n,): the response of a system at rest before the first sample.
+    """Return the first n samples of the convolution of kernel (m,) and x (n,): the response of a system at rest before.
 
-    Output samples whose memory holds a NaN are NaN.
+    Outputs whose memory contains a NaN are NaN.
     """
     finite = np.isfinite(x)
     if finite.all():

@@ -1,4 +1,4 @@
-"""Levels of a stepped input, with small noise about each (Chen 2010, 3.4)."""
+"""Constant levels of a stepped input, with small noise about each (Chen 2010, 3.4)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tissueid.identification.sample_masks import finite_runs
 from tissueid.messages import Message
 
 _STEP = 7.0
-"""Deviations of the change of a running mean beyond which it is a step: noise of any colour stays well below."""
+"""Threshold of a step: change of the running mean, in robust standard deviations of that change."""
 
 _NORMAL_MAD = 1.4826
 
@@ -28,9 +28,9 @@ _RECORD_STEPS = Message(
 
 @dataclass(frozen=True)
 class Level:
-    """A stretch of record at one level of input: first sample, end, and 1 or -1 for how it was come to.
+    """A stretch of a record at one input level: first sample, end, and direction of the step to it, 1 or -1.
 
-    ``direction`` is 0 where nothing came before: at the start of an uninterrupted record.
+    ``direction`` is 0 for the first level of an uninterrupted run.
     """
 
     first: int
@@ -41,17 +41,17 @@ class Level:
 def find_levels(x: Array, used: Mask, memory_samples: int, given: Sequence[float] | None = None) -> tuple[Level, ...]:
     """Return the stretches of constant level in an input.
 
-    The means of one memory before and after each sample are compared; a difference far beyond what those differences
-    scatter by, judged by their median, is a step. Uninterrupted runs are levels of their own in any case.
+    The means of one memory before and after each sample are compared; a step is a difference far above the scatter of
+    all such differences, estimated from their median. Gaps always separate levels.
 
     Args:
-        x: input (n,), NaN where it was not received.
+        x: input (n,), NaN for samples that were not received.
         used: mask (n,) of the samples that may be fitted.
         memory_samples: samples of one memory.
-        given: the levels themselves, in the input's unit: each stretch then belongs to the nearest.
+        given: the levels in the unit of the input; each stretch is then assigned to the nearest.
 
     Raises:
-        UnusableInputError: there is but one level.
+        UnusableInputError: there are fewer than two levels.
     """
     runs = _runs(x, used, memory_samples)
     steps = _steps_to(x, runs, memory_samples, np.sort(given)) if given else _steps_found(x, runs, memory_samples)
@@ -79,7 +79,7 @@ def _runs(x: Array, used: Mask, memory_samples: int) -> list[tuple[int, int]]:
 
 
 def _near(used: Mask, memory_samples: int) -> Mask:
-    """Return the samples that are fitted, and the memory before each of them."""
+    """Return the mask of the fitted samples and of the memory before each of them."""
     later = np.concatenate([used, np.zeros(memory_samples, dtype=np.bool_)])
     counts = np.cumsum(np.concatenate([[0], later]))
     return np.asarray(counts[memory_samples:][: used.size] > counts[: used.size], dtype=np.bool_)
@@ -102,7 +102,7 @@ def _steps_found(x: Array, runs: list[tuple[int, int]], width: int) -> list[list
 
 
 def _change(x: Array, width: int) -> Array:
-    """Return the mean of ``width`` samples from each one on, less that of as many before it, where both are there."""
+    """Return the mean of ``width`` samples from each sample on, minus the mean of ``width`` samples before it."""
     sums = np.concatenate([[0.0], np.cumsum(x - x.mean())])
     means = (sums[width:] - sums[:-width]) / width
     return np.asarray(means[width:] - means[:-width], dtype=np.float64)

@@ -15,11 +15,10 @@ Array = NDArray[np.float64]
 class DepthProfile:
     """Mass, damping and stiffness at k depths, or at k depths for each of two directions; all arrays have shape (k,).
 
-    ``position`` is where on the output's axis a row holds (m), ``low`` and ``high`` the stretch of output it speaks
-    for, ``direction`` is 1 for rows of movement into the tissue, -1 out of it and 0 for both together. ``mass`` is in
-    kg, ``damping`` in N s/m, ``stiffness`` in N/m: the slope of force against depth, as a small test there would
-    measure it. The ``..._std`` are standard deviations, NaN where none can be had; a value is NaN where the record
-    does not hold it. ``support`` is how many samples speak for a row.
+    ``position`` is the value of the output for a row (m), ``low`` and ``high`` are its bounds. ``direction`` is 1 for
+    indentation, -1 for retraction, 0 for both. ``mass`` is in kg, ``damping`` in N s/m, ``stiffness`` in N/m: the slope
+    of force against depth, as a small-signal test there would measure it. The ``..._std`` are standard deviations, NaN
+    if unknown; a value that the record does not determine is NaN. ``support`` is the number of samples of a row.
     """
 
     position: Array
@@ -38,7 +37,7 @@ class DepthProfile:
         return int(self.position.size)
 
     def as_rows(self) -> list[dict[str, Any]]:
-        """Return one mapping a row with the unit in each name, fit for JSON: what is not finite is None."""
+        """Return one mapping per row for JSON, with the unit in each name; values that are not finite are None."""
         columns = {
             "position_m": self.position,
             "low_m": self.low,

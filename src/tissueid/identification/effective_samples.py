@@ -1,4 +1,4 @@
-"""Covariance of sums of dependent terms, for standard deviations with coloured residuals."""
+"""Long-run covariance of sums of autocorrelated terms, for standard errors with coloured residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tissueid.identification.base import Array
 from tissueid.identification.correlation import Correlator
 
 DEPENDENCE_S = 0.05
-"""Time, s, over which a prewhitened coloured residual is still treated as dependent."""
+"""Lag, s, up to which a prewhitened coloured residual is treated as autocorrelated."""
 
 _SIGNIFICANT = 4.0
 """Threshold of the autocorrelation, in standard deviations of white noise, above which a signal is coloured."""
@@ -18,7 +18,7 @@ _STEADIEST = 0.97
 
 
 def dependence_samples(residual: Array, sample_rate_hz: float) -> int:
-    """Return the number of samples over which a residual (n,) depends on itself: 1 for a white residual."""
+    """Return the number of samples over which a residual (n,) is autocorrelated: 1 for a white residual."""
     longest = max(1, min(round(DEPENDENCE_S * sample_rate_hz), residual.size // 8))
     correlation = Correlator(residual - residual.mean(), longest).auto()
     white = np.all(np.abs(correlation[1:]) <= _SIGNIFICANT / np.sqrt(residual.size) * correlation[0])
@@ -26,12 +26,12 @@ def dependence_samples(residual: Array, sample_rate_hz: float) -> int:
 
 
 def long_run_covariance(terms: Array, block: int) -> Array:
-    """Return the covariance (p, p) of the column sums of dependent rows (n, p).
+    """Return the covariance (p, p) of the column sums of autocorrelated rows (n, p).
 
     The rows are prewhitened by a first-order vector autoregression, summed over overlapping blocks of ``block`` rows,
-    which is Bartlett's weighting of their lagged products (Newey and West 1987), and coloured again (Andrews and
-    Monahan 1992). The answer is never indefinite. It is widened by what the estimation of the covariance itself
-    costs, so that 1.96 standard deviations hold 95 % (Kiefer and Vogelsang 2005, for Bartlett's weighting).
+    which is the Bartlett kernel (Newey and West 1987), and recoloured (Andrews and Monahan 1992). The result is
+    positive semidefinite. It is widened for the uncertainty of the estimated covariance itself, so that 1.96 standard
+    deviations contain 95 % (Kiefer and Vogelsang 2005, for the Bartlett kernel).
     """
     block = max(1, min(block, terms.shape[0] // 8))
     size = np.sqrt(np.mean(terms**2, axis=0))

@@ -1,7 +1,7 @@
-"""Finite impulse responses from a prepared record: one factored input, any number of outputs.
+"""Finite impulse responses from a prepared record (Chen 2010, Eq. 3.2).
 
-Chen 2010, Eq. 3.2. The input side is worked once, since the Wiener iteration asks for one impulse response after
-another from the same input.
+The input side is factored once for any number of outputs, as the Wiener iteration estimates many responses to one
+input.
 """
 
 from __future__ import annotations
@@ -25,19 +25,18 @@ from tissueid.identification.sample_masks import scored_samples
 from tissueid.messages import Message
 
 RIDGE = 1e-3
-"""Share of the input's power added to the diagonal of R, except for the plain biased correlations.
+"""Ridge added to the diagonal of R relative to the input power, except for plain biased correlations.
 
-The edges of a record leave traces in biased correlations that hold the impulse response still where the input has no
-power. Sums over complete windows, and signals that fade at their ends, have no such traces, and a force without power
-above 200 Hz would leave that part of the response to the noise. Within the band such a force has five times its mean
-power, so that the ridge takes 0.02 % off the response there.
+It stabilises lags combinations that the input does not excite, for complete windows and tapered signals; in plain
+biased correlations the ends of the record have that effect. For a force without power above 200 Hz, the power within
+the band is five times the mean, so that the ridge reduces the response there by 0.02 %.
 """
 
 BEYOND_S = 0.005
-"""How much longer than its memory a response is estimated, s; what is longer is cut off again.
+"""Additional memory, s, for which a response is estimated and then cut off.
 
-What a record holds beyond the last lag (a response that lasts, nonlinearity, noise) is ascribed to the last lags that
-there are, over the correlation time of the input: 5 ms for a force without power above 200 Hz.
+Effects beyond the last lag (a longer response, nonlinearity, noise) are attributed to the last lags, over the
+correlation time of the input: 5 ms for a force without power above 200 Hz.
 """
 
 
@@ -45,7 +44,7 @@ _AT_REST = 0.1
 """Share of the peak below which a kernel has decayed."""
 
 _SMALL = 500
-"""Lags up to which a Toeplitz matrix is multiplied as any other."""
+"""Number of lags up to which a Toeplitz matrix is multiplied as a dense matrix."""
 
 _FEWEST_LAGS = 5
 """Shortest memory, samples."""
@@ -53,13 +52,13 @@ _FEWEST_LAGS = 5
 
 @dataclass(frozen=True, eq=False)
 class ImpulseResponses:
-    """The input side of Eq. 3.2.
+    """The factored input side of Eq. 3.2.
 
-    ``prepared`` says how many lags are estimated, (lags,), which may be more than are kept: :func:`beyond_memory`.
-    ``input`` (n,) is the record's less its mean; ``fade`` (fitted samples,) is the window that input and output were
-    multiplied with before they were correlated. R (lags, lags) is held either by its first column, when it is
-    Toeplitz and solved as such, or by its pseudo-inverse. ``condition`` is its condition number, in the 1-norm in
-    the first case and in the 2-norm in the second. ``ridge`` is what was added to its diagonal.
+    ``prepared.memory_samples`` is the number of estimated lags, which may exceed the number that is used:
+    :func:`beyond_memory`. ``input`` (n,) is the input minus its mean; ``fade`` (fitted samples,) is the window of input
+    and output before correlation. R (lags, lags) is stored by its first column if it is Toeplitz, else by its
+    pseudo-inverse. ``condition`` is its condition number, in the 1-norm in the first case and in the 2-norm in the
+    second. ``ridge`` was added to its diagonal.
     """
 
     prepared: Prepared
@@ -90,7 +89,7 @@ class ImpulseResponses:
         return self.inverse @ right if self.column is None else toeplitz_solve(self.column, right)
 
     def without_unexcited(self, kernel: Array) -> Array:
-        """Return a kernel (lags,) less what it holds where the input has hardly any power, and so hardly answers it."""
+        """Return a kernel (lags,) without its components in directions that the input hardly excites."""
         return kernel - self.ridge * (self.inverse @ kernel)
 
     @cached_property
@@ -103,7 +102,7 @@ class ImpulseResponses:
 
 
 def beyond_memory(prepared: Prepared) -> Prepared:
-    """Return the record prepared for a response that is ``BEYOND_S`` longer, or as much as the record can carry."""
+    """Return the record prepared for a response longer by ``BEYOND_S``, or less if there are too few samples."""
     record, part = prepared.record, prepared.part
     spare = part.stop - part.start - prepared.memory_samples
     lags = prepared.memory_samples + min(round(BEYOND_S * record.sample_rate_hz), spare)
@@ -117,20 +116,22 @@ def beyond_memory(prepared: Prepared) -> Prepared:
 def factor_input(
     prepared: Prepared, *, pseudo_inverse: bool = False, tolerance: float = 1e-12, taper: float = 0.0
 ) -> ImpulseResponses:
-    """Work the input side of Eq. 3.2: biased correlations without gaps, sums over complete windows with them.
+    """Factor the input side of Eq. 3.2: biased correlations without gaps, sums over complete windows with gaps.
 
     Args:
         prepared: the record.
-        pseudo_inverse: take the pseudo-inverse of the dense matrix, as Appendix C.1.1 does, and not the recursion.
+        pseudo_inverse: use the pseudo-inverse of the dense matrix, as Appendix C.1.1, instead of the recursion.
         tolerance: for the pseudo-inverse, singular values below this share of the largest are dropped.
-        taper: share of the fitted samples, half at each end, over which both signals fade in and out. A record that is
-            cut off in mid-motion has an edge with power at every frequency; where the input has none, that edge is all
-            that is left to be divided by, and a lag or two of the response can stand far off the others.
+        taper: share of the fitted samples, half at each end, over which both signals are tapered. An abrupt end has
+            power
+            at all frequencies; at frequencies that the input does not excite it would dominate and cause outliers in
+                the
+            response.
     """
     x = prepared.record.input - prepared.input_mean
     lags = prepared.memory_samples
     if not prepared.gapless:
-        # Only outputs with a complete window take part, so what stands in for missing inputs is never reached.
+        # Only outputs with complete windows are used, so the zeros for missing inputs have no effect.
         correlator = Correlator(np.where(np.isfinite(x), x, 0.0), lags)
         fade = np.ones(0)
         r = lagged_products(x, prepared.used, lags)
@@ -163,7 +164,7 @@ def factor_input(
 
 
 def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:
-    """Pseudo-inverse and 2-norm condition number of a symmetric R (lags, lags) with no negative eigenvalues."""
+    """Return the pseudo-inverse and 2-norm condition number of a positive semidefinite R (lags, lags)."""
     values, vectors = linalg.eigh(r)
     kept = values > tolerance * values[-1]
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
@@ -171,7 +172,7 @@ def _pseudo_inverse(r: Array, tolerance: float) -> tuple[Array, float]:
 
 
 def memory_warnings(kernel: Array) -> tuple[str, ...]:
-    """Return a warning where a kernel (lags,) has not decayed at its end: the memory is too short."""
+    """Return a warning if a kernel (lags,) has not decayed at its end: the memory is too short."""
     if kernel.size < _FEWEST_LAGS:
         return (
             Message(
@@ -192,10 +193,10 @@ def memory_warnings(kernel: Array) -> tuple[str, ...]:
 
 
 def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
-    """Return standard deviations of a kernel (lags,) for coloured noise that is unrelated to the input.
+    """Return standard deviations of a kernel (lags,) for coloured noise that is independent of the input.
 
-    The covariance is inv(R) S inv(R) / n, where S is the Toeplitz matrix of the product spectrum of input x (n,)
-    and residuals (n,). NaN residuals are unknown, not zero: the sums are scaled to those that are known.
+    The covariance is inv(R) S inv(R) / n, where S is the Toeplitz matrix of the product spectrum of input x (n,) and
+    residuals (n,). NaN residuals are missing: the sums are scaled by the number of known ones.
     """
     lags = inverse.shape[0]
     known = np.isfinite(residuals)
@@ -206,7 +207,7 @@ def kernel_std(inverse: Array, x: Array, residuals: Array) -> Array:
     lag = np.minimum(np.arange(length), length - np.arange(length))
     error_power = fft.rfft(error_correlation * np.maximum(0.0, 1.0 - lag / lags), length).real
     score_correlation = fft.irfft(x_power * error_power, length)[:lags]
-    # (lags, lags): as a whole matrix where that is small, which there is several times as fast.
+    # (lags, lags): a dense product is several times faster for few lags.
     whole = lags <= _SMALL
     spread = (
         linalg.toeplitz(score_correlation) @ inverse if whole else linalg.matmul_toeplitz(score_correlation, inverse)

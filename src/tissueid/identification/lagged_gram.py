@@ -1,8 +1,8 @@
-"""Regressors of lagged channels, and their Gram matrix from a few products.
+"""Regressors of lagged channels, and a fast computation of their Gram matrix.
 
-A product of two lagged columns, both moved one lag further, sums over the same samples but those at the two ends of
-each uninterrupted run of rows. So only the products with columns at lag 0 are summed over all rows, and the rest of the
-Gram matrix follows from what enters and leaves at the ends: rows x channels x columns in place of rows x columns^2.
+The product of two lagged columns, both shifted by one more lag, is the sum over the same samples except those at the
+ends of each uninterrupted run of rows. Only products with columns at lag 0 are therefore summed over all rows, and the
+others follow from corrections at the ends: rows x channels x columns operations instead of rows x columns^2.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tissueid.identification.sample_masks import finite_runs
 _ROWS_AT_ONCE = 2048
 
 _ENDS = 0.25
-"""Share of the rows that may stand at the ends of runs before all products are summed as they are."""
+"""Share of rows at the ends of runs above which all products are summed directly."""
 
 
 @dataclass(frozen=True, eq=False)
 class LaggedRegressors:
     """Columns u_k(n - i spacing) of channels ``channels`` (K, n), each at lags i = 0 .. ``lags[k]`` - 1.
 
-    Rows are the samples of the mask ``used`` (n,), every lag of which must have been received; what else a channel
-    holds, NaN too, is never read. Columns are ordered channel by channel, each from lag 0 on; with ``constant`` a
-    column of ones stands before them. The Gram matrix is built from runs of rows, so rows should hang together.
+    Rows are the samples of the mask ``used`` (n,), for which all lags must have been received; other samples, also NaN,
+    are never read. Columns are ordered by channel and then by lag; with ``constant``, a column of ones precedes them.
+    The Gram matrix is fastest for long uninterrupted runs of rows.
     """
 
     channels: Array
@@ -39,7 +39,7 @@ class LaggedRegressors:
 
     @property
     def columns(self) -> int:
-        """How many coefficients there are."""
+        """Number of coefficients."""
         return int(self.constant) + sum(self.lags)
 
     @cached_property
@@ -53,7 +53,7 @@ class LaggedRegressors:
         return (float(theta[0]) if self.constant else 0.0), tuple(kernels)
 
     def apply(self, theta: Array) -> Array:
-        """Return P theta: (p,) to (rows,)."""
+        """Return P theta, (rows,), for theta (p,)."""
         level, kernels = self.split(theta)
         taps = np.zeros((max(self.lags), len(self.lags)))
         for k, kernel in enumerate(kernels):
@@ -68,7 +68,7 @@ class LaggedRegressors:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def adjoint(self, r: Array) -> Array:
-        """Return P'r: (rows,) to (p,)."""
+        """Return P'r, (p,), for r (rows,)."""
         taps = np.zeros((max(self.lags), len(self.lags)))
         lagged = _channels_by_lag(self.lags)
         done = 0
@@ -81,7 +81,7 @@ class LaggedRegressors:
         return np.concatenate([[r.sum()], *kernels] if self.constant else kernels)
 
     def matrix(self) -> Array:
-        """Return P itself, (rows, p)."""
+        """Return the explicit matrix P, (rows, p)."""
         rows = np.flatnonzero(self.used)
         explicit = np.empty((rows.size, self.columns))
         explicit[:, : int(self.constant)] = 1.0
@@ -93,7 +93,7 @@ class LaggedRegressors:
         return explicit
 
     def gram(self, order: NDArray[np.intp] | None = None) -> Array:
-        """Return P'P, (p, p), or with its rows and columns in the given order (p,) of columns."""
+        """Return P'P, (p, p), with rows and columns in the given order (p,) of columns, if any."""
         sums = _Sums.of(self)
         total = sums.gram()  # lag by lag
         by_channel = np.lexsort((sums.lag, sums.channel))
@@ -102,7 +102,7 @@ class LaggedRegressors:
 
 
 def _channels_by_lag(lags: tuple[int, ...]) -> list[tuple[int, slice | NDArray[np.intp]]]:
-    """Return each lag with the channels that have it, as a slice where they stand together."""
+    """Return each lag with the channels that have it, as a slice if they are adjacent."""
     counts = np.array(lags)
     found: list[tuple[int, slice | NDArray[np.intp]]] = []
     for lag in range(int(counts.max(initial=0))):
@@ -114,10 +114,10 @@ def _channels_by_lag(lags: tuple[int, ...]) -> list[tuple[int, slice | NDArray[n
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """The sums of products, with columns ordered lag by lag, and the constant a channel of one lag.
+    """Sums of products, with columns ordered by lag and the constant as a channel of one lag.
 
-    ``channel`` and ``lag`` (p,) name each column, ``starts`` (longest + 1,) where each lag's columns begin, ``before``
-    (p,) the column of the same channel one lag earlier.
+    ``channel`` and ``lag`` (p,) identify each column, ``starts`` (longest + 1,) is the first column of each lag,
+    ``before`` (p,) the column of the same channel one lag earlier.
     """
 
     regressors: LaggedRegressors
@@ -139,7 +139,7 @@ class _Sums:
         return cls(regressors, channel, lag, starts, before)
 
     def gram(self) -> Array:
-        """Return P'P (p, p), with the columns lag by lag."""
+        """Return P'P (p, p), with the columns ordered by lag."""
         regressors = self.regressors
         rows = int(np.diff(regressors.runs, axis=1).sum())
         if 2 * regressors.spacing * len(regressors.runs) > _ENDS * rows:
@@ -172,7 +172,9 @@ class _Sums:
         return total
 
     def _ends(self) -> Array:
-        """What all products (p, p) gain and lose at the ends of the runs when every column moves one lag further."""
+        """Return the change of all products (p, p), due to the ends of the runs, when every column is shifted by one
+        more lag.
+        """
         runs, spacing = self.regressors.runs, self.regressors.spacing
         entering = [np.arange(first - spacing, min(first, end - spacing)) for first, end in runs]
         leaving = [np.arange(max(first, end - spacing), end) for first, end in runs]
@@ -181,7 +183,7 @@ class _Sums:
         return np.asarray(np.hstack([gained, lost]) @ np.hstack([gained, -lost]).T, dtype=np.float64)
 
     def _stepped(self, first: Array, ends: Array) -> Array:
-        """Return all products (p, p) from those with lag 0 (channels, p) and what they gain with each lag (p, p)."""
+        """Return all products (p, p) from those with lag 0 (channels, p) and their change per lag (p, p)."""
         total = np.empty_like(ends)
         total[: self.starts[1]] = first
         for lag in range(self.starts.size - 1):
@@ -195,7 +197,7 @@ class _Sums:
         return total
 
     def _columns(self, rows: NDArray[np.intp]) -> Array:
-        """Columns at these samples, (p, rows), zero where there is no such sample or none that was received."""
+        """Return the columns at these samples, (p, rows), zero for samples that do not exist or were not received."""
         regressors = self.regressors
         constant = int(regressors.constant)
         values = np.ones((self.channel.size, rows.size))

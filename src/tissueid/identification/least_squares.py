@@ -1,11 +1,11 @@
-"""Exact least squares: as stable as Householder's QR, and fast where the Gram matrix is cheap.
+"""Accurate least squares: as stable as Householder QR, and fast if the Gram matrix is cheap.
 
-The Gram matrix P'P of regressors P (rows, p) squares their condition number, so its Cholesky factor alone gives half
-the digits. Refined through the regressors themselves it gives all of them (the corrected semi-normal equations of
-Bjorck 1987), as long as each correction is much smaller than the one before. How much smaller is measured when the
-matrix is factored; where it is not enough, Householder's QR of the explicit matrix is taken instead.
+The Gram matrix P'P of regressors P (rows, p) has the square of their condition number, so that its Cholesky factor
+alone loses half of the digits. Iterative refinement with the regressors themselves recovers them (corrected semi-normal
+equations, Bjorck 1987), if each correction is much smaller than the one before. That contraction is measured when the
+matrix is factored; if it is not sufficient, Householder QR of the explicit matrix is used.
 
-A factor belongs to the regressors: it is kept and answers any number of outputs.
+A factor belongs to the regressors and can be used for any number of outputs.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ _CONDITION = 1e7
 """Condition number of the scaled regressors above which QR is used without trying the Gram matrix."""
 
 _CONTRACTION = 1e-2
-"""Largest remaining share of an error after one correction; QR is used above it."""
+"""Largest accepted share of an error that remains after one correction; above it QR is used."""
 
 _PRECISION = float(np.finfo(np.float64).eps)
 _TRIALS = 2
 
 
 class Regressors(Protocol):
-    """A matrix P (rows, p) that need not exist as one."""
+    """A matrix P (rows, p) given by its products; it need not be stored explicitly."""
 
     def apply(self, theta: Array) -> Array:
-        """Return P theta: (p,) to (rows,)."""
+        """Return P theta, (rows,), for theta (p,)."""
 
     def adjoint(self, r: Array) -> Array:
-        """Return P'r: (rows,) to (p,)."""
+        """Return P'r, (p,), for r (rows,)."""
 
     def matrix(self) -> Array:
-        """Return P itself, (rows, p); asked for only when QR has to be taken."""
+        """Return the explicit matrix P, (rows, p); only called if QR is used."""
 
 
 class _Solver(Protocol):
-    """Least squares in scaled coefficients, behind either route."""
+    """Least squares in scaled coefficients, by either method."""
 
     def solve(self, y: Array) -> Array: ...
 
     def half_inverse(self) -> Array:
-        """Return the w (p, rank) with W W' the (pseudo-)inverse of the scaled Gram matrix."""
+        """Return W (p, rank) with W W' the (pseudo-)inverse of the scaled Gram matrix."""
 
     def gram_solve(self, right: Array) -> Array: ...
 
@@ -61,10 +61,10 @@ class _Solver(Protocol):
 class Factor:
     """Factored regressors.
 
-    ``condition`` is the estimated condition number of the regressors with every column scaled to length one,
-    ``contraction`` what one correction leaves of an error (zero on the route of QR, which needs none), ``rank`` that of
-    the regressors. When it is less than p, the shortest of all solutions in scaled coefficients is given, and
-    ``warnings`` says so.
+    ``condition`` is the estimated condition number of the regressors with all columns scaled to length 1,
+    ``contraction`` the share of an error that remains after one correction (zero for QR, which needs none), ``rank``
+    the rank of the regressors. If it is less than p, the minimum-norm solution in scaled coefficients is returned, and
+    ``warnings`` reports it.
     """
 
     rank: int
@@ -96,10 +96,10 @@ class Factor:
 
 
 def factor(gram: Array, regressors: Regressors) -> Factor:
-    """Factor regressors P from their Gram matrix P'P (p, p), or from P itself where that matrix is not enough.
+    """Factor regressors P from their Gram matrix P'P (p, p), or from P itself if that matrix is not accurate enough.
 
-    ``gram`` may carry rounding errors of some units in the last place of the product of two columns' lengths, as
-    cheap ways to build it leave them: they are corrected with the others.
+    ``gram`` may have rounding errors of a few units in the last place, relative to the product of the lengths of two
+    columns; they are corrected.
     """
     length = np.sqrt(np.maximum(np.diag(gram), 0.0))
     scale = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0.0)
@@ -133,7 +133,7 @@ class _SemiNormal:
 
 
 def _semi_normal(scaled: Array, regressors: Regressors, scale: Array) -> Factor | None:
-    """Return the factor by way of the scaled Gram matrix (p, p); None where that does not reach far enough."""
+    """Return the factor by the scaled Gram matrix (p, p); None if it is not accurate enough."""
     norm = float(np.max(np.abs(scaled).sum(axis=0)))
     try:
         upper = linalg.cholesky(scaled, overwrite_a=True, check_finite=False)
@@ -147,15 +147,16 @@ def _semi_normal(scaled: Array, regressors: Regressors, scale: Array) -> Factor 
     if contraction > _CONTRACTION:
         return None
     solves = math.ceil(math.log(_PRECISION) / math.log(max(contraction, _PRECISION)))
-    corrections = max(1, solves - 1)  # the first solution is already so much nearer
+    corrections = max(1, solves - 1)  # the first solution counts as one
     solver = _SemiNormal(regressors, scale, upper, corrections)
     return Factor(scale.size, float(reciprocal) ** -0.5, contraction, "semi-normal", (), scale, solver)
 
 
 def _contraction(solver: _SemiNormal) -> float:
-    """What a correction leaves of an error in the coefficients: the norm of I - inv(R'R) P'P, by power iteration.
+    """Return the share of a coefficient error that remains after a correction: norm of I - inv(R'R) P'P, by power
+    iteration.
 
-    Begun near the weakest direction of the regressors, which is corrected worst.
+    The iteration starts near the weakest direction of the regressors, which is corrected worst.
     """
     error = np.where(np.arange(solver.scale.size) % 2 == 0, 1.0, -1.0)
     for _ in range(_TRIALS):
@@ -208,9 +209,9 @@ class _Householder:
 
 
 def _householder(regressors: Regressors, scale: Array) -> Factor:
-    """Return the factor by way of the explicit matrix.
+    """Return the factor by QR of the explicit matrix.
 
-    The tall matrix is reduced without pivots, where nearly all work is in blocks, and its small triangle with them.
+    The tall matrix is factored without pivoting, mostly in blocked operations, and its small triangle with pivoting.
     """
     p = scale.size
     explicit = np.asfortranarray(regressors.matrix() * scale)  # (rows, p)

@@ -1,4 +1,4 @@
-"""Mass, damping and stiffness fitted about each level of a stepped record, and the tissue that they make together."""
+"""Mass, damping and stiffness fitted about each level of a stepped record, and curves of depth through them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 _SAME_DEPTH = 0.02
-"""Share of the range of positions within which two levels are one depth of the tissue that is simulated."""
+"""Distance of two levels that count as one depth, relative to the range of positions."""
 
 _LEAST_SAMPLES = 12
 
 
 @dataclass(frozen=True, eq=False)
 class LevelFit:
-    """A level with its second-order fit, mean input and output, and their lowest and highest output."""
+    """A level with its second-order fit, mean input and output, and lowest and highest output."""
 
     level: Level
     fit: SecondOrderFit
@@ -39,10 +39,10 @@ class LevelFit:
 
 @dataclass(frozen=True, eq=False)
 class LocalizedModel(Model):
-    """M(y) y'' + B(y) y' + F(y) = u through what was found at each level.
+    """M(y) y'' + B(y) y' + F(y) = u with curves through the fits at all levels.
 
-    ``levels`` holds the fit of each stretch; ``curves`` the mass, damping and force between them. A simulation begins
-    at rest under ``input_mean``.
+    ``levels`` holds the fit of each stretch; ``curves`` the mass, damping and force interpolated between them. A
+    simulation starts at rest under ``input_mean``.
     """
 
     levels: tuple[LevelFit, ...]
@@ -52,9 +52,9 @@ class LocalizedModel(Model):
     hold: Hold
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample.
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample.
 
-        A motion that leaves all bounds stays at the bound.
+        A motion that diverges stays at the bound.
         """
         u = np.asarray(u, dtype=np.float64)
         run = simulate_dpn(
@@ -65,7 +65,7 @@ class LocalizedModel(Model):
         return np.where(complete, run.position, np.nan)
 
     def depth_profile(self) -> DepthProfile:
-        """Return a row for each level, in the order of position; ``direction`` is how the level was come to."""
+        """Return one row per level, in the order of position; ``direction`` is that of the step to the level."""
         found = sorted(self.levels, key=lambda one: one.position)
         local = level_parameters(found)
         values = np.exp(local.log_parameters) * self.sign
@@ -89,7 +89,7 @@ class LocalizedModel(Model):
 def fit_levels(
     record: Record, used: Mask, levels: tuple[Level, ...], memory_samples: int, hold: Hold
 ) -> tuple[tuple[LevelFit, ...], int]:
-    """Fit M, B, K within each level, less one memory after the step to it; also how many levels were too short.
+    """Fit M, B, K within each level, without one memory after its step. Also return the number of levels left out.
 
     Raises:
         UnusableInputError: fewer than two levels are long enough.
@@ -131,7 +131,7 @@ def fit_levels(
 
 
 def level_parameters(found: list[LevelFit]) -> LocalParameters:
-    """Return the levels' parameters side by side, each with its own uncertainty; without one where there is none."""
+    """Return the parameters of all levels, each with its covariance, which is zero if unknown."""
     root = np.zeros((len(found), 3, 3 * len(found)))
     logs = np.empty((len(found), 3))
     for row, one in enumerate(found):
@@ -145,10 +145,10 @@ def level_parameters(found: list[LevelFit]) -> LocalParameters:
 
 
 def curves_through(found: tuple[LevelFit, ...]) -> Curves:
-    """Return the tissue with the levels' mass and damping, whose force passes through their mean forces.
+    """Return curves with the mass and damping of the levels and a force through their mean forces.
 
-    Levels at one depth are taken together, weighted by their samples. Where the mean forces do not rise with depth,
-    because the tissue creeps or sticks, the force is the integral of the stiffness instead.
+    Levels at one depth are averaged, weighted by their samples. If the mean forces do not increase with depth, due to
+    creep or adhesion, the force is the integral of the stiffness instead.
 
     Raises:
         UnusableInputError: all levels are at one depth.
@@ -177,7 +177,7 @@ def curves_through(found: tuple[LevelFit, ...]) -> Curves:
 
 
 def _mean_of(group: list[LevelFit], index: int) -> float:
-    """Return weighted mean of position, force, log M, log B or log K (``index`` 0 to 4) over levels at one depth."""
+    """Return the weighted mean of position, force, log M, log B or log K (``index`` 0 to 4) over levels."""
     values = [
         (one.position, one.force, *np.log([one.fit.system.mass, one.fit.system.damping, one.fit.system.stiffness]))
         for one in group

@@ -1,4 +1,4 @@
-"""Families of models, from the simplest to the richest."""
+"""Families of models, in order of complexity."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tissueid.language import marked
 
 
 class Family(StrEnum):
-    """Kind of model that an engine fits, from the simplest to the richest; of equal models the simpler is preferred.
+    """Kind of model that an engine fits, in order of complexity; of equally good models the simpler is preferred.
 
     An engine declares its family by ``family: ClassVar[Family]``; the default is ``OTHER``, the last.
     """
@@ -23,7 +23,7 @@ class Family(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Position among the families: 0 is the simplest."""
+        """Position in the order of complexity: 0 is the simplest."""
         return list(Family).index(self)
 
     @property

@@ -41,7 +41,7 @@ def memory_in_samples(memory: float, sample_rate_hz: float) -> int:
 
 
 def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters: int | None = None) -> Prepared:
-    """Return which samples can be fitted, after checking that they are enough.
+    """Select the samples that can be fitted, and check that there are enough.
 
     Args:
         record: the data.
@@ -50,8 +50,8 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
         n_parameters: parameters of the fit; None for one per lag.
 
     Raises:
-        UnusableInputError: nothing was received, the input or output does not vary, the memory is longer than the
-            part, or fewer samples than parameters are left.
+        UnusableInputError: nothing was received, the input or output does not vary, the memory is longer than the part,
+            or there are fewer samples than parameters.
     """
     part = slice(*(fit_part or slice(None)).indices(len(record))[:2])
     lags = memory_in_samples(memory, record.sample_rate_hz)
@@ -117,7 +117,7 @@ def prepare(record: Record, fit_part: slice | None, memory: float, n_parameters:
 
 
 def _mean(values: Array, signal: str) -> float:
-    """Return the mean of the received values (n,). Raise where there are none, or where they do not vary."""
+    """Return the mean of the received values (n,). Raise if there are none, or if they do not vary."""
     received = values[np.isfinite(values)]
     if received.size == 0:
         raise UnusableInputError(Message("record.no_sample", "{signal} has no received sample", signal=signal))

@@ -1,9 +1,9 @@
 """Recommendation of an engine: the simplest model that no other beats on held-out data.
 
-Every engine is judged by its free run on the same held-out samples. A simpler model is rejected only for a lead that
-is significant and large enough to matter. AICc decides between models of one family that held-out samples cannot
-separate. It decides nothing else, because it assumes independent residuals, which residuals of tissue at kilohertz
-sample rates are not; where it disagrees, a doubt says so.
+Engines are compared by their free runs on the same held-out samples. A simpler model is rejected only for a lead that
+is significant and relevant. AICc decides only between models of one family that held-out samples do not separate,
+because it assumes independent residuals, which residuals of tissue at kilohertz sample rates are not; if it disagrees
+with the recommendation, a doubt is added.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ RELEVANT = 0.05
 """Smallest share of the error variance that a lead must remove to count."""
 
 WORTH_POINTS = 0.1
-"""Smallest lead that counts, percentage points of VAF: of two models that explain nearly all, the simpler suffices."""
+"""Smallest relevant lead, percentage points of VAF."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
     """The recommended engine, with reasons and scores.
 
-    ``judged_on`` names the samples that decided. ``standings`` are all candidates: first the one that leads most others
+    ``judged_on`` describes the held-out samples. ``standings`` are all candidates: first the one that leads most others
     on their common held-out samples, then the others by the size of that lead. ``headline``, ``reasons``, ``doubts``
     and ``experiments`` (proposed measurements) are sentences.
     """
@@ -158,7 +158,7 @@ def recommend(
 
 
 def beaten(lead: Difference, level: float = LEVEL) -> bool:
-    """Return whether a lead is significant at ``level`` and large enough to matter."""
+    """Return whether a lead is significant at ``level`` and relevant."""
     sure = lead.p_value is not None and lead.p_value < level
     return sure and lead.reduction > RELEVANT and lead.points > WORTH_POINTS
 
@@ -184,10 +184,10 @@ def _lead(candidate: Candidate, other: Candidate, held_out: Record) -> Differenc
 
 
 def _unbeaten(scored: Sequence[Candidate], leads: Mapping[tuple[Candidate, Candidate], Difference]) -> list[Candidate]:
-    """Return candidates over which no other has a lead that counts, and that lead every candidate that is beaten.
+    """Return the candidates that no other beats and that lead every beaten candidate.
 
-    The second condition excludes models with very large errors in one stretch: large errors also widen the spread of
-    the lead over them, so that the lead is not significant.
+    The second condition excludes models with very large errors in one stretch: these errors also widen the standard
+    error of the lead, so that the lead is not significant.
     """
     left = list(scored)
     out = [c for c in left if any(beaten(leads[other, c]) for other in scored)]

@@ -16,7 +16,7 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 _SHORT_S = 1.0
-"""Length of held-out data, s, below which there are too few independent stretches to trust differences."""
+"""Length of held-out data, s, below which there are too few independent stretches to compare models."""
 
 _COARSE_POINTS = 2.0
 """Standard deviation of a difference, percentage points, above which the record hardly separates models."""
@@ -31,13 +31,13 @@ _LARGE_LOSS_POINTS = 5.0
 """Difference between two VAFs of one model, percentage points, that is worth a doubt."""
 
 _SMALL_LEAD_POINTS = 0.1
-"""Lead, percentage points, below which it does not matter even if it is significant."""
+"""Lead, percentage points, below which it is irrelevant even if significant."""
 
 _LEFT_TO_CEILING_POINTS = 3.0
-"""Distance to the ceiling, percentage points, above which something remains to be explained."""
+"""Distance to the ceiling, percentage points, above which a part of the output remains unexplained."""
 
 _LONGEST_FACTOR = 20.0
-"""Largest factor by which a longer test is still proposed."""
+"""Largest factor by which a longer test is proposed."""
 
 _QUANTILES = (0.01, 0.99)
 """Quantiles of the output that bound its range."""
@@ -55,7 +55,7 @@ _FAMILIES = {
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """What the texts are made from: the recommended model, all models best first, and the two parts of the record."""
+    """Input of the texts: the recommended model, all models best first, and the fitted and held-out records."""
 
     chosen: Standing
     standings: tuple[Standing, ...]
@@ -179,7 +179,7 @@ def choice(found: SufficientOption) -> Message:
 
 
 def reasons(basis: Basis) -> Iterator[Message]:
-    """Yield why this model: its lead over simpler ones, and why a higher score was passed over."""
+    """Yield the reasons: the lead over simpler models, and why a higher score was not preferred."""
     chosen, best = basis.chosen, basis.best
     simpler = [s for s in basis.standings if s.beaten and s.family.rank < chosen.family.rank]
     best_of = {s.family: s for s in reversed(simpler)}
@@ -261,7 +261,7 @@ def _why_left(chosen: Standing) -> Message:
 
 
 def doubts(basis: Basis) -> Iterator[Message]:
-    """Yield what limits the recommendation."""
+    """Yield limitations of the recommendation."""
     chosen = basis.chosen
     if basis.seconds < _SHORT_S:
         yield Message(
@@ -315,7 +315,7 @@ def doubts(basis: Basis) -> Iterator[Message]:
 
 
 def experiments(basis: Basis) -> Iterator[Message]:
-    """Yield what to measure next."""
+    """Yield proposals for further measurements."""
     chosen, lead = basis.chosen, basis.chosen.behind
     if chosen is not basis.best and lead.std_points and lead.points > 0.0:
         # Length for a one-sided test at 5 % to detect a lead of this size with a power of 80 %.
@@ -374,7 +374,7 @@ _EXPERIMENTS: Mapping[Family, tuple[str, str]] = {
 
 
 def _ranges(basis: Basis) -> Iterator[Message]:
-    """Yield whether held-out data leave the fitted range of the output, or cover little of it."""
+    """Yield a message if held-out data leave the fitted range of the output, or cover little of it."""
     unit, scale = display_unit(basis.held_out.output_unit)
     fitted, unseen = (
         scale * np.quantile(part.output[np.isfinite(part.output)], _QUANTILES)

@@ -1,6 +1,6 @@
-"""Registry of engines. An engine registers by one declaration in a file of its own.
+"""Registry of engines. An engine registers by one declaration in its own file.
 
-Built-in engines are found by scanning ``tissueid.identification.engines``; other packages add theirs by an entry
+Built-in engines are found by scanning ``tissueid.identification.engines``; other packages register theirs by an entry
 point in the group ``tissueid.engines`` that names the engine class, or the module that declares it.
 """
 
@@ -41,7 +41,7 @@ def engine_names() -> tuple[str, ...]:
 
 
 def label_of(name: str) -> str:
-    """Return the English label of an engine: its name with a capital where no such engine is installed."""
+    """Return the English label of an engine: its name with a capital if no such engine is installed."""
     return _engines.get(name).label if name in _engines.names() else name[:1].upper() + name[1:]
 
 

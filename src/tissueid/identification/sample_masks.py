@@ -1,6 +1,6 @@
-"""Masks of the samples of a record that a fit or a score can use: received, in a part, with a complete memory.
+"""Masks of the samples that a fit or a score can use: received, in a part, and with a complete memory.
 
-Samples that were not received are NaN and are not filled in.
+Samples that were not received are NaN and are never interpolated.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tissueid.records import Record
 
 
 def complete_windows(finite: Mask, length: int) -> Mask:
-    """Return a mask (n,) of the samples whose window of ``length`` samples, ending there, is complete and all True.
+    """Return the mask (n,) of the samples whose window of ``length`` samples, ending there, is complete and all True.
 
     If ``finite`` (n,) marks the received inputs, these are the outputs that a model with that memory can simulate.
     """

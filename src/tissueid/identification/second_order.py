@@ -1,6 +1,6 @@
 """Second-order system: mass, damping, stiffness, and the three impulse-response coefficients of the thesis.
 
-Chen 2010, Eqs. 3.6-3.12. The thesis treats the underdamped case; natural frequency and damping ratio also describe
+Chen 2010, Eqs. 3.6-3.12. The thesis covers the underdamped case; natural frequency and damping ratio also describe
 overdamped tissue.
 """
 
@@ -25,12 +25,12 @@ HOLD_DESCRIPTION = marked("Course of the input between samples: a measured force
 """Title and description of the option ``hold`` of engines."""
 
 _ALIASES = 6
-"""Images of the base band on either side that a held input is summed over; the rest is below one part in 1e5."""
+"""Images of the base band on each side that are summed for a held input; the rest is below one part in 1e5."""
 
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """H(s) = 1 / (M s^2 + B s + K), Eq. 3.7. In SI for force to position; else in input units over output units."""
+    """H(s) = 1 / (M s^2 + B s + K), Eq. 3.7. SI for force to position, else input units over output units."""
 
     mass: float
     damping: float
@@ -38,7 +38,7 @@ class SecondOrder:
 
     @classmethod
     def from_impulse_coefficients(cls, a1: float, a2: float, a3: float, sample_rate_hz: float) -> Self:
-        """Build from h(t) = A1 sin(A2 t) exp(A3 t), output per input and sample (Eqs. 3.6, 3.8-3.12)."""
+        """Return the system with h(t) = A1 sin(A2 t) exp(A3 t), output per input and sample (Eqs. 3.6, 3.8-3.12)."""
         natural_frequency = float(np.hypot(a2, a3))  # Eqs. 3.8 and 3.9 combined
         damping_ratio = -a3 / natural_frequency
         stiffness = natural_frequency / (a1 * np.sqrt(1.0 - damping_ratio**2) * sample_rate_hz)
@@ -52,7 +52,7 @@ class SecondOrder:
 
     @property
     def damping_ratio(self) -> float:
-        """B / (2 sqrt(K M)); above one the system is overdamped."""
+        """B / (2 sqrt(K M)); above 1 the system is overdamped."""
         return abs(self.damping) / (2.0 * float(np.sqrt(self.stiffness * self.mass)))
 
     @property
@@ -62,7 +62,7 @@ class SecondOrder:
         return decay, self.stiffness / self.mass - decay**2
 
     def impulse_coefficients(self, sample_rate_hz: float) -> tuple[float, float, float] | None:
-        """Return A1, A2, A3 of Eq. 3.6 per sample; None for an overdamped system, which that form cannot write."""
+        """Return A1, A2, A3 of Eq. 3.6 per sample; None for an overdamped system, which has no such form."""
         decay, squared = self.decay_and_frequency
         if squared <= 0.0:
             return None
@@ -80,7 +80,7 @@ class SecondOrder:
         return np.asarray(1.0 / (self.mass * s**2 + self.damping * s + self.stiffness))
 
     def simulate(self, u: Array, sample_rate_hz: float, hold: Hold = "band-limited") -> Array:
-        """Return the response (n,) of the system to an input (n,), which must not hold NaN; it is at rest before."""
+        """Return the response (n,) to an input (n,) without NaN, at rest before the first sample."""
         decay, squared = self.decay_and_frequency
         slowest = decay - float(np.sqrt(max(0.0, -squared)))
         settle = min(u.size, round(12.0 * sample_rate_hz / slowest)) if slowest > 0.0 else u.size
@@ -90,11 +90,10 @@ class SecondOrder:
 
 
 def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, hold: Hold) -> tuple[Complex, Complex]:
-    """Return the sampled frequency response, shape (bins,), and its derivatives (3, bins) by log M, log B, log K.
+    """Return the sampled frequency response (bins,) and its derivatives (3, bins) with respect to log M, log B, log K.
 
-    ``length`` is that of the real FFT. A band-limited input passes through H(j w) itself, with no error of
-    discretisation; one held between samples also reaches the samples through the images of the base band, each
-    weighted by the hold.
+    ``length`` is that of the real FFT. A band-limited input is filtered by H(j w) itself, without discretisation error;
+    an input that is held between samples also contributes through the images of the base band, weighted by the hold.
     """
     frequency = fft.rfftfreq(length, 1.0 / sample_rate_hz)
     images = (0,) if hold == "band-limited" else range(-_ALIASES, _ALIASES + 1)
@@ -116,7 +115,7 @@ def sampled_response(system: SecondOrder, length: int, sample_rate_hz: float, ho
 
 
 def free_velocity(t: Array, decay: float, squared: float) -> Array:
-    """Return exp(-a t) sin(b t) / b for t >= 0, with b^2 = ``squared`` of either sign: the free response to a push."""
+    """Return exp(-a t) sin(b t) / b for t >= 0, with b^2 = ``squared`` of either sign: the impulse response."""
     if squared > 0.0:
         b = np.sqrt(squared)
         return np.asarray(np.exp(-decay * t) * np.sin(b * t) / b, dtype=np.float64)
@@ -127,7 +126,7 @@ def free_velocity(t: Array, decay: float, squared: float) -> Array:
 
 
 def free_position(t: Array, decay: float, squared: float) -> Array:
-    """Return the free response from an initial position of one; arguments as :func:`free_velocity`."""
+    """Return the free response from an initial position of 1; arguments as :func:`free_velocity`."""
     if squared > 0.0:
         even = np.exp(-decay * t) * np.cos(np.sqrt(squared) * t)
     else:

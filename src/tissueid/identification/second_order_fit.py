@@ -1,10 +1,10 @@
 """Mass, damping and stiffness from a record, with standard deviations valid for coloured residuals.
 
-The thesis fits Eq. 3.6 to the estimated impulse response. That response carries the edge effects of biased
-correlations and errors that depend on each other, so its scatter does not say how far the three numbers may be
-off. Here it only starts the search: the fit itself minimises the error of the free-run simulation over the record
-(output error, Gauss-Newton), in the frequency domain where a band-limited input needs no discretisation. The
-offset and the state at the start of every uninterrupted run are fitted with it.
+The thesis fits Eq. 3.6 to the estimated impulse response. The errors of that response are correlated and include edge
+effects, so that its scatter does not give the uncertainty of the three parameters. Here such a fit only gives the
+starting point. The simulation error over the record is then minimised (output-error method, Gauss-Newton) in the
+frequency domain, where a band-limited input needs no discretisation. The offset and the initial state of every
+uninterrupted run are nuisance parameters.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _KNOWN = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 
 _FELT = 1e-7
-"""Share of the strongest effect on the output below which a parameter is undetermined."""
+"""Effect on the output below which a parameter is undetermined, relative to the strongest."""
 
 _ITERATIONS = 40
 _SETTLED_STEP, _SMALLEST_STEP = 1e-7, 1e-9
 _SETTLED_GAIN = 1e-9
-"""Share of the squared error from which a step's gain is next to nothing: under a hundredth of a standard deviation."""
+"""Relative decrease of the squared error below which the fit has converged: less than 0.01 standard deviations."""
 _BRIDGE = 64
 
 
@@ -53,10 +53,10 @@ _BRIDGE = 64
 class SecondOrderFit:
     """A fitted second-order system.
 
-    ``log_covariance`` (3, 3) is that of log M, log B, log K, NaN for one that the record does not hold, None when
-    the fit did not settle. ``sign`` is -1 when
-    the output falls as the input rises; the system then describes the mirrored output. ``vaf_percent`` is that of
-    the free-run simulation on the fitted samples (the parametric VAF of the thesis).
+    ``log_covariance`` (3, 3) is the covariance of log M, log B, log K; NaN for a parameter that the record does not
+    determine, None if the fit did not converge. ``sign`` is -1 if the output decreases with increasing input; the
+    system then describes the negated output. ``vaf_percent`` is that of the free-run simulation on the fitted samples
+    (the parametric VAF of the thesis).
     """
 
     system: SecondOrder
@@ -70,7 +70,7 @@ class SecondOrderFit:
 
     @property
     def parameters(self) -> dict[str, Estimate]:
-        """Named estimates: mass, damping, stiffness for force (N) to position (m), a gain otherwise."""
+        """Named estimates: mass, damping, stiffness for force (N) to position (m), else a gain."""
         system = self.system
         named = {
             "natural_frequency_rad_per_s": self.estimate(system.natural_frequency_rad_per_s, (-0.5, 0.0, 0.5)),
@@ -85,7 +85,9 @@ class SecondOrderFit:
         } | named
 
     def estimate(self, value: float, log_slopes: tuple[float, float, float]) -> Estimate:
-        """Return a positive function of M, B, K with its standard deviation, from its slopes by log M, log B, log K."""
+        """Return a positive function of M, B, K with its standard deviation, from its derivatives with respect to their
+        logarithms.
+        """
         if self.log_covariance is None:
             return Estimate(value)
         slopes = np.array(log_slopes)
@@ -100,12 +102,12 @@ class SecondOrderFit:
 
 @dataclass(frozen=True)
 class _Run:
-    """An uninterrupted run of the input: its spectrum, and which of its samples are fitted."""
+    """An uninterrupted run of the input: its spectrum, and the indices of its fitted samples."""
 
     spectrum: Complex
     length: int
-    local: NDArray[np.intp]  # positions of the fitted samples within the run
-    place: slice  # where they stand among all fitted samples
+    local: NDArray[np.intp]  # indices of the fitted samples within the run
+    place: slice  # their slice of all fitted samples
 
 
 def fit_second_order(
@@ -115,21 +117,20 @@ def fit_second_order(
     weights: Array | None = None,
     start: SecondOrderFit | None = None,
 ) -> SecondOrderFit:
-    """Fit M, B, K to the samples of a mask by output error, and their covariance.
+    """Fit M, B, K to the samples of a mask by the output-error method, with their covariance.
 
-    The covariance is the sandwich of a fit to a system that need not be of second order (White 1982), with the
-    dependence of neighbouring residuals carried along, so that it stays honest when the residual is what a
-    nonlinear tissue does beyond the line, and not white noise.
+    The covariance is the sandwich for a system that need not be of second order (White 1982), with autocorrelated
+    residuals. It is therefore also valid if the residual is due to the nonlinearity of the tissue.
 
     Args:
         record: the data.
         used: mask (n,) of the outputs to fit; each input of their memory must have been received.
-        hold: what the input does between samples. A measured force is band-limited; a command is held.
-        weights: shape (n,), multiplied into the errors before they are squared; equal when None.
-        start: where to begin; the best of a grid against the correlations when None.
+        hold: course of the input between samples. A measured force is band-limited; a command is held.
+        weights: factors (n,) of the errors before they are squared; None for equal weights.
+        start: starting point; None for the best of a grid against the correlations.
 
     Raises:
-        UnusableInputError: no second-order system answers this input at all.
+        UnusableInputError: no second-order system responds to this input.
     """
     rate = record.sample_rate_hz
     mean_u = float(np.mean(record.input[used]))
@@ -181,11 +182,12 @@ def fit_second_order(
 
 
 def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) -> tuple[Array, Array, Array, bool]:
-    """Gauss-Newton with halved steps, from ``theta`` (p,); steps are held to a factor e, for theta is logarithmic.
+    """Minimise by Gauss-Newton with halved steps, from ``theta`` (p,), with steps of at most a factor e (theta is
+    logarithmic).
 
-    ``evaluate`` gives the error (m,) and minus its derivatives (m, p). Returns the minimum, both there, and whether
-    the steps, or what they gain, died out: the slopes leave out how the free responses change, so that the last steps
-    may stay small and not become nil.
+    ``evaluate`` returns the error (m,) and minus its derivatives (m, p). Returns the minimum, both at the minimum, and
+    whether the steps or their gains converged. The derivatives neglect the change of the free responses, so that the
+    last steps may stay small without vanishing.
     """
     error, slopes = evaluate(theta)
     for _ in range(_ITERATIONS):
@@ -206,7 +208,7 @@ def _minimise(evaluate: Callable[[Array], tuple[Array, Array]], theta: Array) ->
 
 
 def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
-    """Return the covariance (3, 3) of log M, log B, log K; NaN where one has no effect, None on failure."""
+    """Return the covariance (3, 3) of log M, log B, log K; NaN for one without effect, None on failure."""
     size = np.linalg.norm(slopes, axis=0)
     felt = size > _FELT * np.max(size)
     if not felt.any():
@@ -223,10 +225,10 @@ def _sandwich(slopes: Array, error: Array, block: int) -> Array | None:
 
 
 def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[list[_Run], Array]:
-    """Cut the record into uninterrupted runs of input, each made periodic by a smooth bridge past its end.
+    """Cut the record into uninterrupted runs of input, each extended to a periodic signal by a smooth bridge.
 
-    The bridge stands for an input after the last fitted sample, which round the circle of the FFT is an input
-    before the first; it leaves nothing but a free response, and that is fitted.
+    In the circular convolution, the bridge acts as input before the first sample. Its only effect is a free response,
+    which is fitted.
     """
     runs = []
     done = 0
@@ -245,11 +247,11 @@ def _runs(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[lis
 
 
 def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: float, hold: Hold) -> tuple[Array, Array]:
-    """Return the weighted error (m,) and its derivatives (m, 3), without offset and free responses."""
+    """Return the weighted error (m,) and its derivatives (m, 3), with offset and free responses projected out."""
     mass, damping, stiffness = np.exp(theta)
     system = SecondOrder(mass=float(mass), damping=float(damping), stiffness=float(stiffness))
     decay, squared = system.decay_and_frequency
-    columns = np.empty((y.size, 5))  # the error, the response's three slopes, and the offset
+    columns = np.empty((y.size, 5))  # the error, its three derivatives, and the offset
     columns[:, 4] = weights
     for run in runs:
         response, slopes = sampled_response(system, run.length, rate, hold)
@@ -261,7 +263,7 @@ def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: fl
         here = columns[run.place]
         here[:, 0] = (y[run.place] - passed[0, run.local]) * weights[run.place]
         here[:, 1:4] = passed[1:, run.local].T * weights[run.place, None]
-        q, _ = np.linalg.qr(free * weights[run.place, None])  # a free response lives in its own run alone
+        q, _ = np.linalg.qr(free * weights[run.place, None])  # a free response affects its own run only
         here -= np.einsum("ij,jk->ik", q, np.einsum("ij,ik->jk", q, here))
     offset = columns[:, 4]
     energy = float(offset @ offset)
@@ -273,8 +275,8 @@ def _evaluate(runs: list[_Run], y: Array, weights: Array, theta: Array, rate: fl
 def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[SecondOrder, float]:
     """Return the best of a grid of systems against the correlations of the longest run of input.
 
-    Each is judged by how much output it explains at its best gain: the fit of Eq. 3.6 to the impulse response, in
-    the metric of that response's own uncertainty, over a grid that no poor start can lead astray.
+    The criterion is the output that a system explains at its best gain: the fit of Eq. 3.6 to the impulse response in
+    the metric of that response's covariance. The grid avoids local minima.
     """
     edges = finite_runs(np.isfinite(record.input))
     first, end = max(edges, key=lambda run: int(np.count_nonzero(used[run[0] : run[1]])))
@@ -302,10 +304,10 @@ def _start(record: Record, used: Mask, mean_u: float, mean_y: float) -> tuple[Se
 
 @lru_cache(maxsize=8)
 def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
-    """Return the systems of unit stiffness over natural frequency and damping ratio, with kernels h (systems, lags).
+    """Return systems of unit stiffness over natural frequency and damping ratio, with their kernels h (systems, lags).
 
-    The last array (systems, lags) holds the sums of products of each kernel with itself, so that times the input's
-    correlation they make h' R h.
+    The last array (systems, lags) is the autocorrelation of each kernel; its product with the correlation of the input
+    is h' R h.
     """
     t = np.arange(lags) / rate
     systems = [
@@ -321,7 +323,7 @@ def _grid(lags: int, rate: float) -> tuple[list[SecondOrder], Array, Array]:
 
 
 def _free_run_vaf(record: Record, used: Mask, system: SecondOrder, sign: float, mean_u: float, hold: Hold) -> float:
-    """Return VAF of the system run from rest at the mean input; a gap in the input holds only unfitted samples."""
+    """Return the VAF of the system simulated from rest at the mean input; gaps contain no fitted samples."""
     u = np.where(np.isfinite(record.input), record.input - mean_u, 0.0)
     simulated = sign * system.simulate(u, record.sample_rate_hz, hold)
     return vaf_percent(record.output[used], simulated[used])

@@ -1,8 +1,8 @@
 """Static nonlinearities y = g(z) of a Wiener system: exponential, polynomial, monotone spline.
 
-Chen 2010, Eqs. 3.26-3.27 for the exponential. Each is fitted by least squares over the z of the data and continues
-along a straight line, or its own formula, beyond it. The inverse is trusted on the range where g was fitted and
-rises or falls throughout, and a quarter of it more.
+Chen 2010, Eqs. 3.26-3.27 for the exponential. Each is fitted by least squares over the z of the data and extrapolated
+linearly, or by its own formula. The inverse is defined on the range where g was fitted and is monotone, extended by a
+quarter of it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from tissueid.identification.base import Array
 from tissueid.language import marked
 
 _STRAIGHT = 1e-4
-"""C2 times the reach of t below which the derivative by C2 is taken from its series."""
+"""C2 times the range of t below which the derivative with respect to C2 is computed by its series."""
 
 
-# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def exponential_sums(
     t: Array, y: Array, fallen: Array, c2: float, reach: float
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the sums over the samples of the bend b = (1 - exp(-C2 t)) / C2 and of its derivative d by C2.
+    """Return sums over the samples of b = (1 - exp(-C2 t)) / C2 and of its derivative d with respect to C2.
 
     Args:
         t: shape (n,), within ``reach`` of zero.
@@ -73,13 +73,13 @@ _FORMS = (marked("exponential"), marked("polynomial"), marked("spline"))
 """Choices of the option as a form shows them, for translation."""
 
 _STEEPEST = 20.0
-"""Largest C2 times the reach of z from its middle: a curve that falls by e to the twentieth is a step."""
+"""Largest C2 times half the range of z: a curve that decays by a factor exp(20) is a step."""
 
 _SETTLED_BEND, _SMALLEST_BEND = 1e-5, 1e-9
-"""Steps of C2 times the reach of z: one below the first leaves its square as error; none below the second is tried."""
+"""Steps of C2 times half the range of z: the fit ends below the first; steps below the second are not tried."""
 
 _GRID_SAMPLES = 1000
-"""Samples that are enough to choose where the search for C2 begins."""
+"""Number of samples used to choose the starting point of C2."""
 
 _TABLE = 4097
 _MARGIN = 0.25
@@ -87,7 +87,7 @@ _MARGIN = 0.25
 
 @dataclass(frozen=True, eq=False)
 class StaticNonlinearity(ABC):
-    """A fitted g. ``coefficients`` (p,) are linear in g or become so; ``low`` and ``high`` bound the fitted z."""
+    """A fitted g with ``coefficients`` (p,); ``low`` and ``high`` bound the fitted z."""
 
     coefficients: Array
     low: float
@@ -103,19 +103,19 @@ class StaticNonlinearity(ABC):
 
     @abstractmethod
     def jacobian(self, z: Array) -> Array:
-        """Return the derivatives of g(z) by the coefficients, shape (n, p)."""
+        """Return the derivatives of g(z) with respect to the coefficients, shape (n, p)."""
 
     @abstractmethod
     def refit(self, z: Array, y: Array) -> Self:
-        """Refit the same form to z (n,) and y (n,)."""
+        """Return the same form fitted to z (n,) and y (n,)."""
 
     def with_coefficients(self, coefficients: Array) -> Self:
-        """Return the same form with other coefficients, for derivatives by them."""
+        """Return the same form with other coefficients."""
         return replace(self, coefficients=coefficients)
 
     @cached_property
     def _monotone(self) -> tuple[Array, Array]:
-        """Table of z and g(z), both (m,), over the longest stretch where g keeps to its main direction."""
+        """Table of z and g(z), both (m,), over the longest stretch where g changes in its main direction."""
         reach = _MARGIN * (self.high - self.low)
         z = np.linspace(self.low - reach, self.high + reach, _TABLE)
         y = self(z)
@@ -134,13 +134,13 @@ class StaticNonlinearity(ABC):
 
     @property
     def invertible(self) -> bool:
-        """True when g keeps its direction over all of the fitted z."""
+        """Whether g is monotone over all of the fitted z."""
         low, high = self.monotone_range
         step = (self.high - self.low) / _TABLE
         return low <= self.low + step and high >= self.high - step
 
     def inverse(self, y: Array) -> Array:
-        """Return z with g(z) = y, shape of y; beyond the monotone range, the nearest end of it."""
+        """Return z with g(z) = y, shape of y; outside the monotone range, its nearest end."""
         z_table, y_table = self._monotone
         if y_table[0] > y_table[-1]:
             z_table, y_table = z_table[::-1], y_table[::-1]
@@ -149,10 +149,10 @@ class StaticNonlinearity(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Exponential(StaticNonlinearity):
-    """y = y0 + s (1 - exp(-C2 (z - z0))) / C2, which is Eq. 3.26 about the middle of the data.
+    """y = y0 + s (1 - exp(-C2 (z - z0))) / C2: Eq. 3.26 about the middle of the data.
 
-    The coefficients are y0, s (the slope at z0) and C2. Written so, a straight line is the plain case C2 = 0, and
-    the three do not trade against each other as C1, C2 and an offset do.
+    The coefficients are y0, s (the slope at z0) and C2. In this form a straight line is the regular case C2 = 0, and
+    the three are less correlated than C1, C2 and an offset.
     """
 
     centre: float
@@ -168,7 +168,7 @@ class Exponential(StaticNonlinearity):
         return np.asarray(s * np.exp(_bounded(-c2 * (z - self.centre))))
 
     def jacobian(self, z: Array) -> Array:
-        """Return the derivatives of g(z) by y0, s and C2, shape (n, 3)."""
+        """Return the derivatives of g(z) with respect to y0, s and C2, shape (n, 3)."""
         _, s, c2 = self.coefficients
         t = z - self.centre
         bend = _bend(t, c2)
@@ -176,28 +176,28 @@ class Exponential(StaticNonlinearity):
 
     @cached_property
     def monotone_range(self) -> tuple[float, float]:
-        """Lowest and highest z where the inverse is defined: this curve never turns back."""
+        """Lowest and highest z where the inverse is defined: this curve is always monotone."""
         reach = _MARGIN * (self.high - self.low)
         return self.low - reach, self.high + reach
 
     def inverse(self, y: Array) -> Array:
-        """Return z with g(z) = y, shape of y; beyond the monotone range, the nearest end of it."""
+        """Return z with g(z) = y, shape of y; outside the monotone range, its nearest end."""
         y0, s, c2 = self.coefficients
         low, high = self.monotone_range
         bend = (y - y0) / s
         if c2 != 0.0:
-            bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # past the asymptote, to rounding
+            bend = np.log1p(np.maximum(-c2 * bend, 1e-15 - 1.0)) / -c2  # limited at the asymptote
         return np.asarray(np.clip(self.centre + bend, low, high))
 
     def refit(self, z: Array, y: Array) -> Exponential:
-        """Refit y0, s and C2 from their present values."""
+        """Return the exponential fitted to z (n,) and y (n,), starting from the present C2."""
         return fit_exponential(z, y, start=self.coefficients[2])
 
     def thesis_constants(self, surface: float | None, c3: float) -> tuple[float, float, float, float]:
         """Return C1, C2, C3 and the offset of y = offset + C1 (1 - exp(-C2 (z + C3))).
 
-        The curve has three degrees of freedom and this form four. Known is either the offset, as ``surface``, and
-        C3 follows; or, with ``surface`` None, C3, and the offset follows. NaN where no such curve exists.
+        The curve has three degrees of freedom and this form four constants. Either the offset is given as ``surface``
+        and C3 follows, or ``surface`` is None and the offset follows from C3. NaN if no such curve exists.
         """
         y0, s, c2 = self.coefficients
         if c2 == 0.0:
@@ -214,7 +214,7 @@ class Exponential(StaticNonlinearity):
 
 @dataclass(frozen=True, eq=False)
 class Polynomial(StaticNonlinearity):
-    """Legendre series over the fitted range of z, continued beyond it by straight lines."""
+    """Legendre series over the fitted range of z, extrapolated linearly."""
 
     def _scaled(self, z: Array) -> Array:
         return np.asarray(2.0 * (z - self.low) / (self.high - self.low) - 1.0)
@@ -234,13 +234,13 @@ class Polynomial(StaticNonlinearity):
         return np.asarray(legendre.legvander(self._scaled(np.clip(z, self.low, self.high)), self.coefficients.size - 1))
 
     def refit(self, z: Array, y: Array) -> Polynomial:
-        """Refit a series of the same degree."""
+        """Return a series of the same degree fitted to z (n,) and y (n,)."""
         return fit_polynomial(z, y, self.coefficients.size - 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Spline(StaticNonlinearity):
-    """Cubic spline, continued beyond its range by straight lines."""
+    """Cubic spline, extrapolated linearly."""
 
     knots: tuple[float, ...]
 
@@ -263,15 +263,15 @@ class Spline(StaticNonlinearity):
 
 
 class MonotoneSpline(Spline):
-    """A spline that never turns back: its B-spline coefficients rise, or fall, from one to the next."""
+    """A monotone spline: its B-spline coefficients increase, or decrease, throughout."""
 
     def refit(self, z: Array, y: Array) -> MonotoneSpline:
-        """Refit a spline with the same number of pieces."""
+        """Return a spline with the same number of pieces fitted to z (n,) and y (n,)."""
         return fit_spline(z, y, self.coefficients.size - 3)
 
 
 def coefficient_count(form: Form, degree: int) -> int:
-    """Return how many coefficients g of a form and degree has."""
+    """Return the number of coefficients of g for a form and degree."""
     return {"exponential": 3, "polynomial": degree + 1, "spline": degree + 3}[form]
 
 
@@ -279,10 +279,10 @@ def fit_nonlinearity(form: Form, z: Array, y: Array, degree: int) -> StaticNonli
     """Fit g to z (n,) and y (n,).
 
     Args:
-        form: which family.
+        form: family of curves.
         z: linear output.
         y: measured output.
-        degree: degree of the polynomial, or pieces of the spline; the exponential has none.
+        degree: degree of the polynomial, or pieces of the spline; not used by the exponential.
     """
     if form == "exponential":
         return fit_exponential(z, y)
@@ -294,8 +294,8 @@ def fit_nonlinearity(form: Form, z: Array, y: Array, degree: int) -> StaticNonli
 def fit_exponential(z: Array, y: Array, start: float | None = None) -> Exponential:
     """Fit the exponential of Eq. 3.26 with a free offset, by a grid over C2 (or a start) and Gauss-Newton.
 
-    At a given C2 the two other coefficients follow by a straight line, so that only C2 is searched for (variable
-    projection: Golub and Pereyra 1973, with the slope of Kaufman 1975).
+    For a given C2 the other two coefficients follow by linear regression, so that only C2 is searched (variable
+    projection: Golub and Pereyra 1973, with the derivative of Kaufman 1975).
     """
     low, high, centre = float(z.min()), float(z.max()), float(z.sum()) / z.size
     t = z - centre
@@ -331,14 +331,14 @@ def fit_polynomial(z: Array, y: Array, degree: int) -> Polynomial:
 def fit_spline(z: Array, y: Array, pieces: int) -> MonotoneSpline:
     """Fit a monotone cubic spline of ``pieces`` pieces, with knots at quantiles of z (n,), to y (n,).
 
-    The increments between neighbouring B-spline coefficients are held to one sign by non-negative least squares
-    (I-splines: Ramsay 1988).
+    The increments of the B-spline coefficients are constrained to one sign by non-negative least squares (I-splines:
+    Ramsay 1988).
     """
     low, high = float(z.min()), float(z.max())
     inner = np.quantile(z, np.linspace(0.0, 1.0, pieces + 1)[1:-1])
     knots = np.concatenate([[low] * 4, inner, [high] * 4])
     basis = _b_splines(z, knots)  # (n, p)
-    steps = np.cumsum(basis[:, ::-1], axis=1)[:, ::-1][:, 1:]  # (n, p - 1): what each increment adds
+    steps = np.cumsum(basis[:, ::-1], axis=1)[:, ::-1][:, 1:]  # (n, p - 1): basis of the increments
     direction = 1.0 if np.mean((z - z.mean()) * (y - y.mean())) >= 0.0 else -1.0
     scale = float(np.std(y)) or 1.0
     centred = steps - steps.mean(axis=0)
@@ -355,7 +355,7 @@ def _b_splines(z: Array, knots: Array) -> Array:
 
 
 def _bounded(exponent: Array) -> Array:
-    """Hold an exponent short of overflow; beyond it a curve has long left anything measured."""
+    """Return the exponent, limited to avoid overflow."""
     return np.minimum(exponent, 300.0)
 
 
@@ -375,7 +375,7 @@ class _Line(NamedTuple):
 
 
 def _line_through_bend(t: Array, y: Array, energy: float, reach: float, c2: float) -> _Line:
-    """Best s at a given C2 for t (n,) within ``reach`` of zero and y (n,), without its mean, of a sum of squares."""
+    """Fit s at a given C2 to t (n,) within ``reach`` of zero and y (n,) with zero mean and energy ``energy``."""
     b_sum, b_b, b_y, d_sum, d_d, d_b, d_y = exponential_sums(t, y, np.expm1(-c2 * t), c2, reach)
     mean_bend, mean_d = b_sum / t.size, d_sum / t.size
     size = b_b - b_sum * mean_bend
@@ -387,7 +387,7 @@ def _line_through_bend(t: Array, y: Array, energy: float, reach: float, c2: floa
 
 
 def _bend_of_grid(t: Array, y: Array, bends: Array) -> float:
-    """Return the C2 of a grid (k,) that fits t (n,) and y (n,) without its mean best."""
+    """Return the C2 of a grid (k,) that fits t (n,) and y (n,), with zero mean, best."""
     spread = np.array([_bend(t, float(c2)) for c2 in bends])  # (k, n)
     spread -= spread.mean(axis=1, keepdims=True)
     explained = (spread @ y) ** 2 / np.einsum("ij,ij->i", spread, spread)
@@ -395,7 +395,7 @@ def _bend_of_grid(t: Array, y: Array, bends: Array) -> float:
 
 
 def _bend_by_c2(t: Array, c2: float, bend: Array) -> Array:
-    """Return the derivative of (1 - exp(-C2 t)) / C2, which is ``bend``, by C2."""
+    """Return the derivative of (1 - exp(-C2 t)) / C2, which is ``bend``, with respect to C2."""
     if abs(c2) * max(float(t.max()), -float(t.min())) < 1e-4:
         return np.asarray(t**2 * (c2 / 3.0 * t - 0.5))
     return np.asarray((t * (1.0 - c2 * bend) - bend) / c2)

@@ -1,8 +1,8 @@
-"""Linear blocks of a cascade as sums of a few smooth functions of the lag.
+"""Impulse responses of a cascade's linear blocks as sums of a few cubic B-splines of the lag.
 
-A force without power above 200 Hz says nothing of single lags at 2 kHz; a cascade with hundreds of free lags in each
-linear blocks could not be distinguished. Here an impulse response is a cubic spline of the lag: its knots stand
-as close as the input's band allows where the response begins, and less close where it decays.
+At 2 kHz, an input without power above 200 Hz does not determine single lags, so hundreds of free lags per block could
+not be estimated. The knots are as close as the band of the input allows at short lags, and wider apart where the
+response decays.
 """
 
 from __future__ import annotations
@@ -24,8 +24,12 @@ _GROWTH = 8.0
 
 
 def band_edge(x: Array, sample_rate_hz: float) -> float:
-    """Return the frequency, Hz, below which 99.9 % of the power of x (n,) lies; missing samples of x are 0."""
-    power = np.abs(fft.rfft((x - x.mean()) * signal.windows.hann(x.size))) ** 2  # the ends hold every frequency
+    """Return the frequency, Hz, below which 99.9 % of the power of x (n,) lies; missing samples of x must be replaced
+    by 0.
+    """
+    power = (
+        np.abs(fft.rfft((x - x.mean()) * signal.windows.hann(x.size))) ** 2
+    )  # step at the ends of the record would spread over all frequencies
     running = np.cumsum(power)
     bin_of_edge = int(np.searchsorted(running, _POWER * running[-1]))
     return bin_of_edge * sample_rate_hz / x.size
@@ -34,7 +38,7 @@ def band_edge(x: Array, sample_rate_hz: float) -> float:
 def lag_basis(lags: int, spacing: float) -> Array:
     """Return cubic B-splines over the lags, shape (lags, q), q <= lags; ``spacing`` of the first knots is in samples.
 
-    With as many functions as lags there is no smoothness left to ask for, and the lags themselves are returned.
+    If the splines would be as many as the lags, the identity is returned: one function per lag.
     """
     spacing = max(1.0, spacing)
     last = lags - 1.0
@@ -62,19 +66,19 @@ class LagBank:
 
     @property
     def size(self) -> int:
-        """How many functions there are."""
+        """Number of basis functions q."""
         return int(self.basis.shape[1])
 
     def rows(self, driven: Array) -> Array:
-        """Return each function convolved with a signal (n,), shape (q, n)."""
+        """Return each basis function convolved with a signal (n,), shape (q, n)."""
         spectrum = fft.rfft(driven, self._length)
         return np.asarray(fft.irfft(self._spectra * spectrum, self._length)[:, : self._n], dtype=np.float64)
 
     def apply(self, weights: Array, signals: Array) -> Array:
-        """Convolve signals, shape (..., n), with the kernel that the weights (q,) make; the same shape."""
+        """Return signals, shape (..., n), convolved with the kernel of the weights (q,); the same shape."""
         kernel = fft.rfft(self.basis @ weights, self._length)
         return np.asarray(fft.irfft(fft.rfft(signals, self._length) * kernel, self._length)[..., : self._n])
 
     def nearest(self, kernel: Array) -> Array:
-        """Return the weights (q,) of the kernel (lags,) that comes closest in the sense of least squares."""
+        """Return the least-squares weights (q,) that approximate a kernel (lags,)."""
         return np.asarray(np.linalg.lstsq(self.basis, kernel, rcond=None)[0], dtype=np.float64)

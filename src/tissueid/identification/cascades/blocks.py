@@ -1,8 +1,8 @@
-"""Cascades of linear and static blocks: structure, simulation and derivatives by every parameter.
+"""Cascades of linear and static blocks: structure, simulation and derivatives with respect to all parameters.
 
-N stands for a static nonlinearity and L for linear dynamics, in the order of the signal: Hammerstein is NL, Wiener is
-LN. Every curve is taken less its value at rest, so a system at rest passes zero from block to block and one constant,
-the offset, holds the output at the operating point.
+N is a static nonlinearity and L a linear dynamic block, in the order of the signal: Hammerstein is NL, Wiener is LN.
+The value of every static curve at rest is subtracted, so that all signals between blocks are zero at rest; the constant
+``offset`` is the output at the operating point.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tissueid.records import Record
 Structure = Literal["linear", "wiener", "hammerstein", "lnl", "nln"]
 
 STRUCTURES: tuple[Structure, ...] = ("linear", "wiener", "hammerstein", "lnl", "nln")
-"""Structures from the simplest; of two that explain a record equally well, the first is preferred."""
+"""Structures in order of complexity; of two that explain a record equally well, the first is preferred."""
 
 INSIDE: dict[Structure, frozenset[Structure]] = {
     "linear": frozenset(),
@@ -41,10 +41,10 @@ _KNOTS_PER_PERIOD = 2.25
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The blocks of a cascade; those that its structure lacks are None.
+    """The blocks of a cascade; None for blocks that its structure does not have.
 
-    ``inner`` acts on the absolute input, ``first`` (q,) are the weights of the first linear block's basis, ``outer``
-    acts on what leaves it, and ``second`` (q,) are the weights of the second linear block.
+    ``inner`` is the static curve of the absolute input, ``first`` (q,) the basis weights of the first linear block,
+    ``outer`` the static curve of its output, ``second`` (q,) the basis weights of the second linear block.
     """
 
     inner: StaticNonlinearity | None
@@ -55,7 +55,7 @@ class Blocks:
 
     @property
     def structure(self) -> Structure:
-        """The name of this order of blocks."""
+        """The structure that these blocks form."""
         if self.second is not None:
             return "lnl"
         if self.inner is None:
@@ -90,7 +90,9 @@ class Blocks:
 
     @property
     def n_parameters(self) -> int:
-        """Free parameters: constants of the curves, and a gain at each side of a curve, are held by others."""
+        """Number of free parameters: without the constant of each curve and one gain per curve, which other blocks
+        determine.
+        """
         count = 1 + self.first.size
         count += 0 if self.second is None else self.second.size
         for curve in (self.inner, self.outer):
@@ -100,10 +102,11 @@ class Blocks:
 
 @dataclass(frozen=True, eq=False)
 class CascadeData:
-    """A prepared record as the fits of cascades see it.
+    """A prepared record for fits of cascades.
 
-    ``input`` (n,) has the mean where a sample was not received; no fitted output depends on it. ``rows`` are the
-    samples to fit. ``bank`` holds the basis of every linear block, whose first knots are ``spacing`` samples apart.
+    ``input`` (n,) holds the mean for samples that were not received; no fitted output depends on them. ``rows`` are the
+    indices of the fitted samples. ``bank`` holds the basis of every linear block, whose first knots are ``spacing``
+    samples apart.
     """
 
     prepared: Prepared
@@ -125,11 +128,11 @@ class CascadeData:
         return np.asarray(self.output[self.rows])
 
     def without(self, held_out: Mask) -> CascadeData:
-        """Return the same data with the samples of a mask (n,) left out of the fit."""
+        """Return the data without the samples of a mask (n,) in the fit."""
         return replace(self, rows=self.rows[~held_out[self.rows]])
 
     def thinned(self, rows: int) -> CascadeData:
-        """Return the data with about ``most`` evenly spaced rows."""
+        """Return the data with about ``rows`` evenly spaced rows."""
         return replace(self, rows=self.rows[:: max(1, self.rows.size // rows)])
 
 
@@ -142,10 +145,11 @@ def prepare_cascade(
         record: the data.
         fit_part: contiguous part to fit, or None.
         lags: lags of one linear block.
-        whole: lags that an output depends on through all blocks.
-        n_parameters: parameters of the largest cascade to fit, from the size q of the basis.
+        whole: lags of the whole cascade, on which an output sample depends.
+        n_parameters: returns the number of parameters of the largest cascade to fit, from the size q of the basis.
 
-    Returns what is prepared and the spacing of the first knots of the blocks' basis, in samples.
+    Returns:
+        The prepared record, and the spacing of the first knots of the basis in samples.
 
     Raises:
         UnusableInputError: as :func:`~tissueid.identification.preparation.prepare`.
@@ -165,12 +169,12 @@ def input_levels(prepared: Prepared) -> int:
 
 
 def cascade_data(prepared: Prepared, lags: int, spacing: float) -> CascadeData:
-    """Return the data for the fit of cascades whose linear blocks have ``lags`` lags each.
+    """Return the data for fits of cascades whose linear blocks have ``lags`` lags each.
 
-    ``spacing`` is that of the first knots of their basis, in samples.
+    ``spacing`` is the distance of the first knots of their basis, in samples.
     """
     record = prepared.record
-    end = prepared.part.stop  # nothing after the fitted part is asked for
+    end = prepared.part.stop  # samples after the fitted part are not needed
     x = np.where(np.isfinite(record.input), record.input, prepared.input_mean)[:end]
     return CascadeData(
         prepared=prepared,
@@ -185,7 +189,7 @@ def cascade_data(prepared: Prepared, lags: int, spacing: float) -> CascadeData:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What passes between the blocks, each (n,): ``driven`` enters the first linear block, ``inside`` leaves it."""
+    """Signals within a cascade, each (n,): ``driven`` is the input of the first linear block, ``inside`` its output."""
 
     driven: Array
     inside: Array
@@ -193,7 +197,7 @@ class Signals:
 
 
 def run(blocks: Blocks, data: CascadeData) -> Signals:
-    """Run a cascade over the input, at rest before the first sample."""
+    """Simulate a cascade in free run over the input, at rest before the first sample."""
     driven = data.input - data.rest
     if blocks.inner is not None:
         driven = blocks.inner(data.input) - blocks.inner(np.array([data.rest]))
@@ -207,9 +211,9 @@ def run(blocks: Blocks, data: CascadeData) -> Signals:
 
 
 def slopes(blocks: Blocks, data: CascadeData, signals: Signals) -> Array:
-    """Return the derivatives of the output by :attr:`Blocks.vector`, shape (p, rows)."""
+    """Return the derivatives of the output with respect to :attr:`Blocks.vector`, shape (p, rows)."""
     bank, rows = data.bank, data.rows
-    everywhere = blocks.second is not None  # what a second block remembers counts too
+    everywhere = blocks.second is not None  # the memory of a second block needs all samples
     here: slice | NDArray[np.intp] = slice(None) if everywhere else rows
     changes = []
     if blocks.inner is not None:

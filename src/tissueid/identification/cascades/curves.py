@@ -17,14 +17,14 @@ from tissueid.identification.static_nonlinearity import (
 )
 
 _RIDGE = 1e-9
-"""Share of the mean curvature that keeps the piece of a spline where there are few data in place."""
+"""Ridge of the spline fit, as a share of the mean curvature; determines pieces with few data."""
 
 
 class FreeSpline(Spline):
-    """A spline that may turn back: nothing holds its coefficients."""
+    """A cubic spline without monotonicity constraint."""
 
     def refit(self, z: Array, y: Array) -> FreeSpline:
-        """Refit a spline with the same number of pieces."""
+        """Return a spline with the same number of pieces, fitted to z (n,) and y (n,)."""
         return fit_free_spline(z, y, self.coefficients.size - 3)
 
 
@@ -45,10 +45,10 @@ def fit_curve(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity
     """Fit a static curve y = g(z) to z (n,) and y (n,); a ``spline`` need not be monotone.
 
     Args:
-        form: which family.
-        z: what enters the block.
-        y: what leaves it.
-        degree: degree of the polynomial, or pieces of the spline; the exponential has none.
+        form: family of curves.
+        z: input of the block.
+        y: output of the block.
+        degree: degree of the polynomial, or pieces of the spline; not used by the exponential.
     """
     if form == "exponential":
         return fit_exponential(z, y)
@@ -58,7 +58,9 @@ def fit_curve(form: Form, z: Array, y: Array, degree: int) -> StaticNonlinearity
 
 
 def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
-    """Derivatives of a curve at z (n,) by its coefficients, shape (p, n), also where it is continued straight."""
+    """Return the derivatives of a curve at z (n,) with respect to its coefficients, shape (p, n), also where it is
+    extrapolated.
+    """
     if isinstance(curve, Exponential):
         return np.ascontiguousarray(curve.jacobian(z).T)
     inside = np.clip(z, curve.low, curve.high)
@@ -73,17 +75,17 @@ def curve_slopes(curve: StaticNonlinearity, z: Array) -> Array:
 
 
 def at_zero(curve: StaticNonlinearity, place: float) -> StaticNonlinearity:
-    """Return the same curve lifted so that it is zero at one place."""
+    """Return the curve with a constant subtracted so that its value at ``place`` is zero."""
     return lifted(curve, -float(curve(np.array([place]))[0]))
 
 
 def lifted(curve: StaticNonlinearity, by: float) -> StaticNonlinearity:
-    """Return the same curve with a constant added."""
+    """Return the curve plus the constant ``by``."""
     return curve.with_coefficients(curve.coefficients + by * _constant(curve))
 
 
 def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
-    """Return the same curve multiplied by a factor; the bend of an exponential stays."""
+    """Return the curve times ``factor``; the curvature constant of an exponential does not change."""
     factors = np.full(curve.coefficients.size, factor)
     if isinstance(curve, Exponential):
         factors[2] = 1.0
@@ -91,7 +93,7 @@ def scaled(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
 
 
 def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
-    """Return the curve of the scaled argument: its value at factor * z is that of the given curve at z."""
+    """Return the curve of a scaled argument: its value at ``factor * z`` equals the value of the given curve at z."""
     low, high = sorted((factor * curve.low, factor * curve.high))
     mirrored = factor < 0.0
     if isinstance(curve, Exponential):
@@ -112,7 +114,7 @@ def stretched(curve: StaticNonlinearity, factor: float) -> StaticNonlinearity:
 
 
 def _constant(curve: StaticNonlinearity) -> Array:
-    """Change of the coefficients (p,) that adds one to the curve everywhere."""
+    """Return the change of the coefficients (p,) that adds 1 to the curve at every argument."""
     if isinstance(curve, FreeSpline):
         return np.ones(curve.coefficients.size)
     first = np.zeros(curve.coefficients.size)

@@ -1,4 +1,4 @@
-"""Fits of all block structures to one record; simpler structures give starting points of richer ones."""
+"""Fits of all block structures to one record; fits of simpler structures are starting points of larger ones."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity
 from tissueid.identification.validation import aicc
 
 _FIRST_DEGREE = 3
-"""Degree of the curves by which starting points are compared."""
+"""Degree of the polynomials used to compare starting points."""
 
 _GLANCE, _GLANCE_ROWS = 6, 20
-"""Steps that every start is given before the best are followed, and rows a parameter that these steps look at."""
+"""Steps of the first refinement of every starting point, and rows per parameter used in it."""
 
 _FOLLOWED = 2
 _WIDER = (1.5, 2.0, 3.0)
-"""Spacings of the knots, in units of the closest, that an LNL system's blocks are also written with."""
+"""Spacings of the knots tried for the blocks of an LNL system, relative to the closest spacing."""
 
 _STEPS, _SETTLED = 25, 1e-4
 
 
 def fit_linear(data: CascadeData) -> Fitted:
-    """Return the best linear approximation, by least squares."""
+    """Return the best linear approximation by least squares."""
     blocks = _with_mean(Blocks(None, linear_weights(data), None, None, 0.0), data)
     return Fitted(blocks, squared_error(blocks, data))
 
 
 def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) -> list[Fitted]:
-    """Return the Hammerstein systems after each pass of alternating least squares, the first from Bai's start.
+    """Return the Hammerstein systems after each pass of alternating least squares, starting from Bai's estimate (1998).
 
-    The passes are those of a polynomial; another form is fitted to the curve of each.
+    The passes use a polynomial; for another ``form``, that form is fitted to the polynomial of each pass.
     """
     curves = powers(data.input - data.rest, degree)
     found = []
@@ -58,19 +58,21 @@ def hammerstein_passes(data: CascadeData, form: Form, degree: int, passes: int) 
 
 
 def fit_hammerstein(data: CascadeData, form: Form, degree: int) -> Fitted:
-    """Fit an NL cascade: the best pass of alternating least squares, refined."""
+    """Fit a Hammerstein (NL) cascade: refine the best pass of alternating least squares."""
     passes = hammerstein_passes(data, form, degree, 4)
     return refine(min(passes, key=lambda done: done.rss).blocks, data)
 
 
 def fit_wiener(data: CascadeData, form: Form, degree: int) -> Fitted:
-    """Fit an LN cascade, starting from the best linear approximation and from the second-order kernel."""
+    """Fit a Wiener (LN) cascade, starting from the best linear approximation and from the second-order kernel."""
     starts = [linear_weights(data), *quadratic_weights(data, 2)]
     return _best([_wiener_blocks(weights, data, form, degree) for weights in starts], data)
 
 
 def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
-    """LNL: from a family of first blocks, each finished as a Hammerstein system of what leaves it, refined."""
+    """Fit an LNL cascade: complete each of several first blocks to an LNL system by a Hammerstein fit, and refine the
+    best.
+    """
     impulse = data.bank.nearest(np.eye(1, data.bank.basis.shape[0])[0])
     wiener = [blocks.first for blocks in simpler if blocks.structure == "wiener"]
     firsts = [*first_blocks(data), impulse, *wiener]
@@ -80,7 +82,9 @@ def fit_lnl(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks
 
 
 def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks]) -> Fitted:
-    """NLN: from the canonical correlation of curves of the output with lagged curves of the input, refined."""
+    """Fit an NLN cascade, starting from a canonical correlation of curves of the output with lagged curves of the
+    input.
+    """
     starts = [_nln_blocks(data, form, degree)]
     for blocks in simpler:
         if blocks.structure == "hammerstein":
@@ -92,13 +96,13 @@ def fit_nln(data: CascadeData, form: Form, degree: int, simpler: Iterable[Blocks
 
 
 def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[Structure]) -> dict[Structure, Fitted]:
-    """Fit the structures that are wanted; those that lend a start to one of them come along.
+    """Fit structures, and the simpler ones from which they start.
 
     Args:
         data: the record.
-        form: family of the curves.
-        degree: of a polynomial, or pieces of a spline.
-        wanted: which structures.
+        form: family of the static curves.
+        degree: degree of a polynomial, or pieces of a spline.
+        wanted: the structures.
     """
     asked = set(wanted)
     found: dict[Structure, Fitted] = {}
@@ -117,11 +121,10 @@ def fit_structures(data: CascadeData, form: Form, degree: int, wanted: Iterable[
 
 
 def polished(fitted: Fitted, data: CascadeData) -> tuple[Blocks, CascadeData]:
-    """Return the blocks refined to the end, with the data in whose basis they are written.
+    """Return the converged blocks, with the data in whose basis their weights are given.
 
-    How an LNL system's dynamics divide between its blocks shows in little but the bend of the curve, and free lags
-    follow the noise there. Its blocks are therefore also written with fewer functions of the lag, and the number with
-    the smallest AICc is kept.
+    The division of an LNL system's dynamics between its blocks is weakly determined, and free lags overfit. Its blocks
+    are therefore also fitted with fewer basis functions, and the fit with the smallest AICc is returned.
     """
     if fitted.blocks.structure == "linear":
         return fitted.blocks, data
@@ -145,7 +148,7 @@ def _information(blocks: Blocks, data: CascadeData) -> float:
 
 
 def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
-    """Give every start a few steps, and follow the best ones to the end."""
+    """Refine every starting point by a few steps, refine the best ones until convergence, and return the best fit."""
     some = data.thinned(_GLANCE_ROWS * max(blocks.vector.size for blocks in starts))
     glanced = sorted((refine(blocks, some, _GLANCE, 1e-3) for blocks in starts), key=lambda done: done.rss)
     followed = (refine(done.blocks, data, _STEPS, _SETTLED) for done in glanced[:_FOLLOWED])
@@ -153,13 +156,13 @@ def _best(starts: list[Blocks], data: CascadeData) -> Fitted:
 
 
 def _with_mean(blocks: Blocks, data: CascadeData) -> Blocks:
-    """Return the blocks with the offset that leaves no mean error."""
+    """Return the blocks with the offset that makes the mean error zero."""
     error = data.measured - run(blocks, data).output[data.rows]
     return replace(blocks, offset=blocks.offset + float(error.mean()))
 
 
 def _to_unit(weights: Array, data: CascadeData, signal: Array) -> Array:
-    """Weights of a linear block scaled so that what leaves it for an input (n,) has a standard deviation of one."""
+    """Return the weights of a linear block scaled to an output of unit standard deviation for an input (n,)."""
     spread = float(np.std(data.bank.apply(weights, signal)[data.rows]))
     return weights / spread if spread > 0.0 else weights
 

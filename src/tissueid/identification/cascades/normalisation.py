@@ -1,9 +1,9 @@
-"""Normalised blocks: gains moved to where they have a meaning, and the uncertainty of the normalised blocks.
+"""Normalised blocks of a cascade, and their covariance.
 
-A gain can be moved from one block of a cascade to the next without a trace in the output. Reported is therefore
-fixed: a kernel sums to one where it has a steady-state gain and has a root-sum-square of one where it has none; the
-last curve carries the output's unit, or in a linear system the kernel does; the inner curve of NLN spreads its argument
-as much as the input; every curve is zero at rest.
+A gain can be moved between blocks without a change of the output. The reported gains are therefore fixed: a kernel with
+a steady-state gain sums to 1, and any other kernel has a root-sum-square of 1; the last curve carries the unit of the
+output, or in a linear system the kernel does; the inner curve of NLN has the spread of the input; every curve is zero
+at rest.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from tissueid.identification.effective_samples import dependence_samples, long_r
 from tissueid.identification.static_nonlinearity import StaticNonlinearity
 
 _CERTAIN = 3.0
-"""Threshold of the sum of a kernel as a divisor, in standard deviations from zero."""
+"""Significance threshold of a kernel's sum, in standard deviations; a smaller sum is not used as a divisor."""
 
 _UNFELT, _UNDETERMINED = 1e-12, 1e-9
-"""Shares of the strongest effect below which a parameter, or a direction in parameter space, is undetermined."""
+"""Relative thresholds below which a parameter, or a direction in parameter space, counts as undetermined."""
 
 _STEP = 0.01
-"""Step of numerical derivatives, in standard deviations."""
+"""Step of the numerical derivatives, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Normalised:
-    """A cascade with its gains where they mean something; blocks that the structure lacks are None.
+    """A cascade with normalised gains; None for blocks that the structure does not have.
 
-    ``inner`` maps the absolute input, ``outer`` what leaves the first kernel; both are zero at rest. The kernels, each
-    (lags,), are per sample.
+    ``inner`` maps the absolute input and ``outer`` the output of the first kernel; both are zero at rest. The kernels,
+    each (lags,), are per sample.
     """
 
     structure: Structure
@@ -48,7 +48,7 @@ class Normalised:
     input_mean: float
 
     def simulate(self, u: Array) -> Array:
-        """Return the free run on an input (n,), at rest before the first sample; NaN where the memory holds a NaN."""
+        """Return the free run for an input (n,), initially at rest; NaN where the memory contains a NaN."""
         u = np.asarray(u, dtype=np.float64)
         signal = convolve_at_rest(self.first, u - self.input_mean if self.inner is None else self.inner(u))
         if self.outer is not None:
@@ -58,7 +58,7 @@ class Normalised:
         return np.asarray(self.offset + signal, dtype=np.float64)
 
     def small_signal_kernel(self) -> Array:
-        """Return the kernel of small movements about rest, (lags,) or (2 lags - 1,) for LNL, per sample."""
+        """Return the kernel linearised at rest, (lags,) or (2 lags - 1,) for LNL, per sample."""
         kernel = self.first if self.second is None else np.convolve(self.first, self.second)
         gain = 1.0
         if self.inner is not None:
@@ -70,14 +70,14 @@ class Normalised:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance (r, r) of the r directions (p, r) of :attr:`Blocks.vector` that a record determines."""
+    """Covariance (r, r) along the r directions (p, r) of :attr:`Blocks.vector` that the record determines."""
 
     blocks: Blocks
     directions: Array
     covariance: Array
 
     def of(self, figure: Callable[[Blocks], Array]) -> Array:
-        """Return the covariance (k, k), to first order, of figures (k,) that do not depend on where a gain stands."""
+        """Return the covariance (k, k), to first order, of quantities (k,) independent of the division of gains."""
         by_direction = []
         for direction, variance in zip(self.directions.T, np.diag(self.covariance), strict=True):
             step = _STEP * float(np.sqrt(max(variance, 0.0)))
@@ -92,9 +92,9 @@ class Uncertainty:
 
 
 def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
-    """Return the covariance of fitted blocks for residuals of any colour that need not be noise (White 1982).
+    """Return the covariance of fitted blocks, valid for coloured residuals and an incomplete model (White 1982).
 
-    Directions that leave the output alone, such as a gain moved from one block to the next, are left out.
+    Directions that do not change the output, such as a gain moved between blocks, are left out.
     """
     signals = run(blocks, data)
     by_all = slopes(blocks, data, signals)  # (p, rows)
@@ -112,7 +112,7 @@ def uncertainty(blocks: Blocks, data: CascadeData) -> Uncertainty:
 
 
 def steady(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool, bool]:
-    """Return whether the first and the second kernel have a steady-state gain that differs from zero for certain."""
+    """Return whether the first and the second kernel have a steady-state gain that differs significantly from zero."""
 
     def shares(some: Blocks) -> Array:
         kernels = [data.bank.basis @ weights for weights in (some.first, some.second) if weights is not None]
@@ -123,7 +123,7 @@ def steady(blocks: Blocks, data: CascadeData, known: Uncertainty) -> tuple[bool,
 
 
 def normalised(blocks: Blocks, data: CascadeData, steady_gains: tuple[bool, bool]) -> Normalised:
-    """Return blocks with their gains moved to the reported place; the output is unchanged."""
+    """Return the blocks with normalised gains; the output is unchanged."""
     inner, outer = blocks.inner, blocks.outer
     first = data.bank.basis @ blocks.first
     second = None if blocks.second is None else data.bank.basis @ blocks.second
@@ -153,7 +153,7 @@ def _gain(kernel: Array, is_steady: bool) -> float:
 
 
 def _spread(inner: StaticNonlinearity, data: CascadeData) -> float:
-    """Return the spread of the curve's values as a share of the input's, negative where the curve mostly falls."""
+    """Return the spread of the curve's values relative to the input's, negative for a curve that mostly falls."""
     x = data.input[data.rows] - data.rest
     values = inner(data.input[data.rows])
     falling = float(x @ (values - values.mean())) < 0.0

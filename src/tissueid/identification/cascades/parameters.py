@@ -1,4 +1,4 @@
-"""Mass, damping and stiffness of small movements about rest in a cascade, each with its standard deviation."""
+"""Mass, damping and stiffness of a cascade linearised at rest, each with its standard deviation."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 _FLAT = 0.05
-"""Share of the steepest slope below which a curve is flat at rest."""
+"""Slope at rest below which a curve counts as flat there, relative to its steepest slope."""
 
 _PLACES = 101
 
 
 def fit_small_movements(normal: Normalised, record: Record, used: Mask, residuals: Array, hold: Hold) -> SecondOrderFit:
-    """Second-order system of a cascade made linear at rest, about which its own residuals (n,) are the noise."""
+    """Fit the second-order system of the cascade linearised at rest; its residuals (n,) are the noise."""
     x = np.where(np.isfinite(record.input), record.input - normal.input_mean, 0.0)
     small = normal.offset + convolve_at_rest(normal.small_signal_kernel(), x)
     return fit_second_order(replace(record, output=small + residuals), used, hold)
@@ -39,10 +39,10 @@ FLAT = Message(
 def parameters_at_rest(
     normal: Normalised, normalise: Callable[[Blocks], Normalised], known: Uncertainty, small: SecondOrderFit
 ) -> tuple[dict[str, Estimate], list[str]]:
-    """Return named estimates at the mean input, and a warning where a curve is flat there.
+    """Return named estimates at the mean input, and a warning for a curve that is flat there.
 
-    The ratios of mass and damping to stiffness are those of the second-order system; the stiffness carries the
-    uncertainty of the curves' slopes too, which that system takes as known.
+    The ratios of mass and damping to stiffness come from the second-order system. The standard deviations also include
+    the uncertainty of the curves' slopes, which that system assumes to be known.
     """
     parameters = small.parameters
     if normal.inner is None and normal.outer is None:

@@ -1,4 +1,4 @@
-"""Least squares over all blocks of a cascade together: Levenberg-Marquardt on the error of the free run."""
+"""Least squares over all blocks of a cascade: Levenberg-Marquardt on the error of the free run."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tissueid.identification.static_nonlinearity import StaticNonlinearity
 _ROUNDS = 3
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-10, 1e5
 _UNFELT = 1e-12
-"""Share of the strongest effect below which a parameter is treated as without effect."""
+"""Relative sensitivity below which a parameter is not changed."""
 
 _LEFT, _HOLLOW = 0.02, 0.7
-"""Shares of a curve's range: it is refitted when z leaves the range by the first, or fills less than the second."""
+"""The outer curve is refitted when z exceeds its range by the first share of it, or fills less than the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +28,16 @@ class Fitted:
 
 
 def squared_error(blocks: Blocks, data: CascadeData) -> float:
-    """Sum of squared errors of the free run over the fitted rows."""
+    """Return the sum of squared errors of the free run over the fitted rows."""
     error = data.measured - run(blocks, data).output[data.rows]
     return float(error @ error)
 
 
 def refine(blocks: Blocks, data: CascadeData, iterations: int = 40, settled: float = 1e-6) -> Fitted:
-    """Minimise the simulation error over all blocks; the answer is never worse than the start.
+    """Minimise the simulation error over all blocks. The result is never worse than the start.
 
-    ``settled`` is the relative gain of a step under which the search ends. Scale changes that one block undoes for
-    another leave the error alone, and so does the damping leave them.
+    ``settled`` is the relative decrease of the squared error below which the iteration ends. The damping is scaled by
+    the sensitivities, so that it does not depend on the division of gains between blocks.
     """
     best = Fitted(blocks, squared_error(blocks, data))
     for _ in range(_ROUNDS):
@@ -109,6 +109,6 @@ def _laid_anew(fitted: Fitted, data: CascadeData) -> Fitted:
 
 
 def with_outer(blocks: Blocks, outer: StaticNonlinearity) -> Blocks:
-    """Return the blocks with another outer curve; where nothing follows it, its value at rest becomes the offset."""
+    """Return the blocks with another outer curve. If no block follows it, its value at rest becomes the offset."""
     offset = blocks.offset if blocks.second is not None else float(outer(np.zeros(1))[0])
     return replace(blocks, outer=outer, offset=offset)

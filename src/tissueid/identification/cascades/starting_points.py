@@ -1,8 +1,8 @@
-"""Starting points of the search for a cascade; no single one suits every system.
+"""Starting points for fits of cascades; no single method suits every system.
 
-Hammerstein by over-parametrised least squares and its rank-one part (Bai 1998), then alternating least squares
-(Narendra and Gallman 1966); Wiener from the best linear approximation or the leading eigenvectors of the second-order
-kernel; LNL from a family of first blocks, each finished as a Hammerstein system; NLN by canonical correlation.
+Hammerstein: over-parametrised least squares and its rank-one approximation (Bai 1998), then alternating least squares
+(Narendra and Gallman 1966). Wiener: best linear approximation, or leading eigenvectors of the second-order kernel. LNL:
+a family of first blocks, each completed by a Hammerstein fit. NLN: canonical correlation.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tissueid.identification.cascades.blocks import CascadeData
 _ROWS_PER_COLUMN = 10
 _RIDGE = 1e-8
 _PRINCIPAL = 8
-"""Number of principal components of the lagged input that span the second-order kernel of a starting point."""
+"""Number of principal components of the lagged input that span the second-order kernel."""
 
 _CANONICAL_DEGREE = 3
 _FLOOR = 1e-3
-"""Share of the peak below which the magnitude of a best linear approximation is not split."""
+"""Floor of the magnitude of a best linear approximation before it is factored, relative to its peak."""
 
 
 @dataclass(frozen=True, eq=False)
 class RankOne:
-    """Weights of the channels (p,) and of the lags' basis (q,) after one pass, with the residual sum of squares."""
+    """Weights of the channels (p,) and of the lag basis (q,) after one pass, with the residual sum of squares."""
 
     channels: Array
     lags: Array
@@ -36,7 +36,9 @@ class RankOne:
 
 
 def powers(z: Array, degree: int) -> Array:
-    """Legendre polynomials 1 .. degree over the range of z (n,), less their values at z = 0, shape (degree, n)."""
+    """Return Legendre polynomials of degree 1 to ``degree`` over the range of z (n,), minus their values at z = 0,
+    shape (degree, n).
+    """
     low, high = float(z.min()), float(z.max())
     x = np.append(2.0 * (z - low) / (high - low) - 1.0, -(low + high) / (high - low))
     values = legendre.legvander(x, degree)[:, 1:].T
@@ -44,10 +46,10 @@ def powers(z: Array, degree: int) -> Array:
 
 
 def rank_one(channels: Array, data: CascadeData, passes: int = 6) -> list[RankOne]:
-    """Fit y = offset + h * sum of a_b channels_b, one entry a pass; channels have shape (p, n).
+    """Fit y = offset + h * sum_b a_b channel_b for channels (p, n); return the state after each pass.
 
-    The first comes from free weights for every channel and lag, of which the leading singular pair is kept in the
-    metric of the channels' and the lags' own covariance. The rest solve for one side at a time.
+    The first pass fits free weights for every channel and lag and keeps their leading singular pair, in the metric of
+    the covariances of channels and lags. The other passes alternate between the two factors.
     """
     p, q = channels.shape[0], data.bank.size
     thin = data.thinned(_ROWS_PER_COLUMN * p * q)
@@ -81,10 +83,10 @@ def linear_weights(data: CascadeData) -> Array:
 
 
 def quadratic_weights(data: CascadeData, count: int) -> list[Array]:
-    """Return the weights (q,) of the leading eigenvectors of the second-order kernel, the strongest first.
+    """Return the weights (q,) of the leading eigenvectors of the second-order kernel, strongest first.
 
-    Together with a first-order kernel it is fitted over the principal components of the lagged input: what it says of
-    other directions would be noise (the cross-bicorrelation divided by the input's own correlations).
+    The kernels of first and second order are fitted together over the principal components of the lagged input, because
+    other directions are not excited.
     """
     lagged = data.bank.rows(data.input - data.rest)[:, data.rows]
     values, vectors = linalg.eigh(lagged @ lagged.T / data.rows.size)
@@ -104,11 +106,11 @@ def quadratic_weights(data: CascadeData, count: int) -> list[Array]:
 
 
 def first_blocks(data: CascadeData) -> list[Array]:
-    """Return the weights (q,) of first blocks that an LNL search may begin at.
+    """Return the weights (q,) of first blocks from which the fit of an LNL system starts.
 
-    Minimum-phase powers of the best linear approximation share its dynamics between the two blocks; first-order
-    lags of several lengths cover splits that no power does; the quadratic kernel knows blocks whose linear part is
-    hidden by an even nonlinearity.
+    Minimum-phase powers of the best linear approximation divide its dynamics between the two blocks; first-order lags
+    of several time constants cover other divisions; the second-order kernel covers systems whose linear part is hidden
+    by an even nonlinearity.
     """
     bank = data.bank
     lags = bank.basis.shape[0]
@@ -119,9 +121,10 @@ def first_blocks(data: CascadeData) -> list[Array]:
 
 
 def canonical(data: CascadeData, degree: int) -> Array:
-    """Return the weights (degree, q) of the lagged curves of the input that go best with some curve of the output.
+    """Return the weights (degree, q) of the lagged curves of the input that correlate best with some curve of the
+    output.
 
-    An NLN system whose last curve can be inverted has a curve of the output that is a Hammerstein system's.
+    If the last curve of an NLN system is invertible, a curve of its output is the output of a Hammerstein system.
     """
     curves = powers(data.input - data.rest, degree)
     thin = data.thinned(_ROWS_PER_COLUMN * degree * data.bank.size)
@@ -140,7 +143,7 @@ def canonical(data: CascadeData, degree: int) -> Array:
 def solved(gram: Array, right: Array) -> Array:
     """Return the solution of symmetric equations (p, p) for a right-hand side (p,) or (p, k).
 
-    The columns may be of any size, and a ridge only stops a blow-up.
+    The columns may differ in scale. A small ridge keeps the solution finite.
     """
     size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / np.outer(size, size)
@@ -155,7 +158,9 @@ def _root(gram: Array) -> Array:
 
 
 def _minimum_phase_power(kernel: Array, share: float) -> Array:
-    """Kernel (lags,) whose magnitude is that of another to a power, with the least phase (by the real cepstrum)."""
+    """Return the minimum-phase kernel (lags,) with the magnitude of ``kernel`` to the power ``share``, by the real
+    cepstrum.
+    """
     length = fft.next_fast_len(8 * kernel.size, real=True)
     length += length % 2
     magnitude = np.abs(fft.rfft(kernel, length))

@@ -1,10 +1,9 @@
-"""Selection of the block structure that a record supports, and whether it is complete.
+"""Selection of the block structure that a record supports, and a test whether it is complete.
 
-Every structure is judged by the error of its free run on samples that it was not fitted to: the record is cut into a
-few stretches, and each is simulated by the structure as fitted to the others. Two structures meet on the same samples,
-so what is tested is the mean difference of their squared errors, with the dependence of neighbours carried along. A
-structure is only called by its name when nothing is left in its error that its own signals explain: a system that is
-none of them is still fitted best by one of them.
+Every structure is scored by 4-fold cross-validation of its free run. Two structures are compared by the mean difference
+of their squared errors on the same samples, with a standard error that accounts for autocorrelation. A structure is
+reported by name only if nonlinear functions of its own signals do not explain its residual, because some structure fits
+best even if the system has none of them.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from tissueid.language import marked
 from tissueid.messages import Listing, Message
 
 _HIGHEST = 3
-"""Degree of the products."""
+"""Highest degree of the products."""
 
 _UNDETERMINED = 1e-9
 """Share of the largest eigenvalue below which a combination of products is linearly dependent."""
@@ -46,9 +45,9 @@ _UNDETERMINED = 1e-9
 
 @dataclass(frozen=True)
 class Remainder:
-    """How much of a cascade's error products of its signals explain, beyond what they would explain of noise.
+    """Share of a cascade's residual that products of its own signals explain, beyond the share expected for noise.
 
-    ``share`` is of the error's variance; ``p_value`` the chance that noise of that colour shows as much.
+    ``share`` is relative to the residual variance; ``p_value`` is that of noise with the residual's autocorrelation.
     """
 
     share: float
@@ -56,13 +55,13 @@ class Remainder:
 
 
 def unexplained(blocks: Blocks, data: CascadeData) -> Remainder:
-    """Test the error that fitted blocks leave on the rows they were fitted to."""
+    """Test the residual of fitted blocks on the rows of the fit."""
     signals = run(blocks, data)
     error = data.measured - signals.output[data.rows]
     by_all = slopes(blocks, data, signals)
     gram = by_all @ by_all.T
     products = _products(signals, blocks, data)
-    products -= solved(gram, by_all @ products.T).T @ by_all  # what the blocks could do themselves
+    products -= solved(gram, by_all @ products.T).T @ by_all  # project out the derivatives of the model
     error = error - solved(gram, by_all @ error) @ by_all
     size = np.linalg.norm(products, axis=1)
     products /= np.where(size > 0.0, size, 1.0)[:, None]
@@ -82,7 +81,7 @@ def unexplained(blocks: Blocks, data: CascadeData) -> Remainder:
 
 
 def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
-    """Covariance (k, k) of sums of products (k, rows) with noise that has the error's autocovariance, by FFT."""
+    """Return the covariance (k, k) of sums of products (k, rows) with noise of the residual's autocovariance."""
     lags = dependence_samples(error, data.prepared.record.sample_rate_hz)
     if lags == 1:
         return np.asarray(products @ products.T * float(error @ error) / error.size)
@@ -93,7 +92,7 @@ def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
     pairs = fft.irfft(np.abs(fft.rfft(known, length)) ** 2, length)
     together = fft.irfft(np.abs(fft.rfft(placed, length)) ** 2, length)
     lag = np.minimum(np.arange(length), length - np.arange(length))
-    weights = np.maximum(0.0, 1.0 - lag / lags)  # Bartlett's, so that the answer is never indefinite
+    weights = np.maximum(0.0, 1.0 - lag / lags)  # Bartlett's, which keep the covariance positive semidefinite
     power = np.maximum(fft.rfft(together / np.maximum(pairs, 1.0) * weights, length).real, 0.0)
     spread = np.zeros((products.shape[0], n))
     spread[:, data.rows] = products
@@ -102,7 +101,9 @@ def _covariance(products: Array, error: Array, data: CascadeData) -> Array:
 
 
 def _products(passing: Signals, blocks: Blocks, data: CascadeData) -> Array:
-    """Products (k, rows) of the input, the modelled output and its velocity, as they are and through the dynamics."""
+    """Return products (k, rows) of the input, the modelled output and its velocity, unfiltered and filtered by the last
+    kernel.
+    """
     output = passing.output
     signals = [data.input - data.rest, output - blocks.offset, np.gradient(output)]
     signals = [signal / (float(np.std(signal[data.rows])) or 1.0) for signal in signals]
@@ -139,29 +140,29 @@ _FOLDS = 4
 _FOLD_STEPS, _FOLD_SETTLED = 8, 1e-5
 
 _CLEAR = 2.33
-"""Threshold of a lead, in standard errors: exceeded by chance with a probability of 1 %."""
+"""Significance threshold of a lead, in standard errors: exceeded by chance with a probability of 1 %."""
 
 _WORTH = 2e-4
-"""Smallest lead, as a share of the output's variance: curves of finite degree differ by less."""
+"""Smallest relevant lead, as a share of the output variance: curves of finite degree differ by less."""
 
 _FAR = 2.0
-"""Ratio to the smallest squared error above which a structure is rejected whatever the spread of its errors."""
+"""Ratio to the smallest squared error above which a structure is rejected regardless of significance."""
 
 _LEAST_PERCENT = 10.0
-"""Smallest held-out VAF, %, at which a structure is named."""
+"""Smallest held-out VAF, %, for which a structure is named."""
 
 _CHANCE = 0.01
-"""Significance level of the test that the error of a structure is noise."""
+"""Significance level of the residual test."""
 
 
 @dataclass(frozen=True)
 class StructureCandidate:
-    """One structure: VAF of its free run on samples it was not fitted to, and how it compares with the best.
+    """One structure: cross-validated VAF of its free run, and its difference from the best structure.
 
-    ``behind`` is by how many standard errors the mean squared error exceeds that of the best structure, and
-    ``lost_percent`` by how much of the output's variance; ``alike`` is true where this is not significant.
-    ``unexplained_percent`` is how much of its error products of its own signals explain, ``unexplained_p_value`` the
-    chance that they explain as much of noise; None where not alike.
+    ``behind`` is the excess of its mean squared error over that of the best structure, in standard errors, and
+    ``lost_percent`` the same in percent of the output variance; ``alike`` is true if this is not significant.
+    ``unexplained_percent`` is the share of its residual that products of its own signals explain, and
+    ``unexplained_p_value`` the p-value of that share; both are None if not alike.
     """
 
     structure: Structure
@@ -175,7 +176,7 @@ class StructureCandidate:
 
     @property
     def complete(self) -> bool:
-        """True when nothing to speak of is left in its error that its own signals explain."""
+        """Whether its own signals explain no significant and relevant part of its residual."""
         if self.unexplained_p_value is None or self.unexplained_percent is None:
             return False
         worth = self.unexplained_percent * (1.0 - 0.01 * self.vaf_held_out_percent)
@@ -184,12 +185,12 @@ class StructureCandidate:
 
 @dataclass(frozen=True)
 class StructureChoice:
-    """The structure chosen among those that were tried.
+    """The structure chosen from the candidates.
 
-    ``alike`` are the structures that the record does not distinguish: as good as the best, with nothing left in their
-    errors. The chosen one is the simplest of them. If there is none, the best is chosen and ``complete`` is False: the
-    system has another structure. ``determined`` is True when no other structure of the same rank is alike, and the
-    chosen one beats its special cases, also by AICc, and explains a share of the output.
+    ``alike`` are the structures that the record does not distinguish: not worse than the best, and complete. The chosen
+    structure is the simplest of them. If there is none, the best is chosen and ``complete`` is False: the system has
+    another structure. ``determined`` is True if no other structure of the same complexity is alike, and the chosen one
+    explains a minimum share of the output and beats its special cases both by AICc and in cross-validation.
     """
 
     structure: Structure
@@ -200,17 +201,17 @@ class StructureChoice:
 
     @property
     def chosen(self) -> StructureCandidate:
-        """The chosen structure's figures."""
+        """The scores of the chosen structure."""
         return next(one for one in self.candidates if one.structure == self.structure)
 
     @property
     def confident(self) -> bool:
-        """True when the record may be called by the name of the chosen structure."""
+        """Whether the chosen structure may be reported by name."""
         return self.determined and self.complete
 
 
 def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureChoice:
-    """Compare fitted structures on samples that they were not fitted to.
+    """Choose a structure by cross-validation.
 
     Args:
         found: the structures, each fitted to all rows of the data.
@@ -258,7 +259,7 @@ def choose(found: Mapping[Structure, Fitted], data: CascadeData) -> StructureCho
 
 
 def _unbeaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidate]) -> list[Structure]:
-    """Return special cases of a structure that it does not beat both on samples it was not fitted to and by AICc."""
+    """Return the special cases of a structure that it does not beat both in cross-validation and by AICc."""
     simpler = [one for one in candidates if one.structure in INSIDE[chosen.structure]]
     return [
         one.structure
@@ -268,7 +269,7 @@ def _unbeaten(chosen: StructureCandidate, candidates: Iterable[StructureCandidat
 
 
 def findings_of(choice: StructureChoice) -> tuple[str, ...]:
-    """Return one sentence on the chosen structure; it is named only where the record determines it."""
+    """Return one sentence on the chosen structure, which is named only if the record determines it."""
     chosen = choice.chosen
     values: dict[str, Any] = {"name": NAMES[choice.structure], "percent": chosen.vaf_held_out_percent}
     if chosen.vaf_held_out_percent <= _LEAST_PERCENT:
@@ -325,7 +326,7 @@ def findings_of(choice: StructureChoice) -> tuple[str, ...]:
 
 
 def doubts_of(choice: StructureChoice) -> tuple[str, ...]:
-    """Return a warning where the error of the chosen structure is not noise."""
+    """Return a warning if the residual of the chosen structure is not noise."""
     if choice.complete:
         return ()
     return (
@@ -339,7 +340,7 @@ def doubts_of(choice: StructureChoice) -> tuple[str, ...]:
 
 
 def _refitted(fitted: Fitted, data: CascadeData, folds: list[NDArray[np.intp]]) -> list[Blocks]:
-    """Return the blocks as fitted to all but each stretch."""
+    """Return the blocks refitted without each fold."""
     answers = []
     for fold in folds:
         held_out = np.zeros(data.input.size, dtype=np.bool_)
@@ -353,7 +354,7 @@ def _refitted(fitted: Fitted, data: CascadeData, folds: list[NDArray[np.intp]]) 
 
 
 def _held_out_errors(refitted: list[Blocks], data: CascadeData, folds: list[NDArray[np.intp]]) -> Array:
-    """Return the errors (rows,) of the free run, each stretch by the blocks as fitted to the others."""
+    """Return the errors (rows,) of the free run, for each fold by the blocks fitted without it."""
     errors = np.empty(data.rows.size)
     for fold, blocks in zip(folds, refitted, strict=True):
         errors[fold] = data.measured[fold] - run(blocks, data).output[data.rows[fold]]
@@ -361,7 +362,7 @@ def _held_out_errors(refitted: list[Blocks], data: CascadeData, folds: list[NDAr
 
 
 def _ahead(gains: Array, sample_rate_hz: float) -> float:
-    """Return the mean of dependent gains (n,) in units of its standard error; 0 when there is nothing to compare."""
+    """Return the mean of autocorrelated gains (n,) in units of its standard error; 0 if all are equal."""
     spread = float(np.std(gains))
     if spread == 0.0:
         return 0.0

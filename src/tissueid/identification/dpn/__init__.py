@@ -1,1 +1,1 @@
-"""The dynamic-parameter nonlinearity: mass, damping and stiffness as functions of depth."""
+"""Dynamic parameter nonlinearity: mass, damping and stiffness as functions of depth."""

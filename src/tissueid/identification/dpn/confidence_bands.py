@@ -1,4 +1,4 @@
-"""Confidence bands of the curves of a dynamic-parameter nonlinearity."""
+"""Confidence bands of the curves of a dynamic parameter nonlinearity."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tissueid.records import Estimate
 NORMAL_95 = 1.959964
 PROFILE_ROWS = 41
 _CENTRAL = 0.98
-"""Share of the samples within the positions of a profile; there are hardly any samples outside."""
+"""Share of the samples within the positions of a profile; there are few samples outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class CurveBand:
 
 @dataclass(frozen=True, eq=False)
 class KnownCurves:
-    """Fitted curves with the covariance (p, p) of their coefficients, and the positions (m,) that they come from.
+    """Fitted curves with the covariance (p, p) of their coefficients, and the positions (m,) of the fitted samples.
 
-    ``speed`` (m,) is that of the fitted motion at those positions. A covariance of NaN means that none can be had.
+    ``speed`` (m,) is the simulated speed at those samples, m/s. The covariance is NaN if it is unknown.
     """
 
     curves: LogCurves
@@ -43,12 +43,12 @@ class KnownCurves:
     speed: Array
 
     def mass(self, position: Array | float) -> CurveBand:
-        """Return the m(y) at positions (k,), kg."""
+        """Return M(y) at positions (k,), kg."""
         position = _places(position)
         return self._band("mass", self.curves.masses(position), position)
 
     def damping(self, position: Array | float, direction: int = 0) -> CurveBand:
-        """Return B(y) at positions (k,), N s/m, for fast inward (1) or outward (-1) motion, or their mean (0)."""
+        """Return B(y) at positions (k,), N s/m, for fast indentation (1) or retraction (-1), or their mean (0)."""
         position = _places(position)
         curves = self.curves
         basis = curves.basis(position, max(curves.damping.size, curves.direction.size))
@@ -59,12 +59,12 @@ class KnownCurves:
         return self._logarithmic(curves.dampings(position) * np.exp(direction * turned), slopes, position)
 
     def stiffness(self, position: Array | float) -> CurveBand:
-        """Return the tangent stiffness dF/dy at positions (k,), N/m: what a small test there measures."""
+        """Return the tangent stiffness dF/dy at positions (k,), N/m, as a small-signal test there would measure it."""
         position = _places(position)
         return self._band("stiffness", self.curves.stiffnesses(position), position)
 
     def force(self, position: Array | float) -> CurveBand:
-        """Return the f(y) at positions (k,), N."""
+        """Return F(y) at positions (k,), N."""
         position = _places(position)
         slopes = self.curves.force_slopes(position)
         std = self._std(slopes)
@@ -72,9 +72,9 @@ class KnownCurves:
         return CurveBand(position, value, std, value - NORMAL_95 * std, value + NORMAL_95 * std)
 
     def secant(self, position: Array | float, surface: float) -> CurveBand:
-        """Return the k(y) of Eq. 3.33 at positions (k,), N/m: force over the depth below a known surface (m).
+        """Return K(y) of Eq. 3.33 at positions (k,), N/m: force divided by the depth below a known surface (m).
 
-        NaN at the surface and above it, and negative where tissue that clings pulls the probe in.
+        NaN at the surface and above it; negative for adhesive tissue that pulls the probe in.
         """
         position = _places(position)
         depth = np.where(position > surface, position - surface, np.nan)
@@ -82,14 +82,16 @@ class KnownCurves:
         return CurveBand(position, force.value / depth, force.std / depth, force.low / depth, force.high / depth)
 
     def growth(self, name: str, position: float) -> Estimate:
-        """Derivative of the logarithm of a curve by the position, 1/m: A1 to A3 of Chen 2010, C.1.4, where D = 0."""
+        """Return the derivative of the logarithm of a curve with respect to position, 1/m: A1 to A3 of Chen 2010,
+        C.1.4, if D = 0.
+        """
         series = getattr(self.curves, name)
         slopes = np.zeros((1, self.curves.theta.size))
         slopes[:, self.curves.places[name]] = self.curves.growths(np.array([position]), series.size)
         return _estimate(float(slopes[0] @ self.curves.theta), float(self._std(slopes)[0]))
 
     def changes(self, low: float, high: float) -> tuple[Array, Array]:
-        """Return growth of log M, log B, log K from one position to another, shape (3,), and its covariance (3, 3)."""
+        """Return the changes (3,) of log M, log B, log K from ``low`` to ``high``, and their covariance (3, 3)."""
         slopes = self._log_slopes(np.array([high])) - self._log_slopes(np.array([low]))  # (3, 1, p)
         rows = slopes[:, 0]
         return rows @ self.curves.theta, rows @ self.covariance @ rows.T
@@ -100,7 +102,9 @@ class KnownCurves:
         return float(self._std(slopes[None, :])[0])
 
     def _log_slopes(self, position: Array) -> Array:
-        """Return the derivatives of log M, log B and log K at positions (k,) by the coefficients, shape (3, k, p)."""
+        """Return the derivatives of log M, log B and log K at positions (k,) with respect to the coefficients, shape
+        (3, k, p).
+        """
         slopes = np.zeros((3, position.size, self.curves.theta.size))
         for place, name in enumerate(("mass", "damping", "stiffness")):
             series = getattr(self.curves, name)
@@ -113,9 +117,10 @@ class KnownCurves:
         return float(low), float(high)
 
     def profile(self) -> DepthProfile:
-        """Curves at equal steps over the central 98 % of the visited positions, for either direction where it counts.
+        """Return the curves at equal steps over the central 98 % of the visited positions, for each direction if they
+        differ.
 
-        The support of a row is the number of samples nearer to it than to any other row, moving its way.
+        The support of a row is the number of samples nearest to it that move in its direction.
         """
         low, high = self.central()
         position = np.linspace(low, high, PROFILE_ROWS)
@@ -148,7 +153,7 @@ class KnownCurves:
         return self._logarithmic(value, slopes, position)
 
     def _logarithmic(self, value: Array, slopes: Array, position: Array) -> CurveBand:
-        """Return the band of a positive curve from the slopes (k, p) of its logarithm."""
+        """Return the band of a positive curve from the derivatives (k, p) of its logarithm."""
         std = self._std(slopes)
         factor = np.exp(np.minimum(NORMAL_95 * std, 300.0))
         return CurveBand(position, value, value * std, value / factor, value * factor)
@@ -163,10 +168,9 @@ def _places(position: Array | float) -> Array:
 
 
 def coefficient_covariance(fitting: Fitting, fitted: Fitted) -> Array:
-    """Return the covariance (p, p) of the coefficients: NaN throughout when the fit did not settle.
+    """Return the covariance (p, p) of the coefficients; NaN if the fit did not converge.
 
-    The sandwich of a model that need not be the truth (White 1982), with the dependence of neighbouring errors; and
-    what the weak hold on the coefficients keeps from showing where the record says nothing.
+    Sandwich estimate for a model that need not be complete (White 1982), with autocorrelated errors and the weak prior.
     """
     here = fitted.evaluation
     n, p = here.slopes.shape

@@ -1,12 +1,12 @@
-"""Mass, damping and stiffness as smooth positive functions of depth, by few coefficients.
+"""Mass, damping and stiffness as smooth positive functions of depth with few coefficients.
 
 The logarithm of each curve is a Legendre series over the visited positions: degree 0 is a constant, degree 1 the
-exponential growth of Chen 2010, C.1.4, and every degree more a bend. Positive by construction, and a sum of the
-lower degrees stays what it was when a degree is added. The force is the integral of the tangent stiffness, so it
-rises throughout; the stiffness of Eq. 3.33 is its secant from the surface.
+exponential growth of Chen 2010, C.1.4. The curves are positive by construction, and a higher degree does not change the
+meaning of lower coefficients. The force is the integral of the tangent stiffness and therefore monotone; the stiffness
+of Eq. 3.33 is its secant from the surface.
 
-Beyond the visited positions the linear term continues for half their range and the others keep their end values: a
-polynomial would diverge there, and a constant would end the growth of an exponential without reason.
+Outside the visited positions the linear term continues for half their range and the others keep their end values: a
+polynomial would diverge there, and a constant would end an exponential growth without reason.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ class LogCurves:
     """The curves of one model.
 
     ``mass``, ``damping`` and ``stiffness`` are Legendre coefficients of the logarithm, of shapes (degree + 1,), over
-    the positions from ``low`` to ``high`` (m); ``level`` is the force (N) halfway. ``direction``, of shape (0,) for
-    one damping both ways, is a Legendre series of the logarithm by which damping grows on the way in and shrinks on
-    the way out, for speeds well over ``speed_scale`` (m/s). ``inertia`` is the share of M'(y) y'^2 that resists, of
-    shape (1,), or (0,) for none.
+    the positions from ``low`` to ``high`` (m); ``level`` is the force (N) at their middle. ``direction`` is the
+    Legendre series of the logarithm of the factor by which damping is higher in indentation and lower in retraction, at
+    speeds well above ``speed_scale`` (m/s); its shape is (0,) if damping does not depend on direction. ``inertia`` is
+    the share of M'(y) y'^2 that acts as a resisting force, of shape (1,), or (0,) without that term.
     """
 
     low: float
@@ -58,7 +58,7 @@ class LogCurves:
 
     @property
     def places(self) -> dict[str, slice]:
-        """Where each curve's coefficients stand in ``theta``."""
+        """Slice of each curve's coefficients in ``theta``."""
         sizes = [self.mass.size, self.damping.size, self.stiffness.size, 1, self.direction.size, self.inertia.size]
         ends = np.cumsum(sizes).tolist()
         names = ("mass", "damping", "stiffness", "level", "direction", "inertia")
@@ -66,12 +66,12 @@ class LogCurves:
 
     @property
     def owner(self) -> NDArray[np.int64]:
-        """Which column of the compiled loop's table each coefficient shapes, shape (p,)."""
+        """Column of the compiled loop's table that each coefficient changes, shape (p,)."""
         sizes = (self.mass.size, self.damping.size, self.stiffness.size + 1, self.direction.size, self.inertia.size)
         return np.repeat(np.array([MASS, DAMPING, FORCE, DIRECTION, INERTIA], dtype=np.int64), sizes)
 
     def with_theta(self, theta: Array) -> LogCurves:
-        """Return the same curves with other coefficients (p,)."""
+        """Return a copy with other coefficients (p,)."""
         at = self.places
         return replace(
             self,
@@ -84,7 +84,7 @@ class LogCurves:
         )
 
     def with_degrees(self, **degrees: int) -> LogCurves:
-        """Return the same curves with series of other degrees: new coefficients are zero, those beyond are dropped."""
+        """Return a copy with series of other degrees: added coefficients are zero, coefficients above are dropped."""
         changed = {}
         for name, degree in degrees.items():
             series = np.zeros(degree + 1)
@@ -102,7 +102,7 @@ class LogCurves:
     def basis(self, position: Array, terms: int) -> Array:
         """Return the Legendre terms at positions (k,), shape (k, terms).
 
-        Beyond the visited positions the linear term continues for half their range; the others keep their end values.
+        Outside the visited positions the linear term continues for half their range; the others keep their end values.
         """
         x = 2.0 * (position - self.low) / (self.high - self.low) - 1.0
         inside = np.clip(x, -1.0, 1.0)
@@ -112,11 +112,11 @@ class LogCurves:
         return np.asarray(values, dtype=np.float64)
 
     def masses(self, position: Array) -> Array:
-        """Return the m at positions (k,), kg."""
+        """Return M at positions (k,), kg."""
         return self._positive(self.mass, position)
 
     def dampings(self, position: Array) -> Array:
-        """Return the b at positions (k,), N s/m; the geometric mean of both directions where they differ."""
+        """Return B at positions (k,), N s/m; the geometric mean of both directions if they differ."""
         return self._positive(self.damping, position)
 
     def stiffnesses(self, position: Array) -> Array:
@@ -124,7 +124,7 @@ class LogCurves:
         return self._positive(self.stiffness, position)
 
     def forces(self, position: Array) -> Array:
-        """Return the f at positions (k,), N."""
+        """Return F at positions (k,), N."""
         return np.asarray(np.interp(position, self.grid, self.tables.force), dtype=np.float64)
 
     def _positive(self, series: Array, position: Array) -> Array:
@@ -150,7 +150,7 @@ class LogCurves:
         )
 
     def slopes(self) -> Array:
-        """Return the derivative of each coefficient's curve by it, on the grid, shape (rows, p)."""
+        """Return the derivative of each coefficient's curve with respect to it, on the grid, shape (rows, p)."""
         grid = self.grid
         terms = max(self.mass.size, self.damping.size, self.stiffness.size, self.direction.size)
         basis = self.basis(grid, terms)
@@ -167,13 +167,15 @@ class LogCurves:
         return np.ascontiguousarray(np.hstack(parts))
 
     def growths(self, position: Array, terms: int) -> Array:
-        """Derivative of the Legendre terms by the position, 1/m, at visited positions (k,), shape (k, terms)."""
+        """Return the derivatives of the Legendre terms with respect to position, 1/m, at visited positions (k,), shape
+        (k, terms).
+        """
         x = np.clip(2.0 * (position - self.low) / (self.high - self.low) - 1.0, -1.0, 1.0)
         each = [legendre.legval(x, legendre.legder(np.eye(max(terms, 2))[j])) for j in range(terms)]
         return np.asarray(np.column_stack(each) * 2.0 / (self.high - self.low), dtype=np.float64)
 
     def force_slopes(self, position: Array) -> Array:
-        """Return the derivatives of F at positions (k,) by the coefficients, shape (k, p)."""
+        """Return the derivatives of F at positions (k,) with respect to the coefficients, shape (k, p)."""
         slopes = np.zeros((position.size, self.theta.size))
         table = self.slopes()
         for place in np.flatnonzero(self.owner == FORCE):
@@ -181,7 +183,9 @@ class LogCurves:
         return slopes
 
     def _integrated(self, values: Array) -> Array:
-        """Integral of columns (rows, k) over the grid from its middle, by Simpson's rule on cells and half cells."""
+        """Return the integrals of columns (rows, k) over the grid from its middle, by Simpson's rule on cells and half
+        cells.
+        """
         spacing = self.grid[1] - self.grid[0]
         cells = 0.5 * (values[1:] + values[:-1])
         curvature = np.zeros_like(values)

@@ -1,9 +1,9 @@
-"""The dynamic-parameter nonlinearity fitted by its simulation error.
+"""Fit of the dynamic parameter nonlinearity by its simulation error.
 
-Output error: the free run over each uninterrupted stretch of input is held against the measured position, by
-Gauss-Newton with a damped step (Levenberg 1944; Marquardt 1963), the state at the beginning of every stretch unknown
-too. It begins at the linear system of :mod:`second_order_fit`, which is the best of all constant curves, and adds one
-bend after another where the record asks for it; each fit starts from the one before, so none starts far off.
+Output-error method: the free run over each uninterrupted stretch of input is fitted to the measured position by
+Gauss-Newton with damped steps (Levenberg 1944; Marquardt 1963); the initial state of every stretch is estimated too.
+The fit starts from the linear system of :mod:`second_order_fit`, the best set of constant curves, and degrees are added
+one by one if the record supports them; each fit starts from the one before.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from tissueid.records import Record
 
 _ITERATIONS = 30
 SETTLED = 1e-7
-"""Relative gain of a step below which a fit has converged."""
+"""Relative decrease of the cost below which a fit has converged."""
 
 PRIOR = 3.0
-"""Standard deviation to which a coefficient of a logarithm is held when the record says nothing about it.
+"""Prior standard deviation of a coefficient of a logarithm.
 
-A factor of twenty either way: far beyond what a record that says anything leaves open, and enough to keep curves from
-running off in a record that does not.
+It corresponds to a factor of 20: much wider than any uncertainty of a usable record, and narrow enough to keep
+undetermined curves finite.
 """
 
 _SHORTEST = 16
-"""Shortest uninterrupted stretch that is fitted, samples: each has two unknown starting values."""
+"""Shortest uninterrupted stretch that is fitted, samples: each has two unknown initial values."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """A stretch of received input, with the outputs in it that are fitted."""
+    """A stretch of received input, with the fitted outputs in it."""
 
     input: Array
     local: NDArray[np.intp]
@@ -47,11 +47,11 @@ class _Run:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Errors (m,) of the free run and its slopes (m, p), what starting values explain taken out of both.
+    """Errors (m,) of the free run and their derivatives (m, p), both after projecting out the initial states.
 
-    ``rss`` is the squared error with the starting values that it was made with; ``error_projected`` (m,) and
-    ``slopes`` are what the coefficients have to answer for. ``starts`` gives, for each run, the change of its starting
-    values from the errors and from a change of the coefficients: shapes (2,) and (2, p).
+    ``rss`` is the squared error for the given initial states; ``error_projected`` (m,) and ``slopes`` are the projected
+    errors and derivatives. ``starts`` gives, for each run, the change of its initial state due to the errors and per
+    change of the coefficients: shapes (2,) and (2, p).
     """
 
     rss: float
@@ -62,7 +62,7 @@ class Evaluation:
 
 
 class Fitting:
-    """A record made ready to be simulated and fitted again and again."""
+    """A record prepared for repeated simulation and fitting."""
 
     def __init__(self, record: Record, part: slice, hold: Hold) -> None:
         self.rate = record.sample_rate_hz
@@ -82,11 +82,13 @@ class Fitting:
         self.samples = np.concatenate(used) if used else np.zeros(0, dtype=np.intp)
 
     def starts(self) -> list[Array]:
-        """Starting values of every run read from its first outputs: position (m) and speed (m/s), (2,) each."""
+        """Return the initial state of every run, estimated from its first outputs: position (m) and speed (m/s), (2,)
+        each.
+        """
         return [run.start for run in self.runs]
 
     def evaluate(self, curves: LogCurves, starts: list[Array]) -> Evaluation | None:
-        """Simulate every run; None when the curves cannot be integrated or the motion diverges."""
+        """Simulate every run; return None if the curves cannot be integrated or the motion diverges."""
         tables = curves.tables
         steps = tables.steps(self.rate)
         if steps > MOST_STEPS:
@@ -113,7 +115,7 @@ class Fitting:
         return Evaluation(float(error @ error), error, np.concatenate(projected), np.vstack(sensitivities), changes)
 
     def speeds(self, fitted: Fitted) -> Array:
-        """Return the speed of the fitted motion at every fitted sample, m/s, shape (m,)."""
+        """Return the simulated speed at every fitted sample, m/s, shape (m,)."""
         tables = fitted.curves.tables
         table, bounds = tables.table(), tables.bounds()
         pushes = self._push(tables.steps(self.rate))
@@ -131,7 +133,9 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Curves at the least squared simulation error, the starting values of every run, and the slopes there."""
+    """Curves with the least squared simulation error, the initial state of every run, and the derivatives at the
+    solution.
+    """
 
     curves: LogCurves
     starts: list[Array]
@@ -148,7 +152,7 @@ def _start(local: NDArray[np.intp], output: Array, rate: float) -> Array:
 
 
 def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
-    """Return the weight of the squared departure of each coefficient from its centre, shape (p,)."""
+    """Return the weight of the squared deviation of each coefficient from the prior mean, shape (p,)."""
     weights = np.full(curves.theta.size, rss / max(1, samples) / PRIOR**2)
     weights[curves.places["level"]] = 0.0
     return weights
@@ -157,10 +161,10 @@ def prior_weights(curves: LogCurves, rss: float, samples: int) -> Array:
 def minimise(
     fitting: Fitting, curves: LogCurves, starts: list[Array], centre: Array, settled: float = SETTLED
 ) -> Fitted | None:
-    """Return the curves of the same degrees with least squared simulation error; None where the start diverges.
+    """Return the curves of the same degrees with the least squared simulation error; None if the start diverges.
 
-    Every coefficient is held weakly to ``centre`` (p,), see :data:`PRIOR`. The search is over when a step gains less
-    than the share ``settled`` of the squared error.
+    Every coefficient has the prior mean ``centre`` (p,), see :data:`PRIOR`. The iteration ends when a step decreases
+    the cost by less than the share ``settled``.
     """
     here = fitting.evaluate(curves, starts)
     if here is None:

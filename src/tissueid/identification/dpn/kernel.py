@@ -1,11 +1,11 @@
-"""Compiled free run of the dynamic-parameter nonlinearity, with its sensitivities.
+"""Compiled free run of the dynamic parameter nonlinearity, with its sensitivities.
 
 M(y) y'' + k M'(y) y'^2 + B(y) y' + F(y) = u (Chen 2010, Eq. 3.33 with F = K(y) y and k = 0), classical Runge-Kutta of
-order four with a fixed number of steps to a sample. The sensitivities are those of the Runge-Kutta steps themselves and
-not of the equation that they stand for, so that a search by them sees the function that it minimises.
+order four with a fixed number of steps per sample. The sensitivities are the exact derivatives of the Runge-Kutta
+steps, not of the differential equation, so that they are consistent with the minimised error.
 
-Curves are tables over equal steps of position, read linearly between their rows. Beyond the table mass, damping and
-direction stay as at its end and the force goes on along a straight line.
+Curves are tables over equal steps of position, interpolated linearly. Outside the table, mass, damping and direction
+keep their end values and the force is extrapolated linearly.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Owners = NDArray[np.int64]
 
 MASS, DAMPING, FORCE, DIRECTION, INERTIA = range(5)
-"""Owner of a parameter; the first four are also the columns of the table of curves."""
+"""Kinds of parameters; the first four are also the columns of the table of curves."""
 
 _KINDS = 5
 
@@ -39,25 +39,25 @@ def free_run(
     start: Array,
     bounds: Array,
 ) -> tuple[Array, Array, Array, int]:
-    """Run one stretch of input through the curves.
+    """Simulate one uninterrupted stretch of input.
 
     Args:
         push: input over each interval between two samples at every half step, shape (n - 1, 2 steps + 1).
-        step: s.
+        step: length of an integration step, s.
         low: position of the first row of the tables, m.
-        spacing: m from row to row.
+        spacing: distance of the rows, m.
         curves: mass, damping, force and direction, shape (rows, 4).
-        slopes: derivative of each parameter's curve by it, shape (rows, p); for the mass, the damping and the
-            direction that of the curve's logarithm, for k one. No sensitivities are made when ``owner`` is empty.
-        owner: which curve each parameter belongs to, shape (p,).
-        speed_scale: speed, m/s, over which the direction takes effect; 0 for one damping in both directions.
-        inertia: k, the share of M'(y) y'^2 that resists.
+        slopes: derivative of each parameter's curve with respect to it, shape (rows, p); for mass, damping and
+            direction of the curve's logarithm, for k one. Sensitivities are not computed if ``owner`` is empty.
+        owner: the curve of each parameter, shape (p,).
+        speed_scale: speed, m/s, over which the direction takes effect; 0 if damping does not depend on direction.
+        inertia: k, the share of M'(y) y'^2 that acts as a resisting force.
         start: position and speed at the first sample, shape (2,).
-        bounds: lowest and highest position and largest speed that still count as a motion, shape (3,).
+        bounds: lowest and highest position and largest speed of a valid motion, shape (3,).
 
     Returns:
-        Position (n,), speed (n,), sensitivities of the position by the p parameters and the two starting values
-        (n, p + 2), or (0, 0), and the number of samples done: under n when the state left the bounds.
+        Position (n,), speed (n,), sensitivities of the position to the p parameters and the two initial values
+        (n, p + 2), or (0, 0), and the number of samples done: less than n if the state left the bounds.
     """
     intervals, columns = push.shape
     steps = (columns - 1) // 2
@@ -66,14 +66,14 @@ def free_run(
     position = np.empty(intervals + 1)
     speed = np.empty(intervals + 1)
     sensitivity = np.zeros((intervals + 1, p + 2)) if p > 0 else np.zeros((0, 0))
-    by_position = np.zeros(p + 2)  # of the position and the speed now
+    by_position = np.zeros(p + 2)  # sensitivities of the present position and speed
     by_speed = np.zeros(p + 2)
     by_position[p] = 1.0
     by_speed[p + 1] = 1.0
     if p > 0:
         sensitivity[0, p] = 1.0
 
-    row = np.zeros(4, np.int64)  # of each stage: where in the table, and what the sensitivities need there
+    row = np.zeros(4, np.int64)  # per Runge-Kutta stage: row in the table, and terms of the sensitivity equations
     inside = np.zeros(4)
     beyond = np.zeros(4)
     pull = np.zeros(4)
@@ -108,7 +108,7 @@ def free_run(
                 mass_slope = more_mass / spacing if by_depth else 0.0
                 damping_slope = more_damping / spacing if by_depth else 0.0
                 turned = 0.0
-                log_slope = 0.0  # of the damping by the speed
+                log_slope = 0.0  # derivative of log damping with respect to speed
                 if speed_scale > 0.0:
                     turned = tanh(moving / speed_scale)
                     more_bias = curves[cell + 1, DIRECTION] - curves[cell, DIRECTION]
@@ -141,7 +141,7 @@ def free_run(
                     weight[stage, DIRECTION] = -resisted * turned / mass
             y += step / 6.0 * (velocity[0] + 2.0 * (velocity[1] + velocity[2]) + velocity[3])
             v += step / 6.0 * (rate[0] + 2.0 * (rate[1] + rate[2]) + rate[3])
-            if not (bounds[0] < y < bounds[1] and abs(v) < bounds[2]):  # also when either is not a number
+            if not (bounds[0] < y < bounds[1] and abs(v) < bounds[2]):  # also true for NaN
                 return position, speed, sensitivity, n + 1
             if p > 0:
                 for j in range(p + 2):

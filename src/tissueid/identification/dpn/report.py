@@ -1,4 +1,4 @@
-"""Parameters, findings and warnings of a fitted dynamic-parameter nonlinearity."""
+"""Parameters, findings and warnings of a fitted dynamic parameter nonlinearity."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from tissueid.messages import Listing, Message
 from tissueid.records import Estimate
 
 _DOUBT = 3.0
-"""Threshold of a change with depth, in standard deviations."""
+"""Significance threshold of a change with depth, in standard deviations."""
 
 _KNOWN = 0.5
 """Relative standard deviation above which a parameter is undetermined."""
 
 _SETTLING = 16.0
-"""Time constants after which initial conditions have decayed to 1e-7."""
+"""Time constants after which the effect of the initial state has decayed to 1e-7."""
 
 _EXPLAINED = 0.05
-"""Share of the squared error that a switched-off term must explain to be reported."""
+"""Share of the squared error that a term outside the model must explain to be reported."""
 
 _ALIKE = 0.2
-"""Largest difference between the changes of the three logarithms that count as one, as a share of their mean."""
+"""Largest difference of the changes of the three logarithms, relative to their mean, that counts as one common change.
+"""
 
 UNITS = {"mass": "kg", "damping": "N s/m", "stiffness": "N/m"}
 
@@ -35,7 +36,7 @@ def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) 
     """Return the named estimates at the median position.
 
     Mass, damping and stiffness there, their growth with depth (1/m), natural frequency and damping ratio; with a known
-    surface the stiffness of Eq. 3.33 too. For signals other than N and m a gain instead of the three.
+    surface also the stiffness of Eq. 3.33. For signals other than N and m, a gain instead of the three.
     """
     middle = float(np.median(known.position))
     here = np.array([middle])
@@ -70,7 +71,9 @@ def dpn_parameters(known: KnownCurves, surface: float | None, mechanical: bool) 
 
 
 def settling_samples(known: KnownCurves, sample_rate_hz: float) -> int:
-    """Return the samples after which a start is forgotten, from the mean rate of decay over the visited positions."""
+    """Return the samples after which the initial state has decayed, from the mean decay rate over the visited
+    positions.
+    """
     mass = known.curves.masses(known.position)
     decay = known.curves.dampings(known.position) / (2.0 * mass)
     squared = known.curves.stiffnesses(known.position) / mass - decay**2
@@ -83,7 +86,7 @@ def findings(known: KnownCurves, gains: dict[str, tuple[float, float]]) -> list[
 
     Args:
         known: the curves.
-        gains: score statistic and explained share of the squared error of terms that were switched off.
+        gains: score statistic and explained share of the squared error of terms outside the model.
     """
     low, high = known.central()
     middle = float(np.median(known.position))
@@ -189,7 +192,7 @@ def _change(known: KnownCurves, name: str, change: float, ends: Array, middle: f
 
 
 def doubts(known: KnownCurves) -> list[str]:
-    """Return warnings on the curves."""
+    """Return warnings about the curves."""
     if not np.all(np.isfinite(known.covariance)):
         return [
             Message("dpn.not_converged", "the fit did not converge: mass, damping and stiffness have no uncertainty")
@@ -210,7 +213,7 @@ def doubts(known: KnownCurves) -> list[str]:
 
 
 def estimate(value: float, std: float) -> Estimate:
-    """Return a value with its standard deviation, None where that is not finite."""
+    """Return a value with its standard deviation, None if that is not finite."""
     return Estimate(value, std if math.isfinite(std) else None)
 
 

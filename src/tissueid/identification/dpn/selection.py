@@ -1,10 +1,10 @@
 """Selection of the degree of each curve: as high as the record supports, plus a spare degree.
 
-At a fit, the slopes of the simulated output by coefficients that are not there yet tell what each would gain. A gain
-counts when the sum of slope and error stands out of its own long-run deviation, which a coloured residual widens
-(the robust score test: White 1982); AICc, which takes every sample for a new one, would go on bending. The strongest
-is taken in, the curves are fitted again, and so on. At the end every free curve gets degrees that were not asked for: a
-bend too small to be seen would otherwise lie outside bands that know nothing of it.
+The derivatives of the simulated output with respect to coefficients that are not yet in the model give the gain of
+adding each. A gain is tested by a score test with the long-run covariance of the score, which is robust against
+coloured residuals (White 1982); AICc assumes independent samples and would add too many degrees. The strongest term is
+added and the curves are refitted, until none is significant. At the end every free curve gets spare degrees, so that
+its confidence band includes curvature too small to be detected.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ _FEWEST = {"mass": 1, "damping": 1, "stiffness": 1, "direction": 0, "inertia": 0
 """Minimum number of coefficients of each series."""
 
 _ON_THE_WAY = 1e-4
-"""Relative gain of a step below which an intermediate fit ends."""
+"""Relative decrease of the cost below which an intermediate fit ends."""
 
 _AHEAD = 2
-"""Number of degrees tested at once: a second degree can be present without the first."""
+"""Largest number of degrees tested together: a second degree can be present without the first."""
 
 _PRICES = (10.0, 13.0)
-"""Score statistics above which one coefficient, and two together, are added: 1 in 600 by chance."""
+"""Thresholds of the score statistic for one additional coefficient and for two: exceeded by chance in 1 of 600."""
 
 _SHARES = (-0.5, 1.5)
-"""What a share of M'(y) y'^2 can be: none, a half, or all of it, and as much again for its uncertainty."""
+"""Plausible range of the share of M'(y) y'^2: 0, 0.5 or 1, plus its uncertainty."""
 
 
 def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict[tuple[str, int], tuple[float, float]]:
     """Return the gain of each series from 1 to ``steps`` additional degrees.
 
     Returns for each series and number of degrees the score statistic, which is chi-squared with that many degrees of
-    freedom where they are not needed, and the share of the squared error that they would take away.
+    freedom if they are not needed, and the share of the squared error that they would explain.
     """
     steps = {name: more for name, more in steps.items() if more > 0}
     degrees = {name: _degree(fitted, name) for name in SERIES}
@@ -55,7 +55,7 @@ def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict
     q, _ = np.linalg.qr(there.slopes[:, old])
     every = np.concatenate(list(new.values()))
     own = there.slopes[:, every] - q @ (q.T @ there.slopes[:, every])  # (m, all that are new)
-    # What all of them together would explain is no noise: left in the errors, a large gain would hide itself.
+    # The covariance uses the errors without what all new terms explain, which is not noise.
     left = there.error_projected - own @ np.linalg.lstsq(own, there.error_projected, rcond=1e-8)[0]
     covariance = long_run_covariance(own * left[:, None], dependence_samples(left, fitting.rate))
     total, gram = own.T @ there.error_projected, own.T @ own
@@ -75,19 +75,19 @@ def score_gains(fitting: Fitting, fitted: Fitted, steps: dict[str, int]) -> dict
 def grow(
     fitting: Fitting, start: LogCurves, degrees: dict[str, int], free: Collection[str], most: int, spare: int
 ) -> tuple[Fitted, dict[str, int]] | None:
-    """Fit constant curves, then bend them as far as the record asks.
+    """Fit constant curves, then raise the degrees as far as the record supports.
 
     Args:
         fitting: the record.
-        start: constant curves to begin with.
-        degrees: degrees that are given, by series; they are reached one at a time.
-        free: series whose degree is to be found.
-        most: largest degree that is taken.
+        start: constant curves.
+        degrees: fixed degrees by series; they are reached one at a time.
+        free: series whose degree is selected.
+        most: largest degree.
         spare: degrees added to the free mass, damping and stiffness at the end.
 
     Returns:
-        The fit, and the degree that the record asked for of each free series, -1 for one that is not there; None
-        when even the constant curves cannot be simulated.
+        The fit, and the selected degree of each free series, -1 for a series that is left out; None if the constant
+        curves cannot be simulated.
     """
     fitted = minimise(fitting, start, fitting.starts(), start.theta, _ON_THE_WAY)
     if fitted is None:
@@ -113,7 +113,7 @@ def grow(
 
 
 def _pruned(fitting: Fitting, fitted: Fitted, free: Collection[str], start: LogCurves) -> Fitted:
-    """Return the fit without the bends that were needed on the way and, by Wald's statistic, no longer are."""
+    """Return the fit without highest degrees that are no longer significant by the Wald test."""
     while True:
         covariance = coefficient_covariance(fitting, fitted)
         weakest: tuple[float, dict[str, int]] | None = None
@@ -135,14 +135,14 @@ def _degree(fitted: Fitted, name: str) -> int:
 
 
 def _room(fitted: Fitted, name: str, most: int) -> int:
-    """Return how many degrees more of a series may be looked at."""
+    """Return how many additional degrees of a series may be tested."""
     if name == "inertia":  # means nothing for a constant mass
         return 1 if fitted.curves.inertia.size == 0 and fitted.curves.mass.size > 1 else 0
     return max(0, min(_AHEAD, most - _degree(fitted, name)))
 
 
 def _plausible(fitted: Fitted) -> bool:
-    """Return False for a share of M'(y) y'^2 that no mass can have: another effect causes it."""
+    """Return False if the share of M'(y) y'^2 is not possible for any mass, so that another effect must cause it."""
     low, high = _SHARES
     return all(low < share < high for share in fitted.curves.inertia)
 
@@ -150,7 +150,7 @@ def _plausible(fitted: Fitted) -> bool:
 def _raised(
     fitting: Fitting, fitted: Fitted, degrees: dict[str, int], start: LogCurves, settled: float = _ON_THE_WAY
 ) -> Fitted | None:
-    """Return the fit with series of other degrees, None when it cannot be simulated."""
+    """Return the fit with series of other degrees; None if it cannot be simulated."""
     curves = fitted.curves.with_degrees(**degrees)
     every = {name: int(getattr(curves, name).size) - 1 for name in SERIES}
     centre: Array = start.with_degrees(**every).theta

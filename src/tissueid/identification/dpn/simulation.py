@@ -1,8 +1,8 @@
-"""Free run of M(y) y'' + B(y) y' + F(y) = u through tabulated curves (Chen 2010, Eq. 3.33, F = K(y) y).
+"""Free run of M(y) y'' + B(y) y' + F(y) = u with tabulated curves (Chen 2010, Eq. 3.33, F = K(y) y).
 
-The integration is classical Runge-Kutta, with enough steps per sample that the fastest local dynamics turn by a quarter
-of a radian at most in each; the force between samples is that of its band-limited course, or held. Any input is
-integrated: a motion that leaves the neighbourhood of the tables is stopped and reported.
+Classical Runge-Kutta with enough steps per sample that the fastest local dynamics turn by at most a quarter of a radian
+per step. The force between samples is band-limited or held. A motion that diverges far from the tables is stopped and
+reported.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from tissueid.identification.second_order import Hold
 from tissueid.messages import Message
 
 STEP_RADIANS = 0.25
-"""How far the fastest local dynamics may turn in one step.
+"""Largest phase of the fastest local dynamics per step, rad.
 
-At 2 kHz, half of it changes the motion by under 3e-5 of its spread for a force up to 200 Hz, and 4e-4 up to 600 Hz.
+At 2 kHz, half of it changes the motion by less than 3e-5 of its spread for a force up to 200 Hz, and 4e-4 up to 600 Hz.
 """
 
 STABLE_RADIANS = 2.0
-"""The same where the curves are only continued, beyond what was visited: there it is enough that a step is stable."""
+"""The same limit in the extrapolated range of the curves, where the steps only have to be stable."""
 
 MOST_STEPS = 32
 """Largest number of steps per sample; stiffer curves are not integrated."""
@@ -38,19 +38,18 @@ _BRIDGE = 64
 
 _ROWS = 2049
 _REACH = 20.0
-"""Distance from the table, in its widths, beyond which a motion has diverged."""
+"""Distance from the table, in its widths, beyond which a motion counts as diverged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """Mass (kg), damping (N s/m) and force (N) at equal steps of position, each of shape (rows,).
 
-    ``low`` is the position (m) of the first row and ``spacing`` that from row to row. Beyond the rows mass and
-    damping stay, and the force goes on along a straight line. With ``direction`` (rows,) and a ``speed_scale`` (m/s),
-    the damping is multiplied by exp(direction * tanh(speed / speed_scale)). ``inertia`` is the share of M'(y) y'^2
-    that resists: none in Eq. 3.33, half where a mass that is recruited keeps its energy, all of it in a Wiener system
-    written as this equation. The rows within ``margin`` (m) of either
-    end are a continuation of what is known.
+    ``low`` is the position (m) of the first row and ``spacing`` the distance of the rows. Outside the rows, mass and
+    damping are constant and the force is extrapolated linearly. With ``direction`` (rows,) and a ``speed_scale`` (m/s),
+    the damping is multiplied by exp(direction * tanh(speed / speed_scale)). ``inertia`` is the share of M'(y) y'^2 that
+    acts as a resisting force: 0 in Eq. 3.33, 0.5 if recruited mass keeps its energy, 1 in a Wiener system written as
+    this equation. The rows within ``margin`` (m) of either end are extrapolated.
     """
 
     low: float
@@ -74,12 +73,12 @@ class Curves:
         return np.gradient(self.force, self.spacing)
 
     def table(self) -> Array:
-        """Return the columns that the compiled loop reads, shape (rows, 4)."""
+        """Return the columns of the compiled loop's table, shape (rows, 4)."""
         direction = np.zeros_like(self.mass) if self.direction is None else self.direction
         return np.ascontiguousarray(np.column_stack([self.mass, self.damping, self.force, direction]))
 
     def rest(self, force: float) -> float:
-        """Return the position, m, at which the tissue bears a steady force, N."""
+        """Return the equilibrium position, m, under a steady force, N."""
         place = self.position
         last = place.size - 1
         if force < self.force[0]:
@@ -100,7 +99,7 @@ class Curves:
         return max(1, math.ceil(needed)) if needed <= MOST_STEPS else MOST_STEPS + 1
 
     def bounds(self) -> Array:
-        """Return the lowest and highest position (m) and largest speed (m/s) that count as a motion, shape (3,)."""
+        """Return the lowest and highest position (m) and largest speed (m/s) of a valid motion, shape (3,)."""
         width = self.spacing * (self.mass.size - 1)
         fastest = math.sqrt(float(np.max(self.stiffness / self.mass)))
         return np.array(
@@ -110,10 +109,10 @@ class Curves:
 
 @dataclass(frozen=True, eq=False)
 class FreeRun:
-    """A simulated motion: position (n,), m, and speed (n,), m/s; NaN where the input was.
+    """A simulated motion: position (n,), m, and speed (n,), m/s; NaN where the input is NaN.
 
-    ``diverged_at`` is the sample at which the motion left all bounds, None when it never did. From there to the end
-    of that run of input the position stays at the bound: a number, and one that no score will take for a fit.
+    ``diverged_at`` is the first sample at which the motion left all bounds, None if it never did. From there to the end
+    of that run of input, the position stays at the bound: finite, and far enough off for a very poor score.
     """
 
     position: Array
@@ -122,13 +121,13 @@ class FreeRun:
 
 
 def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Curves:
-    """Curves through points at any rising positions (k,), m, with mass (kg), damping (N s/m) and force (N), each (k,).
+    """Return curves through points at increasing positions (k,), m, with mass (kg), damping (N s/m) and force (N), each
+    (k,).
 
-    Between the points the curves are of the shape-preserving cubic kind (Fritsch and Carlson 1980), so a force that
-    rises from point to point rises throughout.
+    The interpolation is the shape-preserving cubic of Fritsch and Carlson (1980), so that the force stays monotone.
 
     Raises:
-        UnusableInputError: fewer than two points, positions or forces that do not rise, a mass that is not
+        UnusableInputError: fewer than two points, positions or forces that do not increase, a mass that is not
             positive, or a negative damping.
     """
     if position.size < 2 or not np.all(np.diff(position) > 0.0):
@@ -156,16 +155,16 @@ def tabulated(position: Array, mass: Array, damping: Array, force: Array) -> Cur
 def simulate_dpn(
     curves: Curves, u: Array, sample_rate_hz: float, *, rest_input: float | None = None, hold: Hold = "band-limited"
 ) -> FreeRun:
-    """Return the free run of tabulated curves: nothing but the input u (n,), N, is seen.
+    """Return the free run of tabulated curves for the input u (n,), N.
 
-    Every uninterrupted run of input starts at rest where the tissue bears ``rest_input``.
+    Every uninterrupted run of input starts at rest, in equilibrium with ``rest_input``.
 
     Args:
         curves: see :func:`tabulated`.
-        u: force, N, shape (n,); NaN where it was not received, and there the motion is NaN.
+        u: force, N, shape (n,); where it is NaN, the motion is NaN too.
         sample_rate_hz: of u.
-        rest_input: steady force, N, before every run; the mean of the received input when None.
-        hold: what the force does between samples.
+        rest_input: steady force, N, before every run; None for the mean of the received input.
+        hold: course of the force between samples.
 
     Raises:
         UnusableInputError: the curves are too stiff to integrate at this sample rate, or no input was received.
@@ -211,7 +210,7 @@ def integrate(
     start: Array,
     bounds: Array,
 ) -> tuple[Array, Array, Array, int]:
-    """Return one run of input through the compiled loop; arguments and answer as :func:`kernel.free_run`."""
+    """Simulate one run of input by the compiled loop; arguments and return values as :func:`kernel.free_run`."""
     steps = (push.shape[1] - 1) // 2
     position, speed, sensitivity, done = kernel.free_run(
         push,
@@ -230,10 +229,10 @@ def integrate(
 
 
 def intersample(u: Array, steps: int, hold: Hold) -> Array:
-    """Return the input u (n,) at every half step between each two samples, shape (n - 1, 2 steps + 1).
+    """Return the input u (n,) at every half step between samples, shape (n - 1, 2 steps + 1).
 
     A band-limited input is interpolated by its Fourier series. Before its first and after its last sample it is
-    continued by its own image turned about that sample, which keeps its slope, fading into a constant.
+    extended by its point reflection about that sample, which keeps the slope, faded to a constant.
     """
     halves = 2 * steps
     if hold == "zero-order" or u.size < 3:
@@ -248,7 +247,7 @@ def intersample(u: Array, steps: int, hold: Hold) -> Array:
     periodic = np.concatenate([u, after, flat, before[::-1]])
     spectrum = fft.rfft(periodic)
     if length % 2 == 0:
-        spectrum[-1] *= 0.5  # half of the Nyquist frequency's power goes to either side once there is another side
+        spectrum[-1] *= 0.5  # upsampling divides the Nyquist bin between positive and negative frequency
     fine = fft.irfft(spectrum, length * halves) * halves  # (length * halves,)
     windows = np.lib.stride_tricks.sliding_window_view(fine, halves + 1)[::halves]
     return np.ascontiguousarray(windows[: u.size - 1], dtype=np.float64)

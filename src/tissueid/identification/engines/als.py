@@ -1,4 +1,4 @@
-"""Adaptive least squares: a time-varying response, its average, and its change with depth."""
+"""Adaptive least squares: a time-varying impulse response, its average, and its dependence on depth."""
 
 from __future__ import annotations
 
@@ -32,23 +32,22 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 _FLOOR = 0.01
-"""Share of the input's usual energy over a memory that is added to what a normalised step is divided by.
+"""Constant added to the denominator of a normalised step, relative to the mean energy of the input over a memory.
 
-Without it a quiet stretch, whose samples are noise, would be learnt from as eagerly as any other.
+It reduces the step in quiet parts of the input, where the samples are mostly noise.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class AlsModel(OnlineModel):
-    """The average over time of the responses (Fig. 6.3), their course, and their order by depth (Fig. 6.4b).
+    """Average over time of the impulse responses (Fig. 6.3), their trajectory, and their averages by depth (Fig. 6.4b).
 
-    ``depth_response`` (levels, lags) averages the responses while the output stood between neighbours of
-    ``depth_edges`` (levels - 1,); ``depth_position`` (levels,) is the mean output there and ``depth_support``
-    (levels,) the samples. There are no standard deviations of the responses: what they have not learnt yet, and
-    what they learnt at another depth, errs more than the noise does. For those, take ``rls`` or ``lms``.
+    ``depth_response`` (levels, lags) averages the responses for outputs between neighbours of ``depth_edges`` (levels -
+    1,); ``depth_position`` (levels,) is the mean output there and ``depth_support`` (levels,) the number of samples.
 
-    There is no depth profile of mass, damping and stiffness either: the response trails the depth by the time that
-    it takes to adapt, so that what stands against a depth was partly learnt elsewhere.
+    There are no standard deviations, because adaptation errors exceed the noise; use ``rls`` or ``lms`` for those.
+    There is no depth profile of mass, damping and stiffness either: the response lags behind the depth by the
+    adaptation time, so that responses at one depth were partly learned at others.
     """
 
     depth_response: Array
@@ -57,7 +56,7 @@ class AlsModel(OnlineModel):
     depth_support: Array
 
     def simulate_scheduled(self, record: Record) -> Array:
-        """Simulate by the response of the depth that was measured at each sample, shape (n,); NaN where none was."""
+        """Simulate with the response of the measured depth, shape (n,); NaN where the depth is unknown."""
         self.check_rate(record)
         x = record.input - self.input_mean
         level = np.searchsorted(self.depth_edges, record.output)
@@ -70,7 +69,7 @@ class AlsModel(OnlineModel):
 
 
 class AlsIdentifier(Identifier):
-    """Adaptive least squares under way; made by :meth:`Als.start`."""
+    """State of adaptive least squares during a record; created by :meth:`Als.start`."""
 
     def __init__(
         self,
@@ -91,7 +90,7 @@ class AlsIdentifier(Identifier):
             step, floor = options.change_factor, -1.0
         self._work, self._scalars = adaptation.start(self.lags, step, floor, centred=None in operating_point)
         self._sums_at = np.zeros((self.depth_edges.size + 1, self.lags))
-        self._counts_at = np.zeros((self.depth_edges.size + 1, 2))  # samples, and their outputs added up
+        self._counts_at = np.zeros((self.depth_edges.size + 1, 2))  # number of samples, and sum of their outputs
 
     def _advance(self, u: Array, y: Array, errors: Array) -> None:
         edges = self.depth_edges - self.output_mean
@@ -99,7 +98,9 @@ class AlsIdentifier(Identifier):
 
     @property
     def centre(self) -> float:
-        """Input about which the response holds: the operating point, or the mean of all inputs when none was given."""
+        """Input about which the response is estimated: the operating point, or the mean of all inputs if none was
+        given.
+        """
         return self.input_mean + float(self._scalars[adaptation.INPUT_MEAN])
 
     def _response(self) -> Array:
@@ -107,13 +108,13 @@ class AlsIdentifier(Identifier):
 
     @property
     def average_response(self) -> Array:
-        """Responses averaged over the samples that were learnt from, (lags,), in the unit of the impulse response."""
+        """Average of the responses after each update, (lags,), in the unit of the impulse response."""
         samples = max(1.0, float(self._counts_at[:, 0].sum()))
         return np.asarray(self._sums_at.sum(axis=0) / samples * self.sample_rate_hz)
 
     @property
     def updates(self) -> int:
-        """How many samples were learnt from."""
+        """Number of samples used for updates."""
         return int(self._scalars[adaptation.UPDATES])
 
     @property
@@ -142,10 +143,10 @@ class AlsIdentifier(Identifier):
         return responses, self.output_mean + self._counts_at[:, 1] / there, counts.copy()
 
     def model(self) -> AlsModel:
-        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+        """Return the present model, scored on the latest ten seconds. The identifier is not changed.
 
         Raises:
-            UnusableInputError: too little was received yet to be scored.
+            UnusableInputError: there are too few samples for a score.
         """
         return self.options.described(self, prepared_recent(self))
 
@@ -154,10 +155,11 @@ class AlsIdentifier(Identifier):
 class Als(OnlineEngine):
     """ALS engine.
 
-    At each sample the response is moved along the regressor by a share of the error. ``step`` is that share, free of
-    units: 1 undoes the whole error, 2 runs away. ``change_factor`` is the thesis' own number instead, over the unit of
-    the input squared; it runs away beyond about 2 / (lags x input power). What is simulated is the average response;
-    predictions by the response of the moment are ``vaf_tracking_percent``, which is no free run.
+    At each sample the response is moved along the regressor by a share of the error. ``step`` is that share,
+    dimensionless: 1 removes the whole error, and from 2 on the adaptation is unstable. ``change_factor`` is the
+    unnormalised step of the thesis, in one over the squared unit of the input; it is unstable above about 2 / (lags x
+    input power). Simulations use the average response. ``vaf_tracking_percent`` scores predictions by the present
+    response, which are not a free run.
     """
 
     name: ClassVar[str] = "als"
@@ -197,10 +199,10 @@ class Als(OnlineEngine):
         input_unit: str = "N",
         output_unit: str = "m",
     ) -> AlsIdentifier:
-        """Return an identifier that knows nothing yet; see :meth:`OnlineEngine.start`.
+        """Return an identifier without any data; see :meth:`OnlineEngine.start`.
 
-        Depths are not known before the test, so all responses go to one level. Without both means of the operating
-        point, the means of all that was received so far are taken off.
+        Depths are not known before the test, so all responses are averaged in one level. If an operating point is not
+        given, the running means are subtracted.
 
         Raises:
             UnusableInputError: the sample rate is not positive.
@@ -231,7 +233,7 @@ class Als(OnlineEngine):
         return self.described(identifier, prepared)
 
     def described(self, identifier: AlsIdentifier, prepared: Prepared) -> AlsModel:
-        """Return what an identifier found as a model, scored on a prepared record."""
+        """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz
         kernel = identifier.average_response / rate
@@ -278,11 +280,11 @@ class Als(OnlineEngine):
         return model.with_report(vaf_scheduled_percent=vaf_percent(record.output[used], scheduled))
 
     def _check_step(self, prepared: Prepared) -> None:
-        """Refuse a change factor that the input of the fitted part makes run away.
+        """Raise for a change factor that is unstable for the input of the fitted part.
 
         Raises:
-            UnusableInputError: it is beyond 2 / (lags x input power), where a mean square correction exceeds twice
-                the error.
+            UnusableInputError: the factor is at least 2 / (lags x input power), where the mean square correction
+                exceeds twice the error.
         """
         power = float(np.nanvar(prepared.record.input[prepared.part]))
         bound = 2.0 / (prepared.memory_samples * power)

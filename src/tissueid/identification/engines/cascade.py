@@ -38,13 +38,13 @@ from tissueid.records import Record
 
 @dataclass(frozen=True, eq=False)
 class CascadeModel(Model):
-    """y = offset + second * outer(first * inner(input)); blocks that the ``structure`` lacks are None.
+    """y = offset + second * outer(first * inner(input)); None for blocks that the ``structure`` does not have.
 
-    The kernels (lags,) at ``lag_s`` (lags,) are per sample. ``first_kernel`` and ``second_kernel`` sum to one where
-    they have a steady-state gain and have a root-sum-square of one where they have none; the last curve carries the
-    output's unit, or in a linear system the kernel does. ``inner`` maps the absolute input, ``outer`` what leaves the
-    first kernel; both are zero at rest. The ``..._std`` (lags,) count every other block as unknown too. ``choice``
-    tells how the structures compare, None when one was asked for.
+    The kernels (lags,) at ``lag_s`` (lags,) are per sample. ``first_kernel`` and ``second_kernel`` sum to 1 if they
+    have a steady-state gain, else their root-sum-square is 1; the last curve carries the unit of the output, or in a
+    linear system the kernel does. ``inner`` maps the absolute input and ``outer`` the output of the first kernel; both
+    are zero at rest. The ``..._std`` (lags,) include the uncertainty of all other blocks. ``choice`` is the comparison
+    of the structures; None if the structure was given.
     """
 
     structure: Structure
@@ -61,7 +61,7 @@ class CascadeModel(Model):
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         blocks = (self.inner, self.first_kernel, self.outer, self.second_kernel)
         return Normalised(self.structure, *blocks, self.offset, self.input_mean).simulate(u)
 
@@ -70,9 +70,9 @@ class CascadeModel(Model):
 class Cascade(Engine):
     """Cascade engine.
 
-    All are fitted by the error of the free run over all blocks together, from several starts. ``auto`` keeps the
-    simplest structure that is as good as the best on samples it was not fitted to, and says what the record does not
-    tell apart, and when none of them is what the system is.
+    All blocks are fitted together by the error of the free run, from several starting points. ``auto`` selects the
+    simplest structure that is as good as the best in cross-validation, and reports structures that the record does not
+    distinguish, and when none of them is complete.
     """
 
     name: ClassVar[str] = "cascade"
@@ -112,9 +112,9 @@ class Cascade(Engine):
         """Fit the structure, or all of them, to a record or to a contiguous part of it.
 
         Raises:
-            UnusableInputError: nothing varies, too few samples, or a memory longer than the part (an LNL system
-                remembers nearly twice the ``memory`` of its blocks), or a curve of the input is asked for and the
-                input takes fewer different values than the curve has coefficients.
+            UnusableInputError: nothing varies, too few samples, or a memory longer than the part (an LNL system has
+                nearly twice the ``memory`` of its blocks), or a structure with a curve of the input is given and the
+                input has fewer distinct values than the curve has coefficients.
         """
         wanted: tuple[Structure, ...] = STRUCTURES if self.structure == "auto" else (self.structure,)
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
@@ -203,7 +203,7 @@ class Cascade(Engine):
 
 
 def _largest(wanted: tuple[Structure, ...], basis: int, curve: int) -> int:
-    """Return the number of parameters of the largest wanted structure, from the sizes of basis and curve."""
+    """Return the number of parameters of the largest structure, from the sizes of basis and curve."""
     counts = {
         "linear": basis + 1,
         "wiener": basis + curve + 1,

@@ -21,8 +21,8 @@ from tissueid.records import Record
 class Depth(Engine):
     """Depth engine.
 
-    Assumes that the dynamics depend on where the probe is, not on how it came there, that the output rises or falls
-    with the input throughout, and a response that is over within ``memory``.
+    Assumes that the dynamics depend on the position of the probe but not on its history, that the output is a monotone
+    function of the input in steady state, and that the response decays within ``memory``.
     """
 
     name: ClassVar[str] = "depth"
@@ -85,8 +85,8 @@ class Depth(Engine):
         """Fit the kernels to a record, or to a contiguous part of it.
 
         Raises:
-            UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints that do not
-                cut the motion, or a partition that was hardly visited.
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints outside the
+                motion, or a partition with too few samples.
         """
         choice = PartitionChoice(
             memory=self.memory,

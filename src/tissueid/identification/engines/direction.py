@@ -1,4 +1,4 @@
-"""Direction partitions: a kernel for every range of depth and either direction."""
+"""Direction partitions: a kernel for every range of depth and each direction of motion."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from tissueid.records import Record
 class Direction(Engine):
     """Direction engine.
 
-    Damping of inward and outward motion is estimated together with kernels that depend on depth only, because those of
-    Eq. 5.3 cannot separate a damping from a stiffness that depends on the direction. Mass and stiffness are assumed to
-    be equal in both directions.
+    Damping in indentation and retraction is estimated together with kernels that depend on depth only, because the
+    kernels of Eq. 5.3 cannot distinguish a damping from a stiffness that depends on direction. Mass and stiffness are
+    assumed to be equal in both directions.
     """
 
     name: ClassVar[str] = "direction"
@@ -87,8 +87,8 @@ class Direction(Engine):
         """Fit the kernels to a record, or to a contiguous part of it.
 
         Raises:
-            UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints that do not
-                cut the motion, or a partition that was hardly visited in one direction.
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints outside the
+                motion, or a partition with too few samples in one direction.
         """
         choice = PartitionChoice(
             memory=self.memory,

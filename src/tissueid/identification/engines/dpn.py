@@ -1,4 +1,4 @@
-"""Dynamic-parameter nonlinearity: mass, damping and stiffness that depend on depth, fitted by simulation error."""
+"""Dynamic parameter nonlinearity: mass, damping and stiffness that depend on depth, fitted by simulation error."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ _MEMORY_S = 0.125
 """Shortest record that is fitted if no memory is given, s."""
 
 _LEAST_PARAMETERS = 7
-"""Level of the force, and a constant and a growth of each curve: what the spare degree leaves of the simplest fit."""
+"""Parameters of the simplest fit: level of the force, and a constant and a growth of each curve."""
 
 _LONGEST_SHARE = 0.25
 """Share of the record after which initial conditions must have decayed; otherwise a warning is given."""
 
 _TURNING_SHARE = 0.1
-"""Share of the typical speed over which the damping changes between directions."""
+"""Speed over which the damping changes between directions, relative to the typical speed."""
 
 _STIFFEST = 4.0
 """Largest initial damping, relative to mass over sample period."""
@@ -48,9 +48,9 @@ _STIFFEST = 4.0
 class DpnModel(Model):
     """M(y) y'' + B(y) y' + F(y) = u, with F the integral of the tangent stiffness K(y).
 
-    ``known`` holds the curves with their bands: ``model.known.stiffness(position)`` and the like. ``degrees`` is the
-    degree that the record asked for of each series that was free, before the spare one; -1 for one that is not
-    there. ``rest_position`` is where the tissue bears the mean input of the fit: there a simulation begins.
+    ``known`` holds the curves with their bands, such as ``model.known.stiffness(position)``. ``degrees`` is the
+    selected degree of each free series, before spare degrees; -1 for a series that is left out. ``rest_position`` is
+    the equilibrium under the mean input of the fit, where a simulation starts.
     """
 
     known: KnownCurves
@@ -62,18 +62,19 @@ class DpnModel(Model):
     mechanical: bool
 
     def free_run(self, u: Array) -> FreeRun:
-        """Return the position and speed for an input u (n,), each run of it from rest at the mean input of the fit.
+        """Return position and speed for an input u (n,); each uninterrupted run starts at rest under the mean input of
+        the fit.
 
-        Says whether and where the motion diverged. Samples in the memory of a gap are not yet masked.
+        The result includes whether and where the motion diverged. Samples whose memory contains a gap are not masked.
         """
         return simulate_dpn(
             self.known.curves.tables, u, self.sample_rate_hz, rest_input=self.input_mean, hold=self.hold
         )
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample.
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample.
 
-        A motion that diverges stays at the bound that it reached; :meth:`free_run` tells where.
+        A motion that diverges stays at the bound that it reached; :meth:`free_run` returns the sample.
         """
         u = np.asarray(u, dtype=np.float64)
         position = self.free_run(u).position
@@ -88,15 +89,15 @@ class DpnModel(Model):
 
 
 _SWITCHES = (marked("auto"), marked("on"), marked("off"))
-"""Choices of the option as a form shows them, for translation."""
+"""Choices of the options as a form shows them, for translation."""
 
 
 @engine
 class Dpn(Engine):
     """DPN engine.
 
-    Assumes that the state is position and speed alone: no relaxation, no creep, no memory of the way there. The
-    logarithms of the curves are Legendre series in the position; where no degree is given the record decides.
+    Assumes that position and speed are the whole state: no relaxation, no creep, no history. The logarithms of the
+    curves are Legendre series of the position; degrees that are not given are selected from the record.
     """
 
     name: ClassVar[str] = "dpn"
@@ -172,7 +173,7 @@ class Dpn(Engine):
 
         Raises:
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an output that
-                falls as the input rises.
+                decreases with increasing input.
         """
         prepared = prepare(record, fit_part, self.memory or _MEMORY_S, _LEAST_PARAMETERS)
         fitting = Fitting(record, prepared.part, self.hold)
@@ -203,7 +204,7 @@ class Dpn(Engine):
         return self._model(prepared, fitted, found, known, {name: gain for (name, _), gain in gains.items()})
 
     def _wanted(self) -> tuple[dict[str, int], list[str], list[str]]:
-        """Return the degrees that are given, series that are free, and terms that are switched off."""
+        """Return the given degrees, the free series, and the terms that are switched off."""
         given = {"mass": self.mass_degree, "damping": self.damping_degree, "stiffness": self.stiffness_degree}
         switched = {"direction": self.direction, "inertia": self.inertia}
         degrees = {name: degree for name, degree in given.items() if degree is not None}
@@ -298,7 +299,7 @@ def _constant_curves(prepared: Prepared, hold: Hold) -> LogCurves:
     """Return the linear second-order system of the record as curves that do not depend on depth.
 
     Raises:
-        UnusableInputError: the output falls as the input rises.
+        UnusableInputError: the output decreases with increasing input.
     """
     record = prepared.record
     linear = fit_second_order(record, prepared.used, hold)

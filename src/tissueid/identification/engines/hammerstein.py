@@ -37,7 +37,7 @@ _FLAT = 0.05
 """Share of the steepest slope below which a curve is flat."""
 
 _SAME = 1e-9
-"""Share of its steepest slope by which the slopes of a straight line differ."""
+"""Relative difference of slopes below which a curve counts as a straight line."""
 
 _QUANTILES = (0.05, 0.5, 0.95)
 
@@ -45,9 +45,9 @@ _QUANTILES = (0.05, 0.5, 0.95)
 def fit_driven_stage(
     record: Record, used: Mask, nonlinearity: StaticNonlinearity, hold: Hold, start: SecondOrderFit | None = None
 ) -> SecondOrderFit:
-    """Fit a second-order system to the linear stage: from what the curve makes of the input to the measured output.
+    """Fit a second-order system to the linear stage: from the output of the static curve to the measured output.
 
-    ``used`` (n,) masks the outputs to fit.
+    ``used`` (n,) is the mask of the outputs to fit.
     """
     driven = replace(record, input=nonlinearity(record.input), input_unit=record.output_unit)
     return fit_second_order(driven, used, hold, start=start)
@@ -56,7 +56,7 @@ def fit_driven_stage(
 def curve_remarks(
     nonlinearity: StaticNonlinearity, covariance: Array, x: Array, mean_input: float, unit: str
 ) -> tuple[list[str], list[str]]:
-    """Return findings and warnings on a curve with covariance (p, p) of its coefficients, over inputs x (k,)."""
+    """Return findings and warnings about a curve with coefficient covariance (p, p), over inputs x (k,)."""
     places = np.quantile(x, _QUANTILES)
     estimates = [derived(nonlinearity, covariance, lambda f, p=p: float(f.slope(np.array([p]))[0])) for p in places]  # type: ignore[misc]
     changes = [
@@ -121,12 +121,12 @@ class HammersteinPass:
 class HammersteinModel(Model):
     """y = offset + kernel * f(input), with f(mean input) = 0.
 
-    ``kernel`` (lags,) at ``lag_s`` (lags,) is per sample and sums to one, so that f, the ``nonlinearity``, carries the
-    output's unit and offset + f is the static curve of the system. A kernel without a steady-state gain has a
-    root-sum-square of one instead (``steady_gain`` is False). ``kernel_std`` (lags,) and
-    ``nonlinearity_covariance`` (p, p), of f's coefficients, count the other stage as unknown too. ``history`` holds
-    the passes of alternating least squares, ``chosen`` is the one that was kept, and ``refined`` says whether it was
-    refined jointly afterwards.
+    ``kernel`` (lags,) at ``lag_s`` (lags,) is per sample and sums to 1, so that f, the ``nonlinearity``, carries the
+    unit of the output and offset + f is the static curve of the system. A kernel without a steady-state gain has a
+    root-sum-square of 1 instead (``steady_gain`` is False). ``kernel_std`` (lags,) and ``nonlinearity_covariance`` (p,
+    p), of f's coefficients, include the uncertainty of the other stage. ``history`` holds the passes of alternating
+    least squares, ``chosen`` is the number of the pass that was used, and ``refined`` tells whether it was refined
+    jointly afterwards.
     """
 
     kernel: Array
@@ -143,7 +143,7 @@ class HammersteinModel(Model):
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         driven = self.nonlinearity(np.asarray(u, dtype=np.float64))
         return self.offset + convolve_at_rest(self.kernel, driven)
 
@@ -152,9 +152,9 @@ class HammersteinModel(Model):
 class Hammerstein(Engine):
     """Hammerstein engine.
 
-    Assumes that the nonlinearity acts on the input before any dynamics, and noise on the output. It need not keep
-    its direction: a square is found. The passes start from free weights for every power of the input and every lag,
-    of which the rank-one part is kept; the best pass is refined by the simulation error over both stages together.
+    Assumes a static nonlinearity of the input, followed by linear dynamics, with output noise. The nonlinearity need
+    not be monotone. The passes start from the rank-one approximation of free weights for every power of the input and
+    every lag; the best pass is refined by the simulation error over both stages.
     """
 
     name: ClassVar[str] = "hammerstein"
@@ -193,8 +193,8 @@ class Hammerstein(Engine):
         """Fit the cascade to a record, or to a contiguous part of it.
 
         Raises:
-            UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an input of fewer
-                different values than the curve has coefficients.
+            UnusableInputError: nothing varies, too few samples, a memory longer than the part, or an input with fewer
+                distinct values than the curve has coefficients.
         """
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
         curve = coefficient_count(self.nonlinearity, self.degree)
@@ -317,5 +317,5 @@ class Hammerstein(Engine):
 
 
 def _vaf(fitted: Fitted, data: CascadeData) -> float:
-    """Return VAF of fitted blocks over the rows, in percent."""
+    """Return the VAF of fitted blocks over the rows, in percent."""
     return 100.0 * (1.0 - fitted.rss / data.rows.size / float(np.var(data.measured)))

@@ -37,7 +37,7 @@ class LmsModel(Model):
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         kernel = self.impulse_response / self.sample_rate_hz
         return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
@@ -46,7 +46,7 @@ class LmsModel(Model):
 class Lms(Engine):
     """LMS engine.
 
-    Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input.
+    Assumes a linear system whose response decays within ``memory``, and output noise that is independent of the input.
     """
 
     name: ClassVar[str] = "lms"

@@ -36,8 +36,8 @@ _EACH = 4
 class Localized(Engine):
     """Localized engine.
 
-    Assumes noise so small that the tissue is linear about each level, and levels held for several memories. What the
-    step itself moves is left out.
+    Assumes noise so small that the tissue is linear about each level, and levels held for several memories. The
+    response to the step itself is excluded.
     """
 
     name: ClassVar[str] = "localized"
@@ -69,8 +69,8 @@ class Localized(Engine):
         """Fit M, B, K about every level of a record, or of a contiguous part of it.
 
         Raises:
-            UnusableInputError: the input has no steps, the levels are too short or all at one depth, nothing varies,
-                or a memory longer than the part.
+            UnusableInputError: the input has no steps, the levels are too short or all at one depth, nothing varies, or
+                the memory is longer than the part.
         """
         prepared = prepare(record, fit_part, self.memory, 2 * _EACH)
         memory_samples = prepared.memory_samples

@@ -31,20 +31,20 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 _FORGOTTEN = 4.0
-"""Time constants of forgetting after which a residual has no weight."""
+"""Time constants of forgetting after which the weight of a residual is neglected."""
 
 
 @dataclass(frozen=True, eq=False)
 class RlsModel(OnlineModel):
-    """The response after the last sample, with ``impulse_response_std`` (lags,), its standard deviations."""
+    """The response after the last sample, with its standard deviations ``impulse_response_std`` (lags,)."""
 
     impulse_response_std: Array
 
 
 class RlsIdentifier(Identifier):
-    """Recursive least squares under way; made by :meth:`Rls.start`.
+    """State of recursive least squares during a record; created by :meth:`Rls.start`.
 
-    ``first_variance`` is that of every lag of the response per sample before the first sample, for output noise of unit
+    ``first_variance`` is the initial variance of every lag of the response per sample, for output noise of unit
     variance: one over the ridge.
     """
 
@@ -83,14 +83,14 @@ class RlsIdentifier(Identifier):
 
     @property
     def updates(self) -> int:
-        """How many samples were learnt from."""
+        """Number of samples used for updates."""
         return int(self._scalars[recursion.UPDATES])
 
     def model(self) -> RlsModel:
-        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+        """Return the present model, scored on the latest ten seconds. The identifier is not changed.
 
         Raises:
-            UnusableInputError: too little was received yet to be scored.
+            UnusableInputError: there are too few samples for a score.
         """
         return self.options.described(self, prepared_recent(self))
 
@@ -99,9 +99,9 @@ class RlsIdentifier(Identifier):
 class Rls(OnlineEngine):
     """RLS engine.
 
-    Assumes a linear system whose response is over within ``memory``, and output noise unrelated to the input. With a
-    forgetting factor of one the response is the regularised least-squares answer over all samples, to rounding; below
-    one the samples weigh less the older they are, and the ridge stays, so that the covariance is bounded.
+    Assumes a linear system whose response decays within ``memory``, and output noise that is independent of the input.
+    With a forgetting factor of 1 the response equals the regularised least-squares solution over all samples, to
+    rounding; below 1, older samples weigh less but the ridge does not, so that the covariance is bounded.
     """
 
     name: ClassVar[str] = "rls"
@@ -136,7 +136,7 @@ class Rls(OnlineEngine):
         input_unit: str = "N",
         output_unit: str = "m",
     ) -> RlsIdentifier:
-        """Return an identifier that knows nothing yet; see :meth:`OnlineEngine.start`.
+        """Return an identifier without any data; see :meth:`OnlineEngine.start`.
 
         Raises:
             UnusableInputError: the sample rate is not positive.
@@ -162,7 +162,7 @@ class Rls(OnlineEngine):
         return self.described(identifier, prepared)
 
     def described(self, identifier: RlsIdentifier, prepared: Prepared) -> RlsModel:
-        """Return what an identifier found as a model, scored on a prepared record."""
+        """Return the model of an identifier, scored on a prepared record."""
         record, used = prepared.record, prepared.used
         lags, rate = identifier.lags, identifier.sample_rate_hz
         kernel = identifier.impulse_response / rate
@@ -217,12 +217,16 @@ class Rls(OnlineEngine):
             begin = max(begin, part.stop - max(remembered, 4 * identifier.lags))
         recent = slice(begin, part.stop)
         known = int(np.isfinite(residuals[recent]).sum())
-        about = x[recent] - np.nanmean(x[recent])  # live, the operating point need not be the mean; the offset makes up
+        about = x[recent] - np.nanmean(
+            x[recent]
+        )  # during a test the operating point may differ from the mean; the offset compensates
         std = kernel_std(covariance * weight, about, residuals[recent])
         return std * float(np.sqrt(known * weight_squares) / weight)
 
     def _doubts(self, identifier: RlsIdentifier, covariance: Array) -> tuple[list[str], tuple[str, ...]]:
-        """Return a warning where the memory exceeds the retained samples, and a finding on unexcited directions."""
+        """Return a warning if the memory exceeds the retained samples, and a finding on directions that are not
+        excited.
+        """
         lags = identifier.lags
         warnings: list[str] = []
         remembered = 1.0 / (1.0 - self.forgetting) if self.forgetting < 1.0 else np.inf

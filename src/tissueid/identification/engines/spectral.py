@@ -68,8 +68,8 @@ class SpectralModel(Model):
     """A linear system given by its transfer function H1 about an operating point.
 
     It is simulated by the impulse response of H1, ``kernel`` (lags,) per sample, from the bins with significant
-    coherence and input power: elsewhere H1 is the ratio of two noises. ``second_order`` is the parametric fit to the
-    same samples in the time domain.
+    coherence and input power; at other bins H1 is a ratio of noise. ``second_order`` is the parametric fit to the same
+    samples in the time domain.
     """
 
     spectra: Spectra
@@ -87,8 +87,8 @@ class SpectralModel(Model):
 class Spectral(Engine):
     """Spectral engine.
 
-    It assumes a linear system and a window several times longer than its memory. A coherence below one is caused by
-    noise on the output, by nonlinearity, or by leakage of too short a window.
+    Assumes a linear system and a window several times longer than its memory. A coherence below 1 is caused by output
+    noise, by nonlinearity, or by leakage of a window that is too short.
     """
 
     name: ClassVar[str] = "spectral"
@@ -181,10 +181,10 @@ class Spectral(Engine):
         )
 
     def spectra(self, prepared: Prepared) -> Spectra:
-        """Average the periodograms of the segments (segments, length) of the part that have no gap.
+        """Average the periodograms of all segments (segments, length) of the fitted part without a gap.
 
         Raises:
-            UnusableInputError: fewer than two segments without a gap.
+            UnusableInputError: there are fewer than two segments without a gap.
         """
         record = prepared.record
         length = round(self.window * record.sample_rate_hz)

@@ -1,4 +1,4 @@
-"""Volterra kernels: least squares as in the thesis, regularised, or in a Laguerre basis."""
+"""Volterra kernels: plain least squares as in the thesis, regularised, or in a Laguerre basis."""
 
 from __future__ import annotations
 
@@ -32,21 +32,25 @@ _MOST_COEFFICIENTS = 6000
 """Largest number of coefficients of the method exact, which needs a square matrix of this size."""
 
 _MOST_LAGS_DRAWN = 64
-"""Number of lags above which the bands of a kernel's signature are not computed: they take longer than the fit."""
+"""Number of lags above which the bands of the structure signature are not computed, because they take longer than the
+fit.
+"""
 
 _WHITE_ENOUGH = 0.1
-"""Below this whiteness a raw second-order kernel's standard deviations are ten times those under a white input."""
+"""Whiteness below which the standard deviations of a raw second-order kernel are more than ten times those for white
+input.
+"""
 
 
 _CHOICES = (marked("regularised"), marked("exact"), marked("every"), marked("downsampled"))
-"""Choices of the option as a form shows them, for translation."""
+"""Choices of the options as a form shows them, for translation."""
 
 
 @engine
 class Volterra(Engine):
     """Volterra engine.
 
-    Assumes a response over within ``memory`` and output noise unrelated to the input; nothing about structure.
+    Assumes a response that decays within ``memory`` and output noise independent of the input; no block structure.
     """
 
     name: ClassVar[str] = "volterra"
@@ -100,12 +104,12 @@ class Volterra(Engine):
 
         Args:
             record: the data.
-            fit_part: the part to fit; all of it when None.
-            stimulus: what :meth:`factored` gave for the same input, with which an exact fit costs a solve.
+            fit_part: the part to fit; None for all of it.
+            stimulus: result of :meth:`factored` for the same input; an exact fit then only needs to solve.
 
         Raises:
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, more coefficients than
-                the exact route can hold, or the stimulus of another input.
+                the method exact supports, or the stimulus of another input.
         """
         grid, prepared = self._prepared(record, fit_part)
         x = record.input - prepared.input_mean
@@ -153,7 +157,7 @@ class Volterra(Engine):
         return filtered.with_report(details=filtered.report.details | unfiltered_vaf)
 
     def factored(self, record: Record, fit_part: slice | None = None) -> VolterraStimulus:
-        """Work the input side once, for any number of responses to the same input (4.1.2).
+        """Factor the input side once, for any number of outputs of the same input (4.1.2).
 
         Raises:
             UnusableInputError: as :meth:`fit`.
@@ -162,9 +166,9 @@ class Volterra(Engine):
         return self._factored(record.input - prepared.input_mean, prepared, grid)
 
     def _prepared(self, record: Record, fit_part: slice | None) -> tuple[LagGrid, Prepared]:
-        """Return the lags, and the record looked over for as many samples as they need."""
+        """Return the lags, and the record prepared for the number of samples that they need."""
         rate = record.sample_rate_hz
-        first = prepare(record, fit_part, 1.0 / rate, 1)  # whether there is an input to space the lags by
+        first = prepare(record, fit_part, 1.0 / rate, 1)  # checks that the input varies
         inside = record.input[first.part] - first.input_mean
         if memory_in_samples(self.memory, rate) > inside.size:
             raise UnusableInputError(
@@ -196,7 +200,7 @@ class Volterra(Engine):
         return grid, prepared
 
     def _step(self, grid: LagGrid) -> int:
-        """Return the samples from one row to the next."""
+        """Return the distance of the rows in samples."""
         return 1 if self.rows == "every" else grid.spacing
 
     def _rows(self, prepared: Prepared, grid: LagGrid) -> int:
@@ -263,7 +267,7 @@ class Volterra(Engine):
         return (kernel_structure(kernels.first, kernels.second, solved.kernel1_std, std).sentence,)
 
     def _doubts(self, solved: Solved, white: float | None, prepared: Prepared, grid: LagGrid) -> list[str]:
-        """Return what a reader should know before trusting the answer."""
+        """Return warnings about the kernels."""
         doubts: list[str] = []
         rows, spent = self._rows(prepared, grid), math.ceil(solved.parameters)
         has_warning = (self._exact and self.rows == "every") or self.method == "laguerre"

@@ -35,11 +35,11 @@ from tissueid.records import Record
 _ITERATIONS = 30
 _SETTLED = 1e-6
 _IDLE = 1e-9
-"""Share of the strongest frequency's power below which a frequency is not used."""
+"""Power below which a frequency is not used, relative to the strongest frequency."""
 
 
 class KernelSystems:
-    """Second-order systems of kernels driven by one input x (n,), its mean removed and zero where it is missing."""
+    """Second-order systems of kernels for one input x (n,) with its mean removed and zeros for missing samples."""
 
     def __init__(self, x: Array, sample_rate_hz: float, hold: Hold) -> None:
         self._length = fft.next_fast_len(x.size, real=True)
@@ -51,7 +51,9 @@ class KernelSystems:
         self._hold: Hold = hold
 
     def nearest(self, kernel: Array, start: SecondOrder) -> SecondOrder:
-        """The system nearest to a kernel (lags,) per sample, by Gauss-Newton on log M, log B, log K from a start."""
+        """Return the second-order system nearest to a kernel (lags,) per sample, by Gauss-Newton on log M, log B, log
+        K.
+        """
         wanted = fft.rfft(kernel, self._length)[self._driven]
         theta = np.log([start.mass, start.damping, start.stiffness])
         error, slopes = self._evaluate(theta, wanted)
@@ -70,7 +72,9 @@ class KernelSystems:
         return SecondOrder(float(mass), float(damping), float(stiffness))
 
     def _evaluate(self, theta: Array, wanted: Array) -> tuple[Array, Array]:
-        """Weighted error (2 driven,) and slopes (3, 2 driven) of the modelled response, real parts then imaginary."""
+        """Return weighted errors (2 bins,) of the response, real parts then imaginary parts, and their derivatives (3,
+        2 bins).
+        """
         mass, damping, stiffness = np.exp(theta)
         system = SecondOrder(float(mass), float(damping), float(stiffness))
         response, slopes = sampled_response(system, self._length, self._rate, self._hold)
@@ -80,7 +84,7 @@ class KernelSystems:
 
 
 _TAPER = 0.05
-"""As the default of ``lms``: a record cut off in mid-motion must not leave its edge in the kernel."""
+"""Taper of both signals, as the default of ``lms``: prevents artefacts of the abrupt ends of a record."""
 
 _LOST_POINTS = 1.0
 """Loss of VAF from the best to the last iterate, percentage points, above which the iteration has diverged."""
@@ -97,9 +101,9 @@ _CLIPPED_PERCENT = 5.0
 class WienerIteration:
     """One pass of the iteration (Chen 2010, Fig. 3.9).
 
-    ``linear_vaf_percent`` is that of the impulse response against the output it was estimated from: the measured
-    one at first, the inverted one after. ``nonlinear_vaf_percent`` is that of the cascade against the measured
-    output. ``parameters`` are those of g and of the second-order system of the linear stage.
+    ``linear_vaf_percent`` scores the impulse response against the output that it was estimated from: the measured
+    output in the first pass, the inverted one in later passes. ``nonlinear_vaf_percent`` scores the cascade against the
+    measured output. ``parameters`` are those of g and of the second-order system of the linear stage.
     """
 
     iteration: int
@@ -112,8 +116,8 @@ class WienerIteration:
 class WienerModel(Model):
     """y = g(z), z = mean input + kernel * (input - mean input).
 
-    ``kernel`` (lags,) sums to one, so z carries the input's unit (absolute newtons) and g the output's (metres).
-    ``chosen`` is the iteration that was kept; ``refined`` says whether it was refined jointly afterwards.
+    ``kernel`` (lags,) sums to 1, so that z has the unit of the input (newtons) and g that of the output (metres).
+    ``chosen`` is the number of the pass that was used; ``refined`` tells whether it was refined jointly afterwards.
     """
 
     kernel: Array
@@ -129,7 +133,7 @@ class WienerModel(Model):
         return linear_output(self.kernel, np.asarray(u, dtype=np.float64) - self.input_mean, self.input_mean)
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         return self.nonlinearity(self.linear_output(u))
 
 
@@ -137,10 +141,10 @@ class WienerModel(Model):
 class Wiener(Engine):
     """Wiener engine.
 
-    Assumes that stiffness, damping and mass change with depth by one common factor, and noise on the output. A
-    polynomial may turn back: then the feedback form of Korenberg and Hunter (1999) is taken. The best pass of the
-    iteration is kept, judged by the in-sample simulation error, and then refined jointly unless ``refine`` is off: the
-    iteration regresses on the inverse of noisy outputs, which biases it where g is flat; the refinement does not.
+    Assumes that stiffness, damping and mass change with depth by one common factor, with output noise. If a polynomial
+    is not monotone, the feedback form of Korenberg and Hunter (1999) is used. The pass with the smallest in-sample
+    simulation error is used and refined jointly unless ``refine`` is off: the iteration regresses on the inverse of
+    noisy outputs, which causes a bias where g is flat; the refinement has no such bias.
     """
 
     name: ClassVar[str] = "wiener"
@@ -206,10 +210,10 @@ class Wiener(Engine):
 
         Raises:
             UnusableInputError: nothing varies, too few samples, a memory longer than the part, or a linear stage
-                without a steady-state gain to normalise by.
+                without a steady-state gain, which is needed for normalisation.
         """
         lags = memory_in_samples(self.memory, record.sample_rate_hz)
-        n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the kernel's sum is one
+        n_parameters = lags - 1 + coefficient_count(self.nonlinearity, self.degree)  # the sum of the kernel is fixed
         prepared = prepare(record, fit_part, self.memory, n_parameters)
         longer = LinearStage(factor_input(beyond_memory(prepared), taper=_TAPER))
         solved = factor_input(prepared, taper=_TAPER)
@@ -272,7 +276,7 @@ class Wiener(Engine):
         )
 
     def _doubts(self, passes: list[Pass], chosen: int, cascade: Cascade) -> list[str]:
-        """Return warnings on the iteration and the nonlinearity."""
+        """Return warnings about the iteration and the nonlinearity."""
         doubts: list[str] = []
         turned = any(one.feedback for one in passes)
         if len(passes) < self.iterations and not turned:

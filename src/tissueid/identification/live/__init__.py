@@ -1,1 +1,1 @@
-"""What is shown of an identification while a test runs, its precision, and the rule that stops the test."""
+"""Live view of an identification during a test, precision of its parameters, and the rule that stops the test."""

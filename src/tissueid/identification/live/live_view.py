@@ -1,7 +1,7 @@
-"""What can be said of a tissue while its test still runs: the linear response, its curve, and its parameters so far.
+"""Live view of a running test: the linear response, its static curve, and the parameters so far.
 
-An identifier holds the response (:mod:`~tissueid.identification.online`); looking at it changes nothing and takes a
-few milliseconds, so that it can be done several times a second.
+An identifier holds the response (:mod:`~tissueid.identification.online`). A view does not change it and takes a few
+milliseconds, so that it can be computed several times per second.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ LiveIdentifier = SlidingLms | RlsIdentifier | AlsIdentifier
 
 _LONGEST_SEGMENT_S = 0.5
 _SEGMENTS = 3.0
-"""Lengths of a segment that a record must have; overlapping by half, these are five segments."""
+"""Minimum length of a record, in segments; with an overlap of one half these are five segments."""
 
 _EXCITED = 0.03
-"""Share of the input's greatest power density below which a frequency counts as not excited."""
+"""Input power density below which a frequency counts as not excited, relative to the greatest density."""
 
 _LEVELS = 16
 _SAMPLES_PER_LEVEL = 40
@@ -51,7 +51,7 @@ _DEPTHS = 24
 
 @dataclass(frozen=True, eq=False)
 class LiveBode:
-    """Frequency response (bins,) of the response so far, and the coherence of its input and output (Eq. 3.1).
+    """Frequency response (bins,) of the present impulse response, and the coherence of input and output (Eq. 3.1).
 
     ``magnitude`` is in output units per input unit, ``phase_rad`` is unwrapped from the lowest frequency. ``coherence``
     is insignificant (5 %) below ``coherence_floor``. Frequencies that the input does not excite are left out.
@@ -68,9 +68,9 @@ class LiveBode:
 class LiveCurve:
     """Measured output against the linear prediction, both in output units.
 
-    ``predicted`` (levels,) and ``measured`` are means over parts of the prediction with equal counts, ``measured_std``
-    the standard deviation of the single outputs there. ``curve_x`` (m,) and ``curve_y`` are the exponential of Eq. 3.26
-    through all of them. Where the tissue is linear, all lie on the diagonal.
+    ``predicted`` (levels,) and ``measured`` are means over bins of the prediction with equal counts, ``measured_std``
+    the standard deviation of the outputs in each bin. ``curve_x`` (m,) and ``curve_y`` are the exponential of Eq. 3.26
+    fitted to all samples. For a linear tissue, all points are on the diagonal.
     """
 
     predicted: Array
@@ -82,7 +82,7 @@ class LiveCurve:
 
 @dataclass(frozen=True, eq=False)
 class LiveDepths:
-    """How often the output stood where: ``share`` (k,) of the samples between the ``edges`` (k + 1,), output units."""
+    """Histogram of the output: ``share`` (k,) of the samples between the ``edges`` (k + 1,), in output units."""
 
     edges: Array
     share: Array
@@ -90,9 +90,9 @@ class LiveDepths:
 
 @dataclass(frozen=True, eq=False)
 class LiveCourse:
-    """How the parameters came about: at each look, shape (looks,) and (looks, 3) for mass, damping, stiffness.
+    """History of the parameter estimates, shape (looks,) and (looks, 3) for mass, damping, stiffness.
 
-    ``values`` and ``std`` are in kg, N s/m, N/m; a standard deviation that cannot be had is infinite.
+    ``values`` and ``std`` are in kg, N s/m, N/m; an unknown standard deviation is infinite.
     """
 
     seconds: Array
@@ -102,13 +102,13 @@ class LiveCourse:
 
 @dataclass(frozen=True, eq=False)
 class LiveView:
-    """One look at a running test, after ``seconds`` of record.
+    """View of a running test after ``seconds`` of record.
 
-    ``impulse_response`` (lags,) is in output units per input unit and second at ``lag_s`` (lags,), empty until there is
-    one; ``impulse_response_std`` its standard deviations, None for a response that adapts. ``second_order`` is the fit
-    behind ``parameters``. ``vaf_percent`` is that of the response run free over the samples that it is judged on: the
-    window of the sliding method, the latest ten seconds otherwise. ``missing`` says in one line what is not there yet
-    and why, and is empty when nothing is missing.
+    ``impulse_response`` (lags,) is in output units per input unit and second at ``lag_s`` (lags,), empty before it is
+    known; ``impulse_response_std`` holds its standard deviations, None for an adaptive response. ``second_order`` is
+    the fit that gives ``parameters``. ``vaf_percent`` scores the free run of the response: over the window of the
+    sliding method, over the latest ten seconds otherwise. ``missing`` is one line on what is not available yet and why,
+    else empty.
     """
 
     method: Method
@@ -140,16 +140,16 @@ class LiveView:
 def start_identifier(
     method: Method, sample_rate_hz: float, memory: float = 0.125, window_s: float | None = RECENT_S
 ) -> LiveIdentifier:
-    """Return an identifier of force to position that knows nothing yet.
+    """Return an identifier from force to position without any data.
 
     Args:
         method: sliding least squares, recursive least squares, or adaptive least squares.
-        sample_rate_hz: of the samples to come.
-        memory: how long the impulse response lasts, s.
-        window_s: of the sliding method: how much of the latest samples counts; all of them when None.
+        sample_rate_hz: of the samples.
+        memory: length of the impulse response, s.
+        window_s: length of the window of the sliding method; None for all samples.
 
     Raises:
-        UnusableInputError: no such method, or the sample rate is not positive.
+        UnusableInputError: there is no such method, or the sample rate is not positive.
     """
     if method == "sliding":
         return SlidingLms(Lms(memory=memory), sample_rate_hz, window_s)
@@ -168,9 +168,9 @@ def start_identifier(
 
 
 def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveView:
-    """Return what the live panel shows of an identifier; ``looks`` are the parameter estimates so far, oldest first.
+    """Return the live view of an identifier; ``looks`` are the parameter estimates so far, oldest first.
 
-    What cannot be had yet is left out, and ``missing`` says why.
+    Results that are not available yet are left out, and ``missing`` gives the reason.
     """
     newest = looks[-1] if looks else None
     response: _Response | None = None
@@ -202,7 +202,7 @@ def view(identifier: LiveIdentifier, looks: Sequence[Precision] = ()) -> LiveVie
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """A response per sample (lags,) with its standard deviations, and what it makes of the latest samples (n,)."""
+    """A response per sample (lags,) with its standard deviations, and its simulation of the latest samples (n,)."""
 
     kernel: Array
     std: Array | None
@@ -211,13 +211,13 @@ class _Response:
 
     @property
     def pairs(self) -> tuple[Array, Array]:
-        """Linear prediction and measured output, where there are both."""
+        """Linear prediction and measured output at samples that have both."""
         used = self.prepared.used & np.isfinite(self.modelled)
         return self.modelled[used], self.prepared.record.output[used]
 
     @property
     def vaf_percent(self) -> float | None:
-        """Variance accounted for, or None where the output does not vary."""
+        """Variance accounted for; None if the output does not vary."""
         predicted, measured = self.pairs
         share = vaf_percent(measured, predicted)
         return share if np.isfinite(share) else None
@@ -230,10 +230,10 @@ def _method(identifier: LiveIdentifier) -> Method:
 
 
 def _respond(identifier: LiveIdentifier) -> _Response:
-    """Return what the engine of the identifier would report of its response.
+    """Return the response as the engine of the identifier would report it.
 
     Raises:
-        UnusableInputError: too little was received yet, or nothing varies.
+        UnusableInputError: there are too few samples, or nothing varies.
     """
     if isinstance(identifier, SlidingLms):
         solved = identifier.solve()
@@ -253,7 +253,9 @@ def _respond(identifier: LiveIdentifier) -> _Response:
 
 
 def _run(kernel: Array, prepared: Prepared, centre: float, offset: float) -> tuple[Array, Array, Array]:
-    """Return the input less its centre, free run, and residuals where they count and NaN elsewhere; each (n,)."""
+    """Return the input minus its centre, the free run, and the residuals (NaN for samples that are not scored); each
+    (n,).
+    """
     record = prepared.record
     x = record.input - centre
     modelled = offset + convolve_at_rest(kernel, x)
@@ -261,10 +263,10 @@ def _run(kernel: Array, prepared: Prepared, centre: float, offset: float) -> tup
 
 
 def _bode(response: _Response) -> LiveBode:
-    """Return the transform of the response, with the coherence of segments as long as the record can spare.
+    """Return the transform of the response, and the coherence of segments as long as the record allows.
 
     Raises:
-        UnusableInputError: the record is too short, or has too many gaps, for two segments of a memory's length.
+        UnusableInputError: the record is too short, or has too many gaps, for two segments as long as the memory.
     """
     record, lags = response.prepared.record, response.kernel.size
     rate = record.sample_rate_hz
@@ -291,7 +293,7 @@ def _bode(response: _Response) -> LiveBode:
 
 
 def _curve(response: _Response) -> LiveCurve | None:
-    """Return binned means and the exponential through all samples; None while there are too few."""
+    """Return binned means and the exponential fitted to all samples; None if there are too few."""
     predicted, measured = response.pairs
     levels = min(_LEVELS, predicted.size // _SAMPLES_PER_LEVEL)
     if levels < 4 or not float(np.ptp(predicted)) > 0.0:

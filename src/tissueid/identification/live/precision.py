@@ -1,4 +1,4 @@
-"""How well a record so far determines mass, damping and stiffness."""
+"""Precision of mass, damping and stiffness, estimated from a record so far."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Parameter = Literal["mass", "damping", "stiffness"]
 PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
 
 WIDENING = 1.05
-"""What the standard deviations of a fit are multiplied with, because the fit is one of many looks.
+"""Factor on the standard deviations of a fit during a test, because of repeated looks.
 
-A test that ends on its own standard deviation ends with one of the smaller ones. Without this, 93 to 95 % of the 95 %
-intervals of the damping held at the end of such a test, and 97 to 99 % of those of mass and stiffness.
+A test that ends at a target standard deviation tends to end at a low estimate of it. Without the factor, the 95 %
+intervals contained 93 to 95 % of the damping and 97 to 99 % of mass and stiffness at the end of such tests.
 """
 
 
 @dataclass(frozen=True)
 class Precision:
-    """The second-order fit to a record so far, and what its standard deviations are worth.
+    """The second-order fit to a record so far, with the relative standard deviations of its parameters.
 
-    ``seconds`` is the length of the record. ``relative_std`` holds the standard deviation of each of mass, damping and
-    stiffness over its value, widened by ``WIDENING``, and infinite where the record does not say.
+    ``seconds`` is the length of the record. ``relative_std`` holds the standard deviation of mass, damping and
+    stiffness divided by the value, widened by ``WIDENING``, and infinite if unknown.
     """
 
     seconds: float
@@ -48,19 +48,20 @@ class Precision:
 
 
 def precision(record: Record, memory: float = 0.125, hold: Hold = "band-limited") -> Precision:
-    """Fit the second-order system to all of a record, as ``lms`` does, and say how well it is known.
+    """Fit the second-order system to all of a record, as ``lms`` does, and return it with the precision of its
+    parameters.
 
-    The standard deviations carry the dependence of neighbouring residuals and hold when the residual is what a
-    nonlinear tissue does beyond the line (:func:`fit_second_order`). Every look searches afresh: begun where an earlier
-    look ended, the search can stay in a minimum that the record has long contradicted, and be sure of it.
+    The standard deviations account for autocorrelated residuals, also those due to nonlinearity
+    (:func:`fit_second_order`). Every call searches again from the start: a search that continues from the previous
+    result can stay in a local minimum with a small standard deviation.
 
     Args:
         record: force and position so far, without the preload.
-        memory: seconds; as many at the start and after each gap are not fitted.
-        hold: what the input does between samples.
+        memory: seconds that are not fitted at the start and after each gap.
+        hold: course of the input between samples.
 
     Raises:
-        UnusableInputError: nothing varies yet, or the record is shorter than its memory.
+        UnusableInputError: nothing varies, or the record is shorter than its memory.
     """
     prepared = prepare(record, None, memory, len(PARAMETERS))
     fitted = fit_second_order(record, prepared.used, hold)

@@ -1,4 +1,4 @@
-"""Least mean squares over the latest seconds: correlations that slide with the samples, solved when asked."""
+"""Least squares over the latest seconds: correlations updated with each sample, solved on request."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 _FIRST_ROOM_S = 8.0
-"""Seconds that there is room for at first where the window has no end."""
+"""Initial capacity, s, if the window has no limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class SlidingSolution:
-    """The answer over the window as it stood.
+    """Least-squares response over the present window.
 
-    ``kernel`` (lags,) is the response per sample; ``prepared`` is the window looked over for the fit. The correlation
-    matrix R (estimated, estimated) that it was found with, of a response somewhat longer than is kept, is held by its
-    first column, as a whole, or by its pseudo-inverse.
+    ``kernel`` (lags,) is the response per sample; ``prepared`` is the prepared window. The correlation matrix R
+    (estimated, estimated), of a response somewhat longer than ``kernel``, is stored by its first column, as a matrix,
+    or by its pseudo-inverse.
     """
 
     kernel: Array
@@ -41,7 +41,7 @@ class SlidingSolution:
 
     @cached_property
     def inverse(self) -> Array:
-        """Inverse of R, shape (estimated, estimated), or its pseudo-inverse; what uncertainty takes."""
+        """Inverse of R, shape (estimated, estimated), or its pseudo-inverse; needed for standard deviations."""
         if self.column is not None:
             return toeplitz_inverse(self.column)
         if self.matrix is not None:
@@ -51,18 +51,18 @@ class SlidingSolution:
 
 
 class SlidingLms:
-    """Least-squares response over the latest ``window_s`` seconds, or over all so far, while samples come in.
+    """Least-squares response over the latest ``window_s`` seconds, or over all samples so far, updated during a test.
 
-    Samples go in one after another or many at once, with the same sums to the last bit. The answer is that of ``lms``
-    over the same window: its Toeplitz solution of tapered correlations while the window has no gap, its sums over
-    complete memories while it has one. Nothing is solved until it is asked for, so there are no prediction errors.
+    Samples can be added one by one or in batches, with bitwise equal sums. The result equals that of ``lms`` for the
+    same window: the Toeplitz solution of tapered correlations if the window has no gap, else sums over complete
+    memories. The equations are solved only on request, so that there are no prediction errors.
 
     Args:
-        options: of the engine whose answer this is.
-        sample_rate_hz: of the samples to come.
-        window_s: how much of the latest samples counts; all of them when None.
-        input_unit: of the samples to come.
-        output_unit: likewise.
+        options: the engine whose results are computed.
+        sample_rate_hz: of the samples.
+        window_s: length of the window; None for all samples.
+        input_unit: unit of the input.
+        output_unit: unit of the output.
 
     Raises:
         UnusableInputError: the sample rate is not positive, or the window is shorter than two memories.
@@ -97,8 +97,8 @@ class SlidingLms:
         self._window = None if window_s is None else round(window_s * sample_rate_hz)
         summed = self.lags + round(BEYOND_S * sample_rate_hz)
         room = 2 * self._window if self._window else round(_FIRST_ROOM_S * sample_rate_hz) + summed
-        self._received = np.zeros((2, room))  # input and output as they came
-        self._counted = np.zeros((2, room))  # less the first of each, and nothing where none was received
+        self._received = np.zeros((2, room))  # input and output as received
+        self._counted = np.zeros((2, room))  # minus the first received value of each, 0 for missing samples
         self._first = self._end = self._taken = 0
         self._origin: tuple[float | None, float | None] = (None, None)
         self._gained, self._lost = np.zeros((2, summed)), np.zeros((2, summed))
@@ -106,11 +106,11 @@ class SlidingLms:
         self._solution: SlidingSolution | None = None
 
     def update(self, u: float, y: float) -> None:
-        """Take one input and one output; NaN where it was not received."""
+        """Add one input and one output; NaN if not received."""
         self.batch(np.array([u]), np.array([y]))
 
     def batch(self, u: Array, y: Array) -> None:
-        """Take inputs (n,) and outputs (n,); NaN where one was not received.
+        """Add inputs (n,) and outputs (n,); NaN for samples that were not received.
 
         Raises:
             UnusableInputError: the two differ in shape.
@@ -134,7 +134,7 @@ class SlidingLms:
 
     @property
     def samples(self) -> int:
-        """How many samples were taken."""
+        """Number of samples added."""
         return self._taken
 
     @property
@@ -147,7 +147,7 @@ class SlidingLms:
         """The response over the window, shape (lags,), in output units per input unit and second.
 
         Raises:
-            UnusableInputError: too little was received yet, or nothing varies.
+            UnusableInputError: there are too few samples, or nothing varies.
         """
         return self.solve().kernel * self.sample_rate_hz
 
@@ -161,18 +161,18 @@ class SlidingLms:
         return Record(u, y, self.sample_rate_hz, input_unit=self._units[0], output_unit=self._units[1])
 
     def model(self) -> LmsModel:
-        """Return the model that ``lms`` makes of the window, scored on it; the sums go on undisturbed.
+        """Return the ``lms`` model of the window, scored on it. The sums are not changed.
 
         Raises:
-            UnusableInputError: too little was received yet, or nothing varies.
+            UnusableInputError: there are too few samples, or nothing varies.
         """
         return self.options.fit(self.recent())
 
     def solve(self) -> SlidingSolution:
-        """Return the response over the window and what its uncertainty takes.
+        """Return the response over the window with the matrix needed for standard deviations.
 
         Raises:
-            UnusableInputError: too little was received yet, or nothing varies.
+            UnusableInputError: there are too few samples, or nothing varies.
         """
         if self._solution is None:
             prepared = prepare(self.recent(), None, self.options.memory)
@@ -219,7 +219,9 @@ class SlidingLms:
         return int(sliding_sums.slide(x, y, first, end, new, window, self._gained, self._lost))
 
     def _make_room(self, n: int) -> None:
-        """Let ``n`` samples follow: the window is moved to the front, or where it has no end, into twice the room."""
+        """Make room for ``n`` samples: move the window to the front of the buffer, or enlarge the buffer if there is no
+        limit.
+        """
         room = self._received.shape[1]
         if self._end + n <= room:
             return
@@ -239,7 +241,8 @@ class SlidingLms:
     # -- solutions ----------------------------------------------------------------------------------------
 
     def _from_sums(self, prepared: Prepared) -> SlidingSolution:
-        """Return the Toeplitz solution, from the sums less the means of the window and with its ends faded.
+        """Return the Toeplitz solution from the sums, corrected for the means of the window and for the taper at its
+        ends.
 
         Raises:
             numpy.linalg.LinAlgError: the input does not excite every lag.
@@ -268,7 +271,7 @@ class SlidingLms:
         return SlidingSolution(kernel, prepared, column=column)
 
     def _across_gaps(self, prepared: Prepared) -> SlidingSolution:
-        """Return the least-squares answer over the outputs whose memory was received throughout."""
+        """Return the least-squares solution over the outputs with a complete memory."""
         x = prepared.record.input - prepared.input_mean
         regressors = LaggedRegressors(x[None, :], (prepared.memory_samples,), 1, prepared.used, constant=False)
         count = int(prepared.used.sum())
@@ -279,7 +282,7 @@ class SlidingLms:
         return SlidingSolution(kernel, prepared, matrix=gram)
 
     def _as_a_whole(self, prepared: Prepared) -> SlidingSolution:
-        """Return the answer by the whole correlation matrix, as the options ask or the input leaves no other."""
+        """Return the solution by the dense correlation matrix, on request or if the input does not excite all lags."""
         options = self.options
         solved = factor_input(prepared, pseudo_inverse=True, tolerance=options.tolerance, taper=options.taper)
         return SlidingSolution(solved.kernel(prepared.record.output), prepared, pseudo_inverse=solved.inverse)

@@ -1,8 +1,8 @@
 """Compiled updates of the sliding correlations (Chen 2010, Eqs. 3.2-3.5) by entering and leaving samples.
 
-A lagged sum of products over a window gains the products of the sample that enters with those before it, and loses
-the products of the one that leaves with those after it: two passes over the lags a sample, whatever the window. Gains
-and losses are summed separately, each in the order of its samples in memory, which allows vector instructions.
+A lagged sum of products over a window gains the products of the entering sample with those before it, and loses those
+of the leaving sample with those after it: two passes over the lags per sample for any window. Gains and losses are
+summed separately, each in memory order, which allows vector instructions.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def slide(x: Array, y: Array, first: int, end: int, new: int, window: int, gained: Array, lost: Array) -> int:
-    """Return let the next ``new`` samples into sums that hold those from ``first`` to ``end``; returns the new first.
+    """Add the next ``new`` samples to sums over the samples from ``first`` to ``end``; return the new ``first``.
 
     Args:
-        x: inputs, those to come included.
-        y: outputs, likewise.
-        first: place of the oldest sample in the sums.
-        end: place after the newest.
-        new: samples to take.
-        window: most samples that the sums may hold.
+        x: inputs, including the new ones.
+        y: outputs, including the new ones.
+        first: index of the oldest sample in the sums.
+        end: index after the newest sample in the sums.
+        new: number of samples to add.
+        window: largest number of samples in the sums.
         gained: sums of x[n] x[n - k] and y[n] x[n - k] over all n that entered, (2, lags), the longest lag first.
         lost: the same over all n - k that left, lag 0 first.
     """
@@ -47,18 +47,18 @@ def slide(x: Array, y: Array, first: int, end: int, new: int, window: int, gaine
     return first
 
 
-# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def fade_ends(x: Array, y: Array, fade: Array, faded: int, auto: Array, cross: Array) -> None:
-    """Turn sums over a window into those of the same signals faded in and out.
+    """Turn sums over a window into those of the tapered signals.
 
     Args:
-        x: inputs of the window (n,), less their mean.
-        y: outputs, likewise.
-        fade: what both are multiplied with, shape (n,).
-        faded: samples at each end where that is not one.
+        x: inputs of the window (n,), minus their mean.
+        y: outputs of the window (n,), minus their mean.
+        fade: taper (n,) of both.
+        faded: number of samples at each end where the taper is not 1.
         auto: sums of x[n] x[n - k], shape (lags,), changed in place.
-        cross: sums of y[n] x[n - k], likewise.
+        cross: sums of y[n] x[n - k], shape (lags,), changed in place.
     """
     size = x.size
     x_faded, y_faded = x * fade, y * fade

@@ -1,4 +1,4 @@
-"""When a running test has said enough: the parameters are known as well as was asked, and stay so."""
+"""Stopping rule of a running test: the parameters reach their target precision repeatedly."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Target = Annotated[float, Field(gt=0.0, le=0.5)]
 
 
 class StopRule(BaseModel):
-    """Stop when each named parameter is known to its target at several looks in a row.
+    """Stop when each named parameter meets its target at several consecutive looks.
 
-    A test that ends at the first look that pleases ends on a lucky moment: the standard deviation of that look is one
-    of the smaller ones. ``looks`` in a row and ``min_seconds`` keep the intervals at the end of such a test true to
-    their name (docs/stimuli.md has the share that holds). The rule never prolongs a test.
+    A test that ends at the first look that meets the targets ends at a low estimate of the standard deviation.
+    ``looks`` and ``min_seconds`` keep the coverage of the confidence intervals (measured in docs/stimuli.md). The rule
+    never prolongs a test.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -36,10 +36,10 @@ class StopRule(BaseModel):
 
     @classmethod
     def from_words(cls, words: Iterable[str]) -> Self:
-        """Build the rule from targets as a command line gives them: ``stiffness=0.02``.
+        """Return the rule for targets as on a command line, such as ``stiffness=0.02``.
 
         Raises:
-            UnusableInputError: not a name and a share, no such parameter, or a share out of its bounds.
+            UnusableInputError: not a name and a share, an unknown parameter, or a share out of bounds.
         """
         targets: dict[str, float] = {}
         for word in words:
@@ -69,14 +69,14 @@ class StopRule(BaseModel):
         return all(look.relative_std[name] <= target for name, target in self.targets.items())
 
     def enough(self, looks: Sequence[Precision]) -> bool:
-        """Return whether the newest of the looks, in the order of time, end the test."""
+        """Return whether the latest of the looks, in time order, end the test."""
         newest = looks[-self.looks :]
         if len(newest) < self.looks or newest[-1].seconds < self.min_seconds:
             return False
         return all(self.met_by(look) for look in newest)
 
     def in_words(self, look: Precision) -> str:
-        """Return how well an estimate knows each parameter: ``stiffness known to 1.9 % (target 2 %)``."""
+        """Return the precision of each parameter, such as ``stiffness known to 1.9 % (target 2 %)``."""
         items = tuple(
             Message(
                 "stop_rule.known",

@@ -1,1 +1,1 @@
-"""Recursive identifiers: samples in, the model so far out."""
+"""Recursive and adaptive identifiers, updated sample by sample."""

@@ -1,8 +1,8 @@
-"""The compiled part of adaptive least squares (Chen 2010, Eqs. 6.6-6.8): one sample, two passes over the memory.
+"""Compiled loop of adaptive least squares (Chen 2010, Eqs. 6.6-6.8).
 
-The step is the thesis' change factor, or that share of a full correction: one over the energy of the regressor, which
-makes it free of units and of the input's power. A response that runs away is noticed by its own errors, put back to
-where it last did well, and left there.
+The step is the change factor of the thesis, or a share of the full correction: divided by the energy of the regressor,
+it is independent of units and input power. Divergence is detected from the errors; the response is then reset to an
+earlier one, and adaptation stops.
 """
 
 from __future__ import annotations
@@ -16,40 +16,46 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Rows of the work array.
-RESPONSE, REGRESSOR, GOOD, OLDER = range(4)  # a response that did well, and one a memory older
+RESPONSE, REGRESSOR, GOOD, OLDER = range(4)  # GOOD: last response with small errors; OLDER: the one a memory before
 WORK_ROWS = 4
 
 # Scalars.
-STEP, FLOOR = 0, 1  # the step is divided by the regressor's energy and the floor; not at all when that is negative
-RECEIVED, UPDATES = 2, 3  # inputs since the last gap; updates ever
-ERROR_POWER, OUTPUT_POWER = 4, 5  # running means over the memory
-LARGEST_POWER = 6  # of the output, so far
-DIVERGED = 7  # the update at which the response ran away, 0 while it has not
-CENTRED, INPUT_MEAN, INPUTS, OUTPUT_MEAN, OUTPUTS = 8, 9, 10, 11, 12  # whether means are taken as they come; so far
+STEP, FLOOR = 0, 1  # the step is divided by regressor energy plus floor, if the floor is not negative
+RECEIVED, UPDATES = 2, 3  # inputs since the last gap; total updates
+ERROR_POWER, OUTPUT_POWER = 4, 5  # running means over one memory
+LARGEST_POWER = 6  # largest output power so far
+DIVERGED = 7  # number of the update at which the response diverged, 0 before
+CENTRED, INPUT_MEAN, INPUTS, OUTPUT_MEAN, OUTPUTS = (
+    8,
+    9,
+    10,
+    11,
+    12,
+)  # whether running means are subtracted; the means and their counts
 SCALARS = 13
 
 RUNAWAY = 100.0
-"""Power of the errors, over a memory, in that of the largest outputs, from which the response has run away.
+"""Ratio of error power over a memory to the largest output power above which the response has diverged.
 
-No response at all errs by the power of the output.
+The errors of a zero response have the power of the output.
 """
 
 
 def start(taps: int, step: float, floor: float, centred: bool) -> tuple[Array, Array]:
-    """Work array and scalars of a fresh identifier.
+    """Return the work array and scalars of a new identifier.
 
     Args:
         taps: lags of the response.
         step: of the adaptation.
         floor: added to the energy that the step is divided by; negative for a step that is not normalised.
-        centred: take off the means of all that was received so far; off when the samples come without their means.
+        centred: subtract running means; off for samples without their means.
     """
     scalars = np.zeros(SCALARS)
     scalars[[STEP, FLOOR, CENTRED]] = step, floor, float(centred)
     return np.zeros((WORK_ROWS, taps)), scalars
 
 
-# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def advance(
     work: Array,
@@ -61,11 +67,12 @@ def advance(
     y: Array,
     errors: Array,
 ) -> None:
-    """Take samples u (n,) and y (n,), less their operating point, and fill the errors (n,) before each update.
+    """Add samples u (n,) and y (n,), minus their operating point, and store the prediction errors (n,) before each
+    update.
 
-    An error is NaN, and nothing is learnt, where the output is NaN or the memory holds an input that is. Each response
-    is added to the row of ``sums`` (levels, taps) that the output's place among the ``edges`` (levels - 1,) names;
-    ``counts`` (levels, 2) counts those samples and adds up their outputs.
+    An error is NaN, and no update is made, if the output or any input in the memory is NaN. Each response is added to
+    the row of ``sums`` (levels, taps) selected by the output among the ``edges`` (levels - 1,); ``counts`` (levels, 2)
+    holds the number of those samples and the sum of their outputs.
     """
     taps = work.shape[1]
     response, x, good, older = work[RESPONSE], work[REGRESSOR], work[GOOD], work[OLDER]
@@ -101,7 +108,7 @@ def advance(
             if not scalars[ERROR_POWER] <= RUNAWAY * scalars[LARGEST_POWER]:
                 scalars[DIVERGED] = scalars[UPDATES]
                 for k in range(taps):
-                    response[k] = older[k]  # the other may have begun to run
+                    response[k] = older[k]  # ``good`` may have begun to diverge
             else:
                 gain = scalars[STEP] * error
                 if scalars[FLOOR] >= 0.0:

@@ -1,7 +1,7 @@
-"""Identification while a test runs: what recursive and adaptive engines share (Chen 2010, 6.2).
+"""Identification during a test: common parts of recursive and adaptive engines (Chen 2010, 6.2).
 
-An online engine is a specification like any other, and ``fit`` gives a frozen model. Besides, ``start`` gives an
-identifier: the one thing here that changes, by a sample at a time. Looking at it changes nothing.
+An online engine is a specification whose ``fit`` returns a frozen model, like any other. In addition, ``start`` returns
+an identifier, which is updated sample by sample. Reading its results does not change it.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from tissueid.messages import Message
 from tissueid.records import Record
 
 RECENT_S = 10.0
-"""How much of the latest samples an identifier keeps, s: what a model made of it is scored on."""
+"""Length of the latest samples that an identifier keeps, s; its model is scored on them."""
 
 SNAPSHOTS = 400
-"""Most responses that a trajectory holds. When they are reached every other one is dropped."""
+"""Largest number of responses in a trajectory. When it is reached, every other one is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class OnlineModel(Model):
-    """A linear finite impulse response about an operating point, and the way that it came about.
+    """A linear finite impulse response about an operating point, and its trajectory.
 
-    ``impulse_response`` (lags,) is in output units per input unit and second, at ``lag_s`` (lags,). ``trajectory``
-    (t, lags) holds what the response was at the times ``trajectory_s`` (t,), when the output was at
-    ``trajectory_position`` (t,); t is at most 400. ``second_order`` is the parametric fit.
+    ``impulse_response`` (lags,) is in output units per input unit and second, at ``lag_s`` (lags,). ``trajectory`` (t,
+    lags) holds the responses at the times ``trajectory_s`` (t,), when the output was ``trajectory_position`` (t,); t is
+    at most 400. ``second_order`` is the parametric fit.
     """
 
     impulse_response: Array
@@ -49,17 +49,16 @@ class OnlineModel(Model):
     second_order: SecondOrderFit
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         kernel = self.impulse_response / self.sample_rate_hz
         return self.output_mean + convolve_at_rest(kernel, np.asarray(u, dtype=np.float64) - self.input_mean)
 
 
 class Identifier(ABC):
-    """A response under way: samples in one after another, or many at once, with the same result to the last bit.
+    """A response that is updated with each sample; single samples and batches give bitwise equal results.
 
-    Nothing is learnt from a sample whose output is NaN, nor until the memory holds received inputs alone, at the start
-    and after each one that was not received. Signals are counted from the operating point, which is the first
-    received sample of each when it was not given.
+    A sample whose output is NaN is not used, nor is any sample whose memory contains an input that was not received.
+    Signals are relative to the operating point, by default the first received sample of each.
     """
 
     def __init__(
@@ -76,17 +75,17 @@ class Identifier(ABC):
         self._units = units
         self._taken = first_sample
         self._keep = max(4 * lags, round(RECENT_S * sample_rate_hz))
-        self._recent = np.zeros((3, 2 * self._keep))  # input and output, less the operating point, and errors
+        self._recent = np.zeros((3, 2 * self._keep))  # input and output minus the operating point, and errors
         self._held = 0
         self._trajectory = np.zeros((SNAPSHOTS, lags))
-        self._times = np.zeros((2, SNAPSHOTS))  # s, and the output there
+        self._times = np.zeros((2, SNAPSHOTS))  # time, s, and output of each snapshot
         self._snapshots = 0
         self._stride = 1
-        self._sums = np.zeros(5)  # samples; errors and their squares; outputs and their squares
+        self._sums = np.zeros(5)  # count; sums of errors, squared errors, outputs, squared outputs
 
     @abstractmethod
     def _advance(self, u: Array, y: Array, errors: Array) -> None:
-        """Take samples (n,), less their operating point, and fill the prediction errors (n,)."""
+        """Add samples (n,), minus their operating point, and store the prediction errors (n,)."""
 
     @abstractmethod
     def _response(self) -> Array:
@@ -94,16 +93,16 @@ class Identifier(ABC):
 
     @abstractmethod
     def model(self) -> Model:
-        """Return the model as it stands, scored on the latest ten seconds; the identifier goes on undisturbed.
+        """Return the present model, scored on the latest ten seconds. The identifier is not changed.
 
         Raises:
-            UnusableInputError: too little was received yet to be scored.
+            UnusableInputError: there are too few samples for a score.
         """
 
     def update(self, u: float, y: float) -> float:
-        """Take one input and one output, and return the error of the prediction before the update.
+        """Add one input and one output, and return the prediction error before the update.
 
-        NaN when nothing could be predicted or compared.
+        NaN if there is no prediction or no output.
         """
         place = self._room(1)
         if self._means[0] is None or self._means[1] is None:
@@ -112,7 +111,7 @@ class Identifier(ABC):
         return self._step(place, 1)
 
     def batch(self, u: Array, y: Array) -> Array:
-        """Take inputs (n,) and outputs (n,) and return the prediction errors (n,), each before its update.
+        """Add inputs (n,) and outputs (n,), and return the prediction errors (n,) before each update.
 
         Raises:
             UnusableInputError: the two differ in shape.
@@ -151,24 +150,24 @@ class Identifier(ABC):
 
     @property
     def samples(self) -> int:
-        """How many samples were taken."""
+        """Number of samples added."""
         return self._taken
 
     @property
     def input_mean(self) -> float:
-        """Operating point of the input; 0 until a sample was received."""
+        """Operating point of the input; 0 before the first received sample."""
         return self._means[0] or 0.0
 
     @property
     def output_mean(self) -> float:
-        """Operating point of the output; 0 until a sample was received."""
+        """Operating point of the output; 0 before the first received sample."""
         return self._means[1] or 0.0
 
     @property
     def tracking_vaf_percent(self) -> float:
-        """Variance of the outputs that the predictions accounted for, each before its update (Eq. 3.13).
+        """Variance accounted for by the one-step predictions, each before its update (Eq. 3.13).
 
-        This is no free run: the response that predicts a sample has learnt from all outputs before it.
+        This is not a free run: the response that predicts a sample has been updated with all outputs before it.
         """
         samples, errors, error_squares, outputs, output_squares = self._sums.tolist()
         varied = output_squares - outputs**2 / samples if samples else 0.0
@@ -181,7 +180,7 @@ class Identifier(ABC):
         return self._trajectory[:t] * self.sample_rate_hz, self._times[0, :t].copy(), self._times[1, :t].copy()
 
     def recent(self) -> Record:
-        """Return the latest samples, as many as are kept, as a record.
+        """Return the latest samples that are kept, as a record.
 
         Raises:
             UnusableInputError: there are none.
@@ -196,7 +195,7 @@ class Identifier(ABC):
         )
 
     def _settle(self, u: Array, y: Array) -> None:
-        """Take the operating point from the first received sample where it is not known."""
+        """Set an unknown operating point to the first received sample."""
         known = []
         for mean, values in zip(self._means, (u, y), strict=True):
             received = values[np.isfinite(values)] if mean is None else values[:0]
@@ -204,7 +203,7 @@ class Identifier(ABC):
         self._means = (known[0], known[1])
 
     def _room(self, n: int) -> int:
-        """Return where the next n samples go; the latest are moved to the front when the end is reached."""
+        """Return the index for the next n samples; move the latest samples to the front of a full buffer."""
         if self._held + n > self._recent.shape[1]:
             self._recent[:, : self._keep] = self._recent[:, self._held - self._keep : self._held].copy()
             self._held = self._keep
@@ -215,7 +214,7 @@ class Identifier(ABC):
         self._recent[1, place] = y - self.output_mean
 
     def _step(self, place: int, n: int) -> float:
-        """Learn from the n samples put at ``place``, which end at a snapshot or before it; returns the last error."""
+        """Update with the n samples at ``place``, which end at or before a snapshot; return the last error."""
         some = slice(place, place + n)
         errors = self._recent[2, some]
         self._advance(self._recent[0, some], self._recent[1, some], errors)
@@ -249,7 +248,7 @@ class Identifier(ABC):
 
 
 class OnlineEngine(Engine):
-    """An engine that can also learn sample by sample: ``start`` gives the identifier, ``fit`` runs it over a record."""
+    """An engine that also runs sample by sample: ``start`` returns the identifier, ``fit`` runs it over a record."""
 
     memory: float = Field(
         0.125, gt=0.0, le=10.0, title=marked("Memory"), description=marked("Length of the impulse response, s")
@@ -267,15 +266,15 @@ class OnlineEngine(Engine):
         input_unit: str = "N",
         output_unit: str = "m",
     ) -> Identifier:
-        """Return an identifier that knows nothing yet.
+        """Return an identifier without any data.
 
         Args:
-            sample_rate_hz: of the samples to come.
-            input_std: how much the input will vary, in its unit; its order of magnitude is enough.
-            input_mean: operating point of the input; the first received sample when None.
-            output_mean: that of the output, likewise.
-            input_unit: of the samples to come.
-            output_unit: likewise.
+            sample_rate_hz: of the samples.
+            input_std: expected standard deviation of the input, in its unit; its order of magnitude is sufficient.
+            input_mean: operating point of the input; None for the first received sample.
+            output_mean: operating point of the output; None for the first received sample.
+            input_unit: unit of the input.
+            output_unit: unit of the output.
 
         Raises:
             UnusableInputError: the sample rate is not positive.
@@ -287,26 +286,26 @@ def fed(identifier: Identifier, prepared: Prepared) -> None:
     record, part = prepared.record, prepared.part
     begin = first_sample(prepared)
     y = record.output[begin : part.stop].copy()
-    y[: part.start - begin] = np.nan  # before the part, inputs are memory and outputs are not seen
+    y[: part.start - begin] = np.nan  # before the fitted part only the inputs are used
     identifier.batch(record.input[begin : part.stop], y)
 
 
 def first_sample(prepared: Prepared) -> int:
-    """Return the sample at which the memory of the first fitted output begins, or the record."""
+    """Return the first sample in the memory of the first fitted output, at least 0."""
     return max(0, int(prepared.part.start) - prepared.memory_samples + 1)
 
 
 def prepared_recent(identifier: Identifier) -> Prepared:
-    """Return the latest samples of an identifier, looked over as a fit would.
+    """Return the latest samples of an identifier, prepared as for a fit.
 
     Raises:
-        UnusableInputError: too little was received yet.
+        UnusableInputError: there are too few samples.
     """
     return prepare(identifier.recent(), None, identifier.lags / identifier.sample_rate_hz)
 
 
 def lags_of(engine: OnlineEngine, sample_rate_hz: float) -> int:
-    """Return the lags that an engine's memory holds at a sample rate.
+    """Return the number of lags in an engine's memory at a sample rate.
 
     Raises:
         UnusableInputError: the sample rate is not positive.

@@ -1,13 +1,12 @@
-"""The compiled part of recursive least squares (Chen 2010, Eqs. 6.1-6.5): one sample, one pass over a triangle.
+"""Compiled loop of recursive least squares (Chen 2010, Eqs. 6.1-6.5).
 
-The covariance V of Eq. 6.4 is symmetric; its upper triangle is held, row after row, in one array that fits a
-processor's second cache. The rank-one change of Eq. 6.4 is not made when it is found but kept aside, and made while
-the triangle is multiplied with the next regressor. So a sample costs one reading and one writing of the triangle,
-and V can never lose its symmetry.
+The covariance V of Eq. 6.4 is symmetric; its upper triangle is stored row by row in one array that fits the
+second-level cache. The rank-one update of Eq. 6.4 is stored and applied while the triangle is multiplied by the next
+regressor, so that a sample costs one read and one write of the triangle, and V stays symmetric.
 
-With a forgetting factor below one, Eq. 6.4 divides V by it at every sample, and where the input excites nothing V
-grows without end. Here the ridge that V starts from is not forgotten: each forgetting sample gives back to one
-coefficient, in turn, what forgetting took from all in a round. That is one more rank-one change, without a product.
+With a forgetting factor below 1, Eq. 6.4 divides V by it at every sample, and V grows without bound in directions that
+the input does not excite. Here the initial ridge is not forgotten: at each sample, one coefficient in turn regains what
+forgetting took from its ridge in a whole round, by one more rank-one update without a product.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ COEFFICIENTS, REGRESSOR, PENDING, RIDGE_PENDING, PRODUCT = range(5)
 WORK_ROWS = 5
 
 # Scalars.
-FORGETTING, RIDGE = 0, 1  # the ridge of one coefficient: one over the variance that V starts from
-SCALE, WEIGHT, RIDGE_WEIGHT = 2, 3, 4  # V = scale triangle - weight pending pending' - the same of the ridge
-RECEIVED, UPDATES = 5, 6  # inputs since the last gap; updates ever
+FORGETTING, RIDGE = 0, 1  # ridge of one coefficient: one over its initial variance
+SCALE, WEIGHT, RIDGE_WEIGHT = 2, 3, 4  # V = scale triangle - weight pending pending' - ridge_weight ridge ridge'
+RECEIVED, UPDATES = 5, 6  # inputs since the last gap; total updates
 SCALARS = 7
 
 
 def start(taps: int, variance: float, constant: float, forgetting: float) -> tuple[Array, Array, Array]:
-    """Return the triangle, work array and scalars of a fresh identifier.
+    """Return the triangle, work array and scalars of a new identifier.
 
     Args:
         taps: lags of the response.
-        variance: of every coefficient before the first sample, for output noise of unit variance.
-        constant: the regressor that carries the offset, after those of the lags.
-        forgetting: factor of Eq. 6.3, at most one.
+        variance: initial variance of every coefficient, for output noise of unit variance.
+        constant: the regressor of the offset, after those of the lags.
+        forgetting: factor of Eq. 6.3, at most 1.
     """
     count = taps + 1
     triangle = np.zeros(count * (count + 1) // 2)
@@ -51,7 +50,7 @@ def start(taps: int, variance: float, constant: float, forgetting: float) -> tup
 
 
 def covariance(triangle: Array, work: Array, scalars: Array) -> Array:
-    """Return the v (taps + 1, taps + 1) as it stands, with the change that is still kept aside; nothing is touched."""
+    """Return V (taps + 1, taps + 1), including the stored update; the state is not changed."""
     count = work.shape[1]
     full = np.zeros((count, count))
     full[np.triu_indices(count)] = scalars[SCALE] * triangle
@@ -66,12 +65,13 @@ def _diagonal(count: int) -> NDArray[np.intp]:
     return rows * count - rows * (rows - 1) // 2
 
 
-# Sums may be taken in any order, which is what lets them be taken four or eight at a time.
+# Reordering of sums is allowed, so that the compiler can use vector instructions.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
 def advance(triangle: Array, work: Array, scalars: Array, u: Array, y: Array, errors: Array) -> None:
-    """Take samples u (n,) and y (n,), less their operating point, and fill the errors (n,) before each update.
+    """Add samples u (n,) and y (n,), minus their operating point, and store the prediction errors (n,) before each
+    update.
 
-    An error is NaN, and nothing is learnt, where the output is NaN or the memory holds an input that is.
+    An error is NaN, and no update is made, if the output or any input in the memory is NaN.
     """
     taps = work.shape[1] - 1
     x = work[REGRESSOR]
@@ -95,9 +95,9 @@ def advance(triangle: Array, work: Array, scalars: Array, u: Array, y: Array, er
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _multiply(triangle: Array, work: Array, scalars: Array) -> None:
-    """Make the change that was kept aside, and the product of V with the regressor, in one pass.
+    """Apply the stored update, and compute the product of V with the regressor, in one pass.
 
-    Two rows are taken at a time, so that what they have in common is read once.
+    Two rows are processed at a time, so that common factors are read once.
     """
     count = work.shape[1]
     scale, weight, ridge_weight = scalars[SCALE], scalars[WEIGHT], scalars[RIDGE_WEIGHT]
@@ -135,10 +135,10 @@ def _multiply(triangle: Array, work: Array, scalars: Array) -> None:
         work[PRODUCT, last] += triangle[first] * work[REGRESSOR, last]
 
 
-# Sums may be taken in any order, as above.
+# Reordering of sums is allowed, as above.
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _learn(triangle: Array, work: Array, scalars: Array, error: float) -> None:
-    """Correct the coefficients by the error and keep aside what V changes by."""
+    """Correct the coefficients by the error, and store the update of V."""
     count = work.shape[1]
     coefficients, x, pending, ridge, product = work[0], work[1], work[2], work[3], work[4]
     forgetting = scalars[FORGETTING]
@@ -154,7 +154,7 @@ def _learn(triangle: Array, work: Array, scalars: Array, error: float) -> None:
     if forgetting == 1.0:
         return
     turn = int(scalars[UPDATES]) % count
-    place = turn  # in the triangle: column ``turn`` down to the diagonal, then along its row
+    place = turn  # index in the triangle: down column ``turn`` to the diagonal, then along its row
     for k in range(count):
         ridge[k] = triangle[place] / forgetting - scalars[WEIGHT] * pending[k] * pending[turn]
         place += count - 1 - k if k < turn else 1

@@ -1,1 +1,1 @@
-"""Kernels chosen by the depth, or the depth and direction, that the output was in."""
+"""Kernels selected by the depth, or by depth and direction, of the output."""

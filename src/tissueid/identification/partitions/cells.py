@@ -1,7 +1,7 @@
-"""Partitions of depth and direction, and which of them a sample belongs to (Chen 2010, Eqs. 5.1 and 5.3).
+"""Partitions of depth and direction, and the cell of each sample (Chen 2010, Eqs. 5.1 and 5.3).
 
-A cell is a stretch of depth, and with directions a stretch of depth passed one way. Every sample whose output was
-received belongs to one cell. The outer cells go on without end, so that a motion beyond the fitted one has a cell too.
+A cell is a range of depth, with directions a range of depth passed in one direction. Every sample with a received
+output belongs to one cell. The outer cells are unbounded, so that motion beyond the fitted range has a cell too.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ UNKNOWN = -1
 
 @dataclass(frozen=True, eq=False)
 class Partitions:
-    """Where depth is cut.
+    """Breakpoints of depth and the filter of the output that selects a cell.
 
-    ``breakpoints`` (K + 1,) rise; the first and the last are the ends of the fitted motion. With ``directional`` there
-    are 2 K cells, those of a rising output first. ``pole`` is that of the first-order low-pass which the output passes
-    before it chooses a cell, zero for none: it looks back only, so that a free run can have it too.
+    ``breakpoints`` (K + 1,) increase; the first and the last are the ends of the fitted motion. With ``directional``
+    there are 2 K cells, those of an increasing output first. ``pole`` is that of the causal first-order low-pass of the
+    output before selection, 0 for none.
     """
 
     breakpoints: Array
@@ -45,7 +45,7 @@ class Partitions:
 
     @property
     def depths(self) -> int:
-        """K, the number of stretches of depth."""
+        """K, the number of depth ranges."""
         return self.breakpoints.size - 1
 
     @property
@@ -55,7 +55,7 @@ class Partitions:
 
     @property
     def direction(self) -> NDArray[np.int_]:
-        """Direction of each cell, shape (cells,): 1 for a rising output, -1 for a falling one, 0 for both."""
+        """Direction of each cell, shape (cells,): 1 for an increasing output, -1 for a decreasing one, 0 for both."""
         if not self.directional:
             return np.zeros(self.depths, dtype=np.int_)
         return np.repeat(np.array([1, -1], dtype=np.int_), self.depths)
@@ -71,9 +71,10 @@ class Partitions:
         return passed
 
     def cells(self, output: Array) -> Cells:
-        """Return the cell of each sample of an output (n,), shape (n,); :data:`UNKNOWN` where it was not received.
+        """Return the cell of each sample of an output (n,), shape (n,); :data:`UNKNOWN` for samples that were not
+        received.
 
-        An output that stands still keeps its direction; the first sample after a gap counts as rising.
+        A constant output keeps its direction; the first sample after a gap counts as increasing.
         """
         seen = self.filtered(output)
         known = np.isfinite(seen)
@@ -89,13 +90,14 @@ def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Seq
     """Return the K + 1 breakpoints of the partitions of an output (n,); NaN is ignored (Chen 2010, 5.1).
 
     Args:
-        output: what chooses the cells, on the samples to fit.
-        count: how many partitions.
-        method: the same number of samples in each, or the same width.
-        given: the inner breakpoints themselves, rising, in the output's unit; ``count`` and ``method`` are then unused.
+        output: signal that selects the cells, on the samples to fit.
+        count: number of partitions.
+        method: equal counts of samples, or equal widths.
+        given: inner breakpoints, increasing, in the unit of the output; they replace ``count`` and ``method``.
 
     Raises:
-        UnusableInputError: breakpoints that do not rise within the motion, or an output with too few values to cut.
+        UnusableInputError: breakpoints that do not increase within the motion, or an output with too few distinct
+            values.
     """
     seen = output[np.isfinite(output)]
     low, high = float(seen.min()), float(seen.max())
@@ -119,12 +121,12 @@ def place_breakpoints(output: Array, count: int, method: Breakpoints, given: Seq
 
 
 def low_pass_pole(cutoff_hz: float | None, sample_rate_hz: float) -> float:
-    """Return the pole of the first-order low-pass with that cutoff; 0, which passes everything, for None."""
+    """Return the pole of the first-order low-pass with that cutoff; 0 (no filter) for None."""
     return 0.0 if cutoff_hz is None else math.exp(-2.0 * math.pi * cutoff_hz / sample_rate_hz)
 
 
 def _falling(seen: Array) -> NDArray[np.bool_]:
-    """Return where an uninterrupted signal (n,) falls, shape (n,)."""
+    """Return the mask (n,) of the samples at which an uninterrupted signal (n,) decreases."""
     steps = np.sign(np.diff(seen, prepend=seen[0]))
     steps[0] = 1.0
     latest = np.maximum.accumulate(np.where(steps != 0.0, np.arange(seen.size), 0))

@@ -1,9 +1,9 @@
-"""Local mass, damping and stiffness of a partitioned record, with what the estimator itself does to them taken out.
+"""Local mass, damping and stiffness of a partitioned record, corrected for the bias of the estimator.
 
-The linearised kernels still average: over the width of a partition, over the motion within the memory, over both
-directions. How much shows when the same estimator is put to a tissue whose parameters are known: one with the
-parameters found, moved by the record's own input. The parameters are moved until what comes back is what came from the
-record (indirect inference: Gourieroux, Monfort and Renault 1993).
+The linearised kernels are averages over the width of a partition, over the motion within the memory, and over both
+directions. The bias is found by applying the same estimator to a simulated tissue with known parameters, driven by the
+input of the record. The parameters of that tissue are adjusted until its estimates equal those of the record (indirect
+inference: Gourieroux, Monfort and Renault 1993).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _LONGEST_STEP = 0.3
 
 
 def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> Contrast | None:
-    """Return the contrast of the damping, on a line of depth, by the simulation error at the samples of a mask (n,).
+    """Fit the contrast of the damping as a linear function of depth, by the simulation error on a mask (n,).
 
-    The curves of mass, damping and stiffness are fitted with it, from ``log_parameters`` (K, 3) on, and are then
-    forgotten; a level of the output is free. Its covariance is the sandwich of a misspecified fit with dependent
-    residuals (White 1982; Newey and West 1987). None when the tissue cannot be simulated or the search does not settle.
+    The curves of mass, damping and stiffness, starting from ``log_parameters`` (K, 3), and a level of the output are
+    nuisance parameters. The covariance is the sandwich for a misspecified model with autocorrelated residuals (White
+    1982; Newey and West 1987). None if the tissue cannot be simulated or the fit does not converge.
     """
     lines, record = tissue.lines, tissue.prepared.record
     start = lines.coefficients(log_parameters)  # (degree + 1, 3)
@@ -72,7 +72,7 @@ def fit_contrast(tissue: SimulatedTissue, log_parameters: Array, used: Mask) -> 
 
 
 def _slopes(simulated: Callable[[Array], Array | None], theta: Array, run: Array) -> Array | None:
-    """Return the derivatives (rows, p) of a simulation (rows,), their means removed; None where one cannot be had."""
+    """Return the derivatives (rows, p) of a simulation (rows,), without their means; None if a simulation fails."""
     columns = []
     for unit in np.eye(theta.size):
         moved = simulated(theta + _PROBE * unit)
@@ -98,10 +98,10 @@ _PROBE = 0.05
 """Change of a logarithm that shows how the estimator answers."""
 
 _LEAST_GAIN = 0.15
-"""Share of a change that has to come back; what answers less is corrected as if it answered so much."""
+"""Lower bound on the sensitivity of an estimate to the parameter, for the correction."""
 
 _FARTHEST = np.log(2.0)
-"""A correction beyond this factor is not one: the tissue simulated is not like the record."""
+"""Largest plausible correction of a logarithm; beyond it the simulated tissue does not resemble the record."""
 
 _UNCORRECTED = Message(
     "partitions.uncorrected",
@@ -112,7 +112,7 @@ _UNCORRECTED = Message(
 
 @dataclass(frozen=True, eq=False)
 class LocalEstimates:
-    """Parameters of K stretches of depth about the operating point.
+    """Parameters of K depth ranges about the operating point.
 
     ``contrast`` is the contrast of the damping between directions; None without directions. ``solved`` holds the
     kernels about the mean input.
@@ -131,7 +131,7 @@ class LocalEstimates:
 
 @dataclass(frozen=True, eq=False)
 class DepthEstimator:
-    """From an output to parameters against depth, for one input. ``partitions`` cut depth alone."""
+    """Estimator of parameters against depth from an output, for a fixed input. ``partitions`` are by depth only."""
 
     prepared: Prepared
     used: Mask
@@ -140,7 +140,7 @@ class DepthEstimator:
     linear: SecondOrderFit
 
     def estimate(self, output: Array) -> LocalEstimates:
-        """Return the parameters from an output (n,) as they come."""
+        """Return the parameters for an output (n,), without bias correction."""
         record, prepared = self.prepared.record, self.prepared
         cells = self.partitions.cells(output)
         solved = solve_along_lags(
@@ -161,12 +161,12 @@ class DepthEstimator:
         return LocalEstimates(local, solved)
 
     def corrected(self, *, contrast: bool) -> LocalEstimates:
-        """Parameters from the record's output, less the bias that the estimator shows on a tissue simulated with them.
+        """Return the parameters of the record, minus the bias found on a tissue simulated with them.
 
-        Level and slope of each parameter by depth are found by Newton's method: what moves them in the tissue moves
-        what comes back, and by how much is found by simulation too. What the cells scatter about such lines is added as
-        it came. With ``contrast`` the damping of that tissue may depend on the direction. Where that cannot be had all
-        is left as it came, and a warning says so.
+        Level and slope of each parameter against depth are solved by Newton's method, with the sensitivities of the
+        estimator found by simulation. The scatter of the cells about these lines is kept unchanged. With ``contrast``
+        the damping of that tissue may depend on the direction. If the correction fails, the uncorrected estimates are
+        returned with a warning.
         """
         seen = self.estimate(self.prepared.record.output)
         if not self.linear.mechanical or not seen.local.known.any():
@@ -183,16 +183,16 @@ class DepthEstimator:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for the tissue from which the estimator returns what it returned from the record."""
+    """Search for the tissue whose simulated record gives the same estimates as the measured record."""
 
     estimator: DepthEstimator
     seen: LocalEstimates
     tissue: SimulatedTissue
-    inverse: Array  # (6, 6), of what the lines of what comes back change with those of what goes in
+    inverse: Array  # (6, 6), inverse of the derivatives of the estimated lines with respect to the true ones
 
     @classmethod
     def begun(cls, estimator: DepthEstimator, seen: LocalEstimates, tissue: SimulatedTissue) -> _Search | None:
-        """Return a search with the estimator's sensitivities; None where the tissue cannot be simulated."""
+        """Return a search with the sensitivities of the estimator; None if the tissue cannot be simulated."""
         lines = tissue.lines
         search = cls(estimator, seen, tissue, np.eye(3 * lines.basis.shape[1]))
         sought, still = seen.local.log_parameters, Contrast.none(lines.position.size)
@@ -233,7 +233,7 @@ class _Search:
         )
 
     def _returned(self, values: Array, contrast: Contrast) -> Array | None:
-        """Return what the estimator makes of a tissue with these logarithms (K, 3); None where it cannot be had."""
+        """Return the estimates for a tissue with these logarithms (K, 3); None if they are not available."""
         simulated = self.tissue.output(self.tissue.lines.coefficients(values), contrast)
         if simulated is None:
             return None

@@ -1,4 +1,4 @@
-"""The fit behind the engines ``depth`` and ``direction``."""
+"""Fit of a partitioned model, used by the engines ``depth`` and ``direction``."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _ROUNDS = 3
 
 
 _FORGOTTEN = 3
-"""Memories of the kernels after which a free run has forgotten where it began."""
+"""Memories of the kernels after which the initial state of a free run has decayed."""
 
 _STEPPED = Message(
     "partitions.stepped",
@@ -57,7 +57,7 @@ _STEPPED_APART = Message("partitions.own_offsets", "the input is stepped: every 
 
 @dataclass(frozen=True)
 class PartitionChoice:
-    """What the two engines choose by their options; see there."""
+    """Options of the two engines; see there."""
 
     memory: float
     partitions: int
@@ -71,7 +71,7 @@ class PartitionChoice:
     directional: bool
 
     def cut(self, output: Array, rows: Mask, sample_rate_hz: float) -> Partitions:
-        """Return the cells, from the output (n,) at the rows of a mask (n,)."""
+        """Return the partitions of the output (n,) at the rows of a mask (n,)."""
         pole = low_pass_pole(self.filter_hz, sample_rate_hz)
         whole = Partitions(np.array([-np.inf, np.inf]), self.directional, pole)
         seen = np.where(rows, whole.filtered(output), np.nan)
@@ -90,8 +90,8 @@ def fit_partitions(
     """Fit a partitioned model to a record, or to a contiguous part of it.
 
     Raises:
-        UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints that do not
-            cut the motion, or a partition that was hardly visited.
+        UnusableInputError: nothing varies, too few samples, a memory longer than the part, breakpoints outside the
+            motion, or a partition with too few samples.
     """
     rate = record.sample_rate_hz
     first = prepare(record, fit_part, 1.0 / rate, 1)
@@ -144,7 +144,7 @@ def _part_mask(prepared: Prepared) -> Mask:
 
 
 def _usable(prepared: Prepared, cells: Cells, grid: LagGrid, n_parameters: int, at_output: bool) -> Mask:
-    """Return the rows (n,): what the preparation allows, with the cell known too throughout the memory."""
+    """Return the mask (n,) of the rows: prepared samples whose cell is known, along the lags throughout the memory."""
     known = cells != UNKNOWN
     used = prepared.used & (known if at_output else complete_windows(known, grid.memory_samples))
     if int(used.sum()) < n_parameters:
@@ -180,10 +180,11 @@ def _check_support(partitions: Partitions, cells: Cells, used: Mask, grid: LagGr
 def _self_placed(
     record: Record, prepared: Prepared, partitions: Partitions, cells: Cells, used: Mask, grid: LagGrid
 ) -> tuple[PartitionedKernels, Cells]:
-    """Return the linear models of each cell, with the samples placed by a model's own output: first by that of Eq. 5.1.
+    """Return the linear models of each cell, with samples assigned by the free run of a model, initially that of Eq.
+    5.1.
 
-    Placed by the measured output, they would be sorted by the noise and the model error that the fit has to separate
-    from the response, and every kernel would come out too small. The round with the least error is kept.
+    Assignment by the measured output would sort the samples by noise and model error, and the kernels would be biased
+    towards zero. The iteration with the smallest error is returned.
     """
     rate, mean = record.sample_rate_hz, prepared.input_mean
     complete = used & complete_windows(cells != UNKNOWN, grid.memory_samples)
@@ -214,7 +215,9 @@ def _self_placed(
 def _own_run(
     record: Record, prepared: Prepared, partitions: Partitions, grid: LagGrid, solved: PartitionedKernels
 ) -> tuple[Array, Cells]:
-    """Return free-run outputs and cells, (n,) each, over the record's input; a missing input is its mean."""
+    """Return free-run output and cells, (n,) each, for the input of the record; missing inputs are replaced by the
+    mean.
+    """
     mean = prepared.input_mean
     steady = mean - solved.reference
     rest_cell, rest = resting(solved.kernels, solved.offsets, steady, partitions, prepared.output_mean)
@@ -245,7 +248,7 @@ def _local(
     grid: LagGrid,
     linear: SecondOrderFit,
 ) -> LocalEstimates:
-    """Return the parameters against depth by the construction that the offset asks for."""
+    """Return the parameters against depth, by the method that belongs to the chosen offset."""
     record = prepared.record
     if solved.at_output:
         x = np.where(_part_mask(prepared), record.input - prepared.input_mean, np.nan)
@@ -308,7 +311,9 @@ def _reported(
     local: LocalEstimates,
     linear: SecondOrderFit,
 ) -> PartitionedModel:
-    """Return the model with its report: scores of the free run on the fitted samples, parameters and words."""
+    """Return the model with its report: scores of the free run on the fitted samples, parameters, findings and
+    warnings.
+    """
     simulated = model.simulate(record.input)
     scored = used & np.isfinite(simulated)
     if int(scored.sum()) < 2:

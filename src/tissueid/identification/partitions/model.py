@@ -1,4 +1,4 @@
-"""A fitted partitioned model: kernels by depth, or by depth and direction, and its two ways to be run."""
+"""Partitioned model: kernels by depth, or by depth and direction, with free-run and scheduled simulation."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tissueid.records import Record
 
 @dataclass(frozen=True, eq=False)
 class PartitionedModel(Model):
-    """y(n) = offset + sum of kernels[cell](lag) times input, the cell chosen by depth (Chen 2010, chapter 5).
+    """y(n) = offset + sum over lags of kernels[cell](lag) times input, the cell selected by depth (Chen 2010, chapter
+    5).
 
-    ``kernels`` (cells, lags) with ``kernels_std`` are in output per input and second, at ``lag_s`` (lags,), which lie
-    ``lag_spacing`` samples apart; they act on the input less ``reference``. ``offsets`` (cells,) are equal where all
-    cells share one. ``direction`` (cells,) is 1 for cells of a rising output, which come first, -1 for those of a
-    falling one and 0 where cells have no direction. ``at_output`` says whether the cell of the output's sample chooses
-    the kernel for all lags, or at every lag the cell that the output was in then. ``operating_kernels`` (K, lags) of
-    depth alone act on the input less its mean: from them come mass, damping and stiffness. A free run begins at
-    ``rest_position``.
+    ``kernels`` (cells, lags) with ``kernels_std`` are in output per input and second, at ``lag_s`` (lags,), which are
+    ``lag_spacing`` samples apart; they act on the input minus ``reference``. ``offsets`` (cells,) are equal if all
+    cells share one. ``direction`` (cells,) is 1 for cells of an increasing output, which come first, -1 for those of a
+    decreasing one, and 0 without directions. With ``at_output`` the cell of the output sample selects the kernel for
+    all lags, else the cell of the output at the time of each lag. ``operating_kernels`` (K, lags), by depth only, act
+    on the input minus its mean and give mass, damping and stiffness. A free run starts at ``rest_position``.
 
-    ``memory_samples`` is three times the kernels' memory where the model's own past chooses its kernels: so long
-    after a gap two runs of one model agree again to rounding.
+    ``memory_samples`` is three times the memory of the kernels if the simulated output selects the kernels: so long
+    after a gap, two runs of one model agree to rounding.
     """
 
     partitions: Partitions
@@ -47,7 +47,7 @@ class PartitionedModel(Model):
 
     @property
     def breakpoints_m(self) -> Array:
-        """Where depth is cut, (K + 1,), in the output's unit."""
+        """Breakpoints of depth, (K + 1,), in the unit of the output."""
         return self.partitions.breakpoints
 
     @property
@@ -61,10 +61,10 @@ class PartitionedModel(Model):
         return (self.lag_s.size - 1) * self.lag_spacing + 1
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, with the model's own output choosing the kernels.
+        """Simulate in free run: input (n,), output (n,), with kernels selected by the simulated output.
 
-        It is at rest at the mean input of the fit before the first sample. Every answer is a sum of kernels times
-        inputs and cannot run away, whatever the cells.
+        At rest at the mean input of the fit before the first sample. Each output is a finite sum of kernels times
+        inputs, so that the simulation is stable for any sequence of cells.
         """
         u = np.asarray(u, dtype=np.float64)
         x = np.concatenate([np.full(self.window - 1, self.input_mean), np.where(np.isfinite(u), u, self.input_mean)])
@@ -84,10 +84,10 @@ class PartitionedModel(Model):
         return output
 
     def simulate_scheduled(self, record: Record) -> Array:
-        """Simulate with the measured output choosing the kernels, shape (n,), as the thesis does.
+        """Simulate with kernels selected by the measured output, shape (n,), as in the thesis.
 
-        The output of a sample helps to choose what it is compared with: a figure of merit from this is none for a
-        simulation. NaN where the memory holds an input or output that was not received.
+        The measured output selects the kernel that predicts it, so that a score of this simulation is not that of a
+        free run. NaN where the memory contains an input or output that was not received.
         """
         self.check_rate(record)
         cells = self.partitions.cells(record.output)
@@ -107,21 +107,22 @@ class PartitionedModel(Model):
         return output
 
     def depth_profile(self) -> DepthProfile | None:
-        """Return the mass, damping and stiffness of each cell; None when the record is not force and position."""
+        """Return the mass, damping and stiffness of each cell; None if the record is not force and position."""
         return self.local
 
     @property
     def _rate(self) -> float:
-        """Lags in a second."""
+        """Lags per second."""
         return self.sample_rate_hz / self.lag_spacing
 
 
 def resting(
     kernels: Array, offsets: Array, steady: float, partitions: Partitions, position: float
 ) -> tuple[int, float]:
-    """Return the cell and output that a steady input, less the reference, holds: the cell whose output misses it least.
+    """Return cell and output in equilibrium with a steady input (minus the reference).
 
-    Among equals the one nearest to ``position``. ``kernels`` (cells, lags) are per sample.
+    The cell is the one whose output is closest to its range, and among equals the one nearest to ``position``.
+    ``kernels`` (cells, lags) are per sample.
     """
     outputs = offsets + steady * kernels.sum(axis=1)  # (cells,)
     inner = partitions.breakpoints[1:-1]
@@ -135,6 +136,6 @@ def resting(
 
 
 def _complete_after_rest(known: Mask, length: int) -> Mask:
-    """Return the mask (n,) of samples whose window holds no unknown sample; samples before the first count as known."""
+    """Return the mask (n,) of samples whose window has no unknown sample; samples before the first count as known."""
     padded = np.concatenate([np.ones(length - 1, dtype=np.bool_), known])
     return complete_windows(padded, length)[length - 1 :]

@@ -1,10 +1,10 @@
 """Mass, damping and stiffness at each depth from the kernels of a partitioned model.
 
-A kernel along the lags is not yet what a small test at its depth would measure. While the probe moves by a millimetre
-the kernel changes too, and the steady load then acts through another one: to first order the response is
-H / (1 - x H'), with H' the slope of the kernel's frequency response by depth and x the steady input there. That is the
-linearisation of the fitted model itself, and it takes out most of the averaging that Chen 2010, 5.2, describes. A
-kernel chosen at the output has an offset of its own and is that response already.
+A kernel along the lags is not the small-signal response at its depth: while the probe moves, the kernel changes, and
+the steady load then acts through another kernel. To first order the response is H / (1 - x H'), with H' the derivative
+of the frequency response with respect to depth and x the steady input there. This linearisation of the fitted model
+removes most of the averaging described in Chen 2010, 5.2. A kernel selected by the output sample has its own offset and
+is the small-signal response already.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from tissueid.identification.volterra.lag_grid import LagGrid, input_spectrum
 from tissueid.records import Estimate
 
 _WEAKEST = 1e-4
-"""Share of the strongest input power from which a frequency takes part."""
+"""Input power above which a frequency is used, relative to the strongest."""
 
 _LOST = math.log(1000.0)
-"""A kernel whose parameters lie this factor from those of the whole record says nothing of them."""
+"""Largest difference of a logarithm from that of the whole record; beyond it the parameters are undetermined."""
 
 _SCATTER = 0.03
-"""Relative deviation that every kernel's parameters are taken to have when a line is laid through them."""
+"""Relative standard deviation added to every cell's parameters when a line is fitted to them."""
 
 _STEP = 1e-5
 
 _LINE, _PARABOLA = 3, 5
-"""Cells from which on a line, and a parabola, is laid through them."""
+"""Minimum numbers of cells for a line and for a parabola through them."""
 
 _UNITS = (("mass_kg", "mass_slope_kg_per_m"), ("damping_n_s_per_m", "damping_slope_n_s_per_m2"))
 _NAMES = (*_UNITS, ("stiffness_n_per_m", "stiffness_slope_n_per_m2"))
@@ -45,10 +45,10 @@ _NAMES = (*_UNITS, ("stiffness_n_per_m", "stiffness_slope_n_per_m2"))
 
 @dataclass(frozen=True, eq=False)
 class LocalParameters:
-    """Logarithms of mass, damping and stiffness, (cells, 3), at ``position`` (cells,), NaN where there are none.
+    """Logarithms of mass, damping and stiffness, (cells, 3), at ``position`` (cells,), NaN if undetermined.
 
-    ``root`` (cells, 3, m): its products, summed over m, are covariances. ``sign`` is -1 when the output falls as the
-    input rises.
+    ``root`` (cells, 3, m) is a square root of the covariance of all of them: its products summed over m. ``sign`` is -1
+    if the output decreases with increasing input.
     """
 
     position: Array
@@ -58,13 +58,15 @@ class LocalParameters:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Cells that have parameters, (cells,)."""
+        """Mask of the cells that have parameters, (cells,)."""
         return np.isfinite(self.log_parameters[:, 0])
 
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """Where the input has power: bins of a transform of ``length`` samples, their power, and lags turned to them."""
+    """The excited frequencies: bins of a transform of ``length`` samples, their input power, and the transform of the
+    lags.
+    """
 
     length: int
     bins: NDArray[np.intp]
@@ -74,16 +76,18 @@ class _Band:
     hold: Hold
 
     def response(self, log_parameters: Array) -> tuple[Complex, Complex]:
-        """Return the sampled response (bins,) and its slopes (3, bins) by log M, log B, log K."""
+        """Return the sampled response (bins,) and its derivatives (3, bins) with respect to log M, log B, log K."""
         mass, damping, stiffness = np.exp(log_parameters)
         system = SecondOrder(float(mass), float(damping), float(stiffness))
         response, slopes = sampled_response(system, self.length, self.sample_rate_hz, self.hold)
         return response[self.bins], slopes[:, self.bins]
 
     def fit(self, target: Complex, start: Array) -> tuple[Array, Array] | None:
-        """Log M, B, K (3,) nearest to a response (bins,), and the rows (3, 2 bins) that carry its changes to them.
+        """Return the log M, B, K (3,) nearest to a response (bins,), and the derivatives (3, 2 bins) with respect to
+        it.
 
-        Errors count as much as the output that they make under the record's input. None when nothing near fits.
+        Errors are weighted by the output power that they cause under the input of the record. None if no parameters
+        near the start fit.
         """
         weight = np.sqrt(self.power) / float(np.sqrt(np.sum(self.power * np.abs(target) ** 2)))
 
@@ -121,13 +125,13 @@ def local_parameters(
     """Return the parameters of each cell's kernel, with the covariance of all of them.
 
     Args:
-        solved: the kernels; those along the lags about the mean input, or the steady input is poorly known.
+        solved: the kernels; those along the lags must be about the mean input, or the steady input is poorly known.
         partitions: the cells.
         output: of the fitted part, (n,).
         cells: of the same samples, (n,).
-        x: input (n,), its mean removed, NaN where it is not fitted.
+        x: input (n,) with its mean removed, NaN for samples that are not fitted.
         grid: the lags.
-        linear: second-order system of the whole record: where the search begins, and the hold.
+        linear: second-order system of the whole record, which is the starting point and gives the hold.
     """
     band = _band(x, grid, linear)
     position = np.array([_centre(output[cells == cell], solved.at_output) for cell in range(partitions.count)])
@@ -146,7 +150,7 @@ def local_parameters(
 
 
 def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.int_]) -> DepthProfile:
-    """Return the parameters as a depth profile; ``support`` (cells,) is how many samples lie in each cell."""
+    """Return the parameters as a depth profile; ``support`` (cells,) is the number of samples in each cell."""
     values = local.sign * np.exp(local.log_parameters)
     std = np.exp(local.log_parameters) * np.sqrt(np.einsum("kim,kim->ki", local.root, local.root))
     place = np.arange(partitions.count) % partitions.depths
@@ -166,10 +170,10 @@ def profile(local: LocalParameters, partitions: Partitions, support: NDArray[np.
 
 
 def means_and_slopes(local: LocalParameters, position: float) -> dict[str, Estimate]:
-    """Return the mass, damping and stiffness at a position (m) and their slopes by depth there.
+    """Return mass, damping and stiffness at a position (m), and their derivatives with respect to depth there.
 
-    Weighted curves through the logarithms at the cells: parabolas from five cells on, lines from three. What the cells
-    scatter about them beyond their own deviations widens the deviations found.
+    They are read from weighted curves through the logarithms of the cells: parabolas for five or more cells, lines for
+    three or four. Scatter of the cells beyond their standard deviations widens the result's.
     """
     known = local.known
     found: dict[str, Estimate] = {}
@@ -208,9 +212,9 @@ def _band(x: Array, grid: LagGrid, linear: SecondOrderFit) -> _Band:
 
 
 def _centre(output: Array, at_output: bool) -> float:
-    """Return the position that a cell's kernel speaks for, from the outputs in it.
+    """Return the position to which a cell's kernel belongs, from the outputs in it.
 
-    A line through a parabola has the parabola's slope not at the mean but further towards the longer tail.
+    A line fitted to a parabola has the slope of the parabola not at the mean, but shifted towards the longer tail.
     """
     mean = float(np.mean(output))
     if not at_output:
@@ -223,7 +227,7 @@ def _centre(output: Array, at_output: bool) -> float:
 def _linearised(
     direct: LocalParameters, partitions: Partitions, solved: PartitionedKernels, band: _Band
 ) -> LocalParameters:
-    """Return what the fitted model answers to small inputs about its rest at each depth, as a second-order system."""
+    """Return the response of the fitted model to small inputs at rest at each depth, as a second-order system."""
     known = direct.known
     slope = _depth_slopes(direct, partitions.direction)  # (cells, cells): slope at each cell from all logarithms
     log_parameters, root = np.full_like(direct.log_parameters, np.nan), np.zeros_like(direct.root)
@@ -258,7 +262,7 @@ def _linearised(
 
 
 def _depth_slopes(direct: LocalParameters, direction: NDArray[np.int_]) -> Array:
-    """Rows (cells, cells) that give each cell the slope of a line through the logarithms of its direction's cells."""
+    """Return rows (cells, cells) that map the logarithms to the slope of a line through the cells of each direction."""
     rows = np.zeros((direct.position.size, direct.position.size))
     for way in np.unique(direction):
         mine = np.flatnonzero(direct.known & (direction == way))
@@ -276,5 +280,5 @@ def _span(partitions: Partitions) -> float:
 
 
 def _split(values: Complex) -> Array:
-    """Return the real part above imaginary part along the first axis."""
+    """Return the real part stacked on the imaginary part along the first axis."""
     return np.concatenate([values.real, values.imag], axis=0)

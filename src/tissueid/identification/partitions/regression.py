@@ -1,8 +1,8 @@
-"""Kernels of a partitioned record by exact least squares, with the covariance of them all.
+"""Kernels of a partitioned record by exact least squares, with their joint covariance.
 
-Two constructions. Along the lags (Chen 2010, Eqs. 5.1-5.4) the cell of each lag's own sample chooses the kernel, so the
-input of each cell is a channel of its own and a sample passes from kernel to kernel while it is remembered. At the
-output, the cell of the output's sample chooses for all lags, so each cell is a linear model of its own with an offset.
+There are two constructions. Along the lags (Chen 2010, Eqs. 5.1-5.4), the cell of each lag's own sample selects the
+kernel: the input in each cell is a channel, and a sample passes from kernel to kernel within the memory. At the output,
+the cell of the output sample selects the kernel for all lags: each cell is a linear model with an offset.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ _SHORTEST_BLOCK = 12
 _QUARTERS = 4
 
 _LEAST_SPARE = 0.25
-"""Share of the rows that is taken to be left over, however many the coefficients take with them."""
+"""Lower bound on the residual degrees of freedom, as a share of the rows."""
 
 _ROWS_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class PartitionedKernels:
-    """Kernels per sample (cells, lags) and offsets (cells,) for an input less ``reference``.
+    """Kernels per sample (cells, lags) and offsets (cells,) for an input minus ``reference``.
 
-    ``kernel_root`` (cells, lags, m) and ``offset_root`` (cells, m) are such that their products, summed over m, are
-    covariances. ``modelled`` (n,) is the response in the cells that were fitted, NaN outside the fitted rows.
-    ``at_output`` tells the construction; along the lags all offsets are one.
+    ``kernel_root`` (cells, lags, m) and ``offset_root`` (cells, m) are square roots of the covariance: products summed
+    over m. ``modelled`` (n,) is the response in the fitted cells, NaN outside the fitted rows. ``at_output`` is the
+    construction; along the lags all offsets are equal.
     """
 
     kernels: Array
@@ -58,15 +58,15 @@ class PartitionedKernels:
 
 
 def channels_of(x: Array, cells: Cells, count: int) -> Array:
-    """Return the input of each cell and zero elsewhere, (count, n), from an input x (n,) and the cells (n,)."""
+    """Return the input of each cell, zero outside it, (count, n), from an input x (n,) and the cells (n,)."""
     return np.where(cells == np.arange(count)[:, None], x, 0.0)
 
 
 def lagged_regressors(x: Array, cells: Cells, count: int, used: Mask, grid: LagGrid) -> _LaggedRows:
-    """Return the regressors P of Eq. 5.1, or 5.3: a constant, then lag by lag the input of each cell.
+    """Return the regressors P of Eq. 5.1 or 5.3: a constant, then the lagged input of each cell.
 
     Args:
-        x: input (n,), less what it is counted from.
+        x: input (n,) minus its reference.
         cells: cell of each sample (n,).
         count: number of cells.
         used: mask of the rows (n,); input and cell must be known throughout the memory of each.
@@ -85,7 +85,7 @@ def solve_along_lags(
     grid: LagGrid,
     sample_rate_hz: float,
 ) -> PartitionedKernels:
-    """Return the kernels of Eqs. 5.1-5.4 with the one offset that all of them share.
+    """Return the kernels of Eqs. 5.1-5.4 with one offset for all cells.
 
     Arguments as :func:`lagged_regressors`, with ``y`` the output (n,) and ``reference`` the input that counts as zero.
     """
@@ -113,9 +113,9 @@ def solve_along_lags(
 def solve_at_output(
     x: Array, y: Array, reference: float, cells: Cells, count: int, used: Mask, grid: LagGrid, sample_rate_hz: float
 ) -> PartitionedKernels:
-    """Return a linear model with an offset for each cell, on the rows whose output lies in it.
+    """Return a linear model with an offset for each cell, fitted to the rows whose output lies in it.
 
-    Arguments as :func:`solve_along_lags`; only the cell of the rows themselves need be known.
+    Arguments as :func:`solve_along_lags`; only the cells of the rows themselves must be known.
 
     Raises:
         UnusableInputError: a cell has fewer rows than parameters.
@@ -163,7 +163,7 @@ def solve_at_output(
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Regressors (rows, p) as they stand, at the samples of a mask ``used`` (n,)."""
+    """Explicit regressors (rows, p) at the samples of a mask ``used`` (n,)."""
 
     explicit: Array
     used: Mask
@@ -185,10 +185,10 @@ class _Rows:
 
 
 class _LaggedRows(LaggedRegressors):
-    """Lagged regressors that are too many to stand all at once."""
+    """Lagged regressors that are too large for one explicit matrix."""
 
     def block_sums(self, error: Array, block: Cells) -> Array:
-        """As :meth:`_Rows.block_sums`, in blocks of rows."""
+        """Return the sums as :meth:`_Rows.block_sums`, computed in blocks of rows."""
         sums = np.zeros((self.columns, int(block[-1]) + 1))
         rows = np.flatnonzero(self.used)
         for first in range(0, rows.size, _ROWS_AT_ONCE):
@@ -213,13 +213,13 @@ def _root(
     modelled: Array,
     sample_rate_hz: float,
 ) -> Array:
-    """Return the root (p, m) of the covariance of the coefficients of all parts together, one below the other.
+    """Return a square root (p, m) of the joint covariance of the coefficients of all parts, stacked.
 
-    The sandwich of least squares (White 1982), with sums of P e over blocks of time within which residuals depend on
-    each other, shifted by quarters of a block (which is Bartlett's weighting). What a kernel leaves of tissue is
-    coloured and not unrelated to the input. It is widened for what the estimation of the covariance costs (Kiefer and
-    Vogelsang 2005), and for the coefficients that the residuals were bent to, each of which takes as many rows with it
-    as say as much as an independent one. ``modelled`` (n,) is the response at the rows of all parts.
+    Sandwich estimate (White 1982) with sums of P e over blocks of time within which residuals are autocorrelated,
+    shifted by quarters of a block (the Bartlett kernel), because the residuals of tissue are coloured and depend on the
+    input. It is widened for the uncertainty of the covariance itself (Kiefer and Vogelsang 2005), and for the degrees
+    of freedom of the fit, each of which counts as many rows as carry the information of an independent one.
+    ``modelled`` (n,) is the response at the rows of all parts.
     """
     samples = modelled.size
     residual = np.full(samples, np.nan)

@@ -18,7 +18,7 @@ _ROWS = 2049
 _MARGIN = 0.25
 _DEGREE = 2
 _SCATTER = 0.03
-"""Relative deviation that every cell has about the curves, besides its own."""
+"""Relative standard deviation of every cell about the curves, in addition to its own."""
 
 _LARGEST_CONTRAST = 0.95
 
@@ -28,9 +28,9 @@ _TURNING_SHARE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """Half the difference between the damping on the way in and on the way out, as a share of their mean.
+    """Half the difference between the damping of indentation and of retraction, relative to their mean.
 
-    ``share`` (K,) at each cell, on a line; ``root`` (K, m) of its covariance.
+    ``share`` (K,) is its value at each cell, linear in depth; ``root`` (K, m) is a square root of its covariance.
     """
 
     share: Array
@@ -38,16 +38,16 @@ class Contrast:
 
     @classmethod
     def none(cls, count: int) -> Contrast:
-        """Return a contrast of zero without uncertainty for ``cells`` cells."""
+        """Return a contrast of zero without uncertainty for ``count`` cells."""
         return cls(np.zeros(count), np.zeros((count, 0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """Curves through the cells' values: parabolas to simulate along, and lines in which they are corrected.
+    """Curves through the values of the cells: parabolas for the simulation, and lines for the correction.
 
-    A simulation along the cells' own values would sharpen their noise. ``basis`` (K, lines) holds the lines at the
-    cells, ``pick`` (lines, K) fits them; ``weight`` (K,) is that of each cell.
+    Interpolating the cells' own values would amplify their noise. ``basis`` (K, lines) holds the lines at the cells,
+    ``pick`` (lines, K) fits them; ``weight`` (K,) is the weight of each cell.
     """
 
     position: Array
@@ -57,14 +57,14 @@ class Lines:
 
     @classmethod
     def through(cls, local: LocalParameters) -> Lines:
-        """Return the lines for these cells, all of which are known."""
+        """Return the lines for cells with known parameters."""
         position = local.position
         weight = 1.0 / np.sqrt(np.einsum("kim,kim->k", local.root, local.root) / 3.0 + _SCATTER**2)
         basis = _powers(position, position, min(1, position.size - 1))
         return cls(position, basis, np.linalg.pinv(basis * weight[:, None]) * weight, weight)
 
     def unit_changes(self) -> list[Array]:
-        """Return a change of each line of each logarithm by one unit at the cells, (K, 3) each."""
+        """Return a unit change of each line of each logarithm at the cells, (K, 3) each."""
         changes = []
         for line in self.basis.T:
             for value in range(3):
@@ -74,7 +74,7 @@ class Lines:
         return changes
 
     def coefficients(self, values: Array) -> Array:
-        """Return the parabolas (degree + 1, 3) through values (K, 3)."""
+        """Return the coefficients (degree + 1, 3) of the parabolas through values (K, 3)."""
         powers = _powers(self.position, self.position, min(_DEGREE, self.position.size - 1))
         return np.asarray(np.linalg.pinv(powers * self.weight[:, None]) @ (values * self.weight[:, None]))
 
@@ -83,7 +83,7 @@ class Lines:
         return self.at(self.position, self.coefficients(values))
 
     def at(self, position: Array, coefficients: Array) -> Array:
-        """Return the parabolas at positions (m,), (m, 3); beyond the cells they go on straight."""
+        """Return the parabolas at positions (m,), (m, 3), extrapolated linearly."""
         degree = coefficients.shape[0] - 1
         low, high = float(self.position.min()), float(self.position.max())
         inside = np.clip(position, low, high)
@@ -95,16 +95,16 @@ class Lines:
         return np.asarray(value + rise * (np.abs(position - inside) / step)[:, None], dtype=np.float64)
 
     def line_at(self, position: Array) -> Array:
-        """Return the lines at positions (m,), (m, lines); beyond the cells they stay."""
+        """Return the lines at positions (m,), (m, lines), constant beyond the cells."""
         inside = np.clip(position, self.position.min(), self.position.max())
         return _powers(inside, self.position, self.basis.shape[1] - 1)
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedTissue:
-    """M(y) y'' + B(y) y' + F(y) = u along smooth curves, under the input of a record.
+    """M(y) y'' + B(y) y' + F(y) = u with smooth curves, driven by the input of a record.
 
-    ``rest`` is the output under the mean input, ``sign`` -1 when the output falls as the input rises.
+    ``rest`` is the output under the mean input, ``sign`` is -1 if the output decreases with increasing input.
     """
 
     lines: Lines
@@ -120,7 +120,7 @@ class SimulatedTissue:
     def through(
         cls, local: LocalParameters, prepared: Prepared, partitions: Partitions, hold: Hold, rest: float
     ) -> SimulatedTissue:
-        """Return the tissue for a fit whose cells are all known."""
+        """Return the tissue for a fit whose cells all have parameters."""
         low, high = (float(partitions.breakpoints[end]) for end in (0, -1))
         margin = _MARGIN * (high - low)
         speed = np.diff(prepared.record.output) * prepared.record.sample_rate_hz
@@ -128,7 +128,7 @@ class SimulatedTissue:
         return cls(Lines.through(local), prepared, low - margin, high + margin, rest, local.sign, hold, scale)
 
     def output(self, coefficients: Array, contrast: Contrast) -> Array | None:
-        """Return the output (n,), NaN where the record's is; None when these curves cannot be simulated.
+        """Return the output (n,), NaN where that of the record is; None if the curves cannot be simulated.
 
         Args:
             coefficients: parabolas of log M, log B, log K, (degree + 1, 3).

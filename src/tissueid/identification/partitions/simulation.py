@@ -1,7 +1,7 @@
-"""Compiled loops of a partitioned model: the kernel of a lag is that of the cell that the output was in.
+"""Compiled loops of a partitioned model: each lag uses the kernel of the cell of the output at that time.
 
-With the measured output's cells nothing feeds back. In a free run the cells are those of the model's own output, found
-sample by sample. Either way the answer is a finite sum of bounded terms: it cannot run away.
+With the cells of the measured output there is no feedback. In a free run the cells are those of the simulated output,
+found sample by sample. In both cases the output is a finite sum of bounded terms, and therefore stable.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from tissueid.identification.base import Array
 from tissueid.identification.partitions.cells import Cells
 
 _TIE = 1e-9
-"""Share of the partitioned range by which the cell of the sample before is preferred among equals."""
+"""Penalty that prefers the cell of the previous sample among equals, relative to the partitioned range."""
 
 
 def scheduled_run(x: Array, cells: Cells, kernels: Array, offsets: Array, spacing: int, at_output: bool) -> Array:
     """Return the response to an input in given cells.
 
     Args:
-        x: input without NaN, its reference removed, shape (memory - 1 + n,): the first ones only fill the memory.
+        x: input without NaN, minus its reference, shape (memory - 1 + n,): the first samples only fill the memory.
         cells: cell of each of them, not negative.
         kernels: per sample, shape (cells, lags).
         offsets: shape (cells,).
         spacing: samples between lags.
-        at_output: the cell of the output's sample chooses the kernel at every lag, not that of the lag's own sample.
+        at_output: the cell of the output sample selects the kernel for all lags, instead of the cell at each lag.
 
     Returns:
         Output, shape (n,).
@@ -47,19 +47,19 @@ def free_run(
 ) -> tuple[Array, Cells]:
     """Return the response to an input in the cells of the response itself.
 
-    At each sample every cell is tried, and the one is taken whose output lies in it; where none or several do, the
-    one whose output misses it least, and among equals the cell of the sample before or the one next to it.
+    At each sample every cell is tried. The cell whose output lies in its own range is used; if there is none or
+    several, the one with the smallest distance, and among equals the previous cell or one adjacent to it.
 
     Args:
-        x: input without NaN, its reference removed, shape (memory - 1 + n,): the first ones only fill the memory,
-            all of them in ``rest_cell``.
-        kernels: per sample, shape (cells, lags); with directions the cells of a rising output come first.
+        x: input without NaN, minus its reference, shape (memory - 1 + n,): the first samples only fill the memory, all
+            of them in ``rest_cell``.
+        kernels: per sample, shape (cells, lags); with directions the cells of an increasing output come first.
         offsets: shape (cells,).
         spacing: samples between lags.
         at_output: as for :func:`scheduled_run`.
         inner: inner breakpoints, (depths - 1,).
         directional: whether cells differ by direction.
-        pole: of the first-order low-pass between output and choice.
+        pole: of the first-order low-pass between output and selection.
         rest_cell: cell before the first sample.
         rest_output: output before the first sample.
 

@@ -16,18 +16,18 @@ from tissueid.messages import Message
 
 _LARGEST_ORDER = 60
 _ROWS_PER_ORDER = 20
-"""Samples that each order tried must have."""
+"""Minimum number of samples per order that is tried."""
 
 _STEADIEST = 0.999
-"""Largest modulus of a pole: least squares can give an unstable model."""
+"""Largest modulus of a pole; unstable least-squares models are scaled to it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Autoregression:
     """e[n] - mean = sum over i of coefficients[i - 1] (e[n - i] - mean) + a white innovation.
 
-    ``coefficients`` has shape (order,), empty for white noise; ``innovation_std`` and ``mean`` are in the signal's
-    unit.
+    ``coefficients`` has shape (order,), empty for white noise; ``innovation_std`` and ``mean`` are in the unit of the
+    signal.
     """
 
     coefficients: Array
@@ -38,7 +38,7 @@ class Autoregression:
 
     @property
     def order(self) -> int:
-        """How many past samples it looks at."""
+        """Number of past samples in the regression."""
         return int(self.coefficients.size)
 
     def innovations(self, signal: Array) -> Array:
@@ -46,7 +46,9 @@ class Autoregression:
         return self.whiten(signal - self.mean)
 
     def whiten(self, signal: Array) -> Array:
-        """Return signal (n,) through the whitening filter, shape (n,); NaN where the filter holds an unknown sample."""
+        """Return a signal (n,) filtered by the whitening filter, shape (n,); NaN where the filter covers an unknown
+        sample.
+        """
         known = np.isfinite(signal)
         filtered = np.convolve(np.where(known, signal, 0.0), np.concatenate([[1.0], -self.coefficients]))
         return np.where(complete_windows(known, self.order + 1), filtered[: signal.size], np.nan)
@@ -67,20 +69,20 @@ class Autoregression:
         return weights
 
     def error_std(self, horizons: Array) -> Array:
-        """Return the standard deviation of the error of the best prediction ``horizon`` samples ahead, same shape."""
+        """Return the standard deviation of the best prediction's error ``horizons`` samples ahead, same shape."""
         steps = np.asarray(horizons, dtype=np.intp)
         spread = np.cumsum(self.response(int(np.max(steps))) ** 2)
         return np.asarray(self.innovation_std * np.sqrt(spread[steps - 1]), dtype=np.float64)
 
 
 def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregression:
-    """Fit an autoregression to a signal (n,) by least squares, its order by AICc (Hurvich and Tsai 1989).
+    """Fit an autoregression to a signal (n,) by least squares, its order selected by AICc (Hurvich and Tsai 1989).
 
-    NaN are gaps: no row of the regression reaches across one. Without ``max_order`` orders are tried up to 60, or one
-    for every 20 known samples.
+    NaN are gaps; no row of the regression crosses one. Without ``max_order``, orders up to 60 are tried, or up to one
+    per 20 known samples.
 
     Raises:
-        UnusableInputError: too few samples follow one another, or the signal does not vary.
+        UnusableInputError: too few successive samples, or the signal does not vary.
     """
     known = np.isfinite(signal)
     count = int(known.sum())
@@ -121,12 +123,12 @@ def fit_autoregression(signal: Array, max_order: int | None = None) -> Autoregre
 
 
 def _carries(known: Mask, order: int) -> bool:
-    """Return whether enough known samples follow one another for a noise model of this order."""
+    """Return whether there are enough successive known samples for a noise model of this order."""
     return int(complete_windows(known, order + 1).sum()) >= _ROWS_PER_ORDER * max(1, order)
 
 
 def _best_order(products: Array, rows: int) -> int:
-    """Return the order with the smallest AICc, all orders on the same rows."""
+    """Return the order with the smallest AICc, with all orders scored on the same rows."""
     factor = linalg.cholesky(_loaded(products[1:, 1:]), lower=True) if products.shape[0] > 1 else np.zeros((0, 0))
     explained = linalg.solve_triangular(factor, products[1:, 0], lower=True) if factor.size else np.zeros(0)
     left = products[0, 0] - np.concatenate([[0.0], np.cumsum(explained**2)])
@@ -141,19 +143,19 @@ def _solve(products: Array) -> Array:
 
 
 def _loaded(products: Array) -> Array:
-    """With a load on the diagonal far below any noise, for signals without power over most of the band."""
+    """Return the products with a small ridge, for signals without power over most of the band."""
     loaded = products.copy()
     loaded[np.diag_indices_from(loaded)] += 1e-10 * products[0, 0]
     return loaded
 
 
 def _aicc(power: float, n: int, order: int) -> float:
-    k = order + 2  # the mean and the innovation's variance are estimated too
+    k = order + 2  # plus the mean and the innovation variance
     return n * (math.log(2.0 * math.pi * power) + 1.0) + 2.0 * k + 2.0 * k * (k + 1) / max(1, n - k - 1)
 
 
 def _steadied(coefficients: Array) -> Array:
-    """Return the coefficients (order,) whose poles lie inside the unit circle."""
+    """Return the coefficients (order,) with all poles inside the unit circle."""
     if coefficients.size == 0:
         return coefficients
     fastest = float(np.max(np.abs(np.roots(np.concatenate([[1.0], -coefficients])))))

@@ -1,9 +1,9 @@
-"""Bootstrap bands of any statistic of a fitted model.
+"""Bootstrap confidence bands of any statistic of a fitted model.
 
-Two ways of making another record like the one at hand. ``residuals`` keeps the input and the simulated output and adds
-blocks of residuals in another order: right when what a model misses is noise, unrelated to the input. ``blocks`` draws
-whole stretches of input and output, each with the inputs of its memory before it: right also when what a model misses
-is nonlinearity, which follows the input; it takes a record of many blocks.
+Two ways to resample a record. ``residuals`` keeps the input and the simulated output and adds resampled blocks of
+residuals: valid if the model error is noise independent of the input. ``blocks`` resamples stretches of input and
+output, each with the inputs of its memory: also valid if the model error is nonlinearity, which depends on the input;
+the record must hold many blocks.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tissueid.records import Record
 Method = Literal["residuals", "blocks"]
 
 _MOST_REFUSED = 0.1
-"""Share of the drawn records that an engine may refuse."""
+"""Largest share of resampled records that an engine may refuse."""
 
 _FEWEST_BLOCKS = 5
 _USUAL_BLOCKS = 20
@@ -34,10 +34,10 @@ _USUAL_BLOCKS = 20
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """What a bootstrap found; every array has the shape (k,) of the statistic, ``draws`` (n, k).
+    """Result of a bootstrap; every array has the shape (k,) of the statistic, ``draws`` (n, k).
 
-    ``low`` and ``high`` hold ``level_percent``. They are the basic bootstrap's: the spread of the draws about the
-    estimate, turned round, which takes off the bias that the fit itself has (Davison and Hinkley 1997, 5.2).
+    ``low`` and ``high`` bound ``level_percent`` of the distribution. They are those of the basic bootstrap: the spread
+    of the draws about the estimate, reflected, which removes the bias of the fit (Davison and Hinkley 1997, 5.2).
     """
 
     estimate: Array
@@ -65,26 +65,26 @@ def bootstrap(
     progress: Callable[[int, int], None] | None = None,
     cancelled: Callable[[], bool] | None = None,
 ) -> Bands:
-    """Fit an engine to ``n`` records drawn like the one at hand, and tell how far a statistic of the model spreads.
+    """Fit an engine to ``n`` resampled records, and return the distribution of a statistic of the model.
 
     Args:
         engine: the specification, as for the fit itself.
         record: the data.
         fit_part: contiguous part that is fitted.
-        statistic: reads numbers (k,) off a model: a kernel, a Bode magnitude, parameters.
-        n: how many records to draw.
-        seed: the draws follow from it alone.
+        statistic: returns numbers (k,) of a model: a kernel, a Bode magnitude, parameters.
+        n: number of resampled records.
+        seed: of the random generator.
         method: ``residuals`` or ``blocks``.
-        level_percent: how much the bands hold.
-        block: seconds of a block; by default twice the time over which residuals hang together, and for ``blocks`` not
-            less than the memory.
-        progress: called with how many draws are done, and of how many.
-        cancelled: asked before each draw; a true answer ends the work.
+        level_percent: confidence level of the bands.
+        block: length of a block, s; by default twice the time over which residuals are autocorrelated, and for
+            ``blocks`` at least the memory.
+        progress: called with the number of draws done, and the total.
+        cancelled: called before each draw; the work ends if it returns True.
 
     Raises:
-        UnusableInputError: the record cannot carry the fit, holds too few blocks, or more than a tenth of the draws
-            were refused.
-        CancelledError: ``cancelled`` said so.
+        UnusableInputError: the record is not sufficient for the fit, holds too few blocks, or more than a tenth of the
+            draws were refused.
+        CancelledError: ``cancelled`` returned True.
     """
     if n < 2 or not 0.0 < level_percent < 100.0:
         raise UnusableInputError(
@@ -138,7 +138,7 @@ def bootstrap(
 
 
 class _Source:
-    """What records are drawn from."""
+    """The residuals and stretches from which records are resampled."""
 
     def __init__(
         self, model: Model, record: Record, fit_part: slice | None, method: Method, block: float | None
@@ -150,13 +150,15 @@ class _Source:
         residual = np.where(used, record.output - self.simulated, np.nan)
         self.count = int(np.isfinite(residual).sum())
         known = residual[np.isfinite(residual)]
-        freedom = self.count / max(1.0, self.count - model.report.n_parameters)  # a fit takes its share of the noise
+        freedom = self.count / max(
+            1.0, self.count - model.report.n_parameters
+        )  # the fit reduces the variance of the residual
         self.residual = (residual - known.mean()) * math.sqrt(min(freedom, 2.0))
         if block is not None:
             self.block = max(1, round(block * record.sample_rate_hz))
         else:
             self.block = max(1, 2 * dependence_samples(known, record.sample_rate_hz))
-            if method == "blocks":  # each brings the inputs of its memory along, and should be worth them
+            if method == "blocks":  # each block also needs the inputs of its memory, so it should not be much shorter
                 self.block = max(self.block, min(self.memory, self.count // _USUAL_BLOCKS))
         if self.count < _FEWEST_BLOCKS * self.block:
             raise UnusableInputError(
@@ -181,12 +183,12 @@ class _Source:
 
     @property
     def widening(self) -> float:
-        """What a spread over few blocks lacks, as for other estimates from them (Kiefer and Vogelsang 2005)."""
+        """Correction factor of a standard deviation estimated from few blocks (Kiefer and Vogelsang 2005)."""
         share = self.block / self.count
         return 1.0 + (2.9694 * share + 0.416 * share**2 - 0.5324 * share**3) / 1.9600
 
     def with_residuals(self, rng: np.random.Generator) -> tuple[Record, slice | None]:
-        """Return the record with its residuals in another order, and the part to fit."""
+        """Return the record with resampled residuals, and the part to fit."""
         n = len(self.record)
         added = self.residual[self._drawn(rng, math.ceil(n / self.block))].ravel()[:n]
         output = np.where(np.isfinite(self.record.output), self.simulated + added, np.nan)
@@ -195,7 +197,7 @@ class _Source:
         return replace(self.record, output=output), self.part
 
     def with_blocks(self, rng: np.random.Generator) -> tuple[Record, None]:
-        """Return the stretches of the record, each after the inputs of its memory, with a gap between each two."""
+        """Return resampled stretches of the record, each after the inputs of its memory, separated by gaps."""
         drawn = self._drawn(rng, math.ceil(self.count / self.block))  # (blocks, block)
         before = drawn[:, :1] - np.arange(self.memory - 1, 0, -1)
         gap = np.full((drawn.shape[0], 1), np.nan)

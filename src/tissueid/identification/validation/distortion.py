@@ -1,10 +1,9 @@
 """Noise, even and odd distortion, and the best linear approximation, from an odd random-phase multisine.
 
 Pintelon and Schoukens (System Identification: A Frequency Domain Approach, 2nd ed., ch. 4). Only odd lines are driven,
-and not all of them. What differs from period to period is noise; what stands on even lines is even nonlinearity, for
-instance stiffness that grows with depth; what stands on odd lines that are not driven, the detection lines, is odd
-nonlinearity. A system answers the input that it gets: where the measured input has power on lines that should hold
-none, the linear answer to it is taken off first.
+and not all of them. The variation between periods is noise; power on even lines is even nonlinearity, such as stiffness
+that grows with depth; power on odd lines that are not driven, the detection lines, is odd nonlinearity. If the measured
+input has power on undriven lines, the linear response to it is subtracted first.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ _NEIGHBOURS = 6
 
 @dataclass(frozen=True, eq=False)
 class LineLevels:
-    """Levels at some lines of the spectrum, each (k,), root mean square in the output's unit.
+    """Levels at some lines of the spectrum, each (k,), rms in the unit of the output.
 
-    ``level`` is that of the output averaged over periods, at lines that are not driven less its linear answer.
-    ``noise`` is what the noise leaves in that average, NaN where it could not be had.
+    ``level`` is that of the output averaged over periods, at undriven lines minus the linear response. ``noise`` is the
+    noise level of that average, NaN if unknown.
     """
 
     line: Lines
@@ -41,16 +40,16 @@ class LineLevels:
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """What an odd random-phase multisine tells of a system.
+    """Distortion analysis of an odd random-phase multisine.
 
     ``response`` (driven,) is the best linear approximation at ``driven.frequency_hz``, output per input;
-    ``response_noise_std`` what noise alone leaves uncertain, ``response_total_std`` what noise and nonlinearity do, NaN
-    where it could not be had. Both are of a complex number: root of the mean of the squared modulus.
+    ``response_noise_std`` is its standard deviation due to noise, ``response_total_std`` that due to noise and
+    nonlinearity, NaN if unknown. Both are of a complex number: root of the mean squared modulus.
 
-    The sums run over the driven band: ``output_rms`` of all lines, ``noise_rms`` of one period, ``even_rms`` and
-    ``odd_rms`` of the distortion with the noise taken off, zero where nothing is left; None where they could not be
-    had, and ``findings`` says which experiment would give them. They are the levels of the phases that were played,
-    and so are their deviations: other phases of the same spectrum may have half or twice the power of distortion.
+    Sums are over the driven band: ``output_rms`` of all lines, ``noise_rms`` of one period, ``even_rms`` and
+    ``odd_rms`` of the distortion with the noise subtracted, at least 0; None if unknown, and ``findings`` then names
+    the experiment that gives them. The levels and their deviations hold for the phases of this record: other phases of
+    the same spectrum may have half or twice the distortion power.
     """
 
     period: int
@@ -69,7 +68,7 @@ class Distortion:
     findings: tuple[str, ...]
 
     def relative_db(self, level: Estimate | None) -> float | None:
-        """Return a sum over the band relative to the output's, in dB; None where it is nil or unknown."""
+        """Return a level relative to the output's, in dB; None if it is zero or unknown."""
         if level is None or level.value <= 0.0:
             return None
         return 20.0 * float(np.log10(level.value / self.output_rms))
@@ -84,13 +83,13 @@ def distortion(
     """Separate noise, even and odd distortion in records of an odd random-phase multisine.
 
     Args:
-        records: one realisation of the phases each, with one or more periods.
-        period: samples; None to find it in the first record.
-        driven: the driven lines, as multiples of the frequency of one period; None to find them.
-        settling: seconds at the start of each record before the answer is periodic.
+        records: records of one realisation of the phases each, with one or more periods.
+        period: samples; None to estimate it from the first record.
+        driven: the driven lines, as multiples of the frequency of one period; None to estimate them.
+        settling: time at the start of each record before the response is periodic, s.
 
     Raises:
-        UnusableInputError: no period, no whole period, no driven odd lines, or records that do not belong together.
+        UnusableInputError: no period, no whole period, no driven odd lines, or records that do not match.
     """
     realisations = [records] if isinstance(records, Record) else list(records)
     if not realisations:
@@ -122,7 +121,7 @@ def _checked(driven: Sequence[int], power: Array) -> Lines:
 
 
 class _Separation:
-    """The spectra of all realisations in the driven band, and what follows from them."""
+    """The spectra of all realisations in the driven band, and their separation."""
 
     def __init__(self, cut: Sequence[Periods], driven: Lines) -> None:
         self.cut = cut
@@ -200,7 +199,9 @@ class _Separation:
         )
 
     def _noise_power(self) -> Array | None:
-        """Variance (band,) of a line of one period, over periods; from the run-in, as white, when there is but one."""
+        """Return the variance (band,) of a line of one period; for a single period from its run-in, assuming white
+        noise.
+        """
         if self.freedom > 0:
             about = [np.sum(np.abs(left - left.mean(axis=0)) ** 2, axis=0) for left in self.left]
             return np.asarray(np.sum(about, axis=0) / self.freedom, dtype=np.float64)
@@ -210,7 +211,7 @@ class _Separation:
         return np.full(self.band.size, self.cut[0].period * float(np.mean(tail**2)) / 2.0)
 
     def _carried(self, detection: Lines) -> Array:
-        """Return the weights (driven, detection) that carry the power of odd distortion over to the driven lines."""
+        """Return the weights (driven, detection) that interpolate the power of odd distortion to the driven lines."""
         count = min(_NEIGHBOURS, detection.size)
         nearest = np.argsort(np.abs(self.driven[:, None] - detection), axis=1)[:, :count]  # (driven, count)
         weights = np.zeros((self.driven.size, detection.size))
@@ -218,9 +219,9 @@ class _Separation:
         return weights
 
     def _sum(self, power: Array, noise: Array, weights: Array, of_these_phases: bool = True) -> Estimate:
-        """Return the level of a weighted sum of the power of lines (k,), noise taken off where it is known.
+        """Return the level of a weighted sum of the power of lines (k,), minus the noise if known.
 
-        A line of weight w stands for w - 1 others, each a complex Gaussian number; the noise blurs each line itself.
+        A line of weight w represents w - 1 others, each a complex Gaussian number; noise acts on each line itself.
         """
         blur = np.where(np.isfinite(noise), noise, 0.0)
         clean = power - blur
@@ -246,7 +247,7 @@ class _Separation:
         )
 
     def _rms(self, power: Array) -> Array:
-        """Return the root mean square of a sine whose transform has this squared modulus."""
+        """Return the rms of a sine whose transform has this squared modulus."""
         return np.asarray(np.sqrt(2.0 * power) / self.cut[0].period, dtype=np.float64)
 
     def _rms_of(self, power: float) -> float:

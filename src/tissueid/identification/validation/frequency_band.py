@@ -1,4 +1,4 @@
-"""Bode diagram of an impulse response, with bands from the covariance of its lags."""
+"""Bode diagram of an impulse response, with confidence bands from the covariance of its lags."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from tissueid.records import Record
 class FrequencyBand:
     """A frequency response with standard deviations; all arrays have shape (frequencies,).
 
-    ``magnitude_std`` and ``phase_std_rad`` are the spread along the response and across it, to first order; the phase's
-    is infinite where the magnitude is nil. Where a deviation of the magnitude comes near the magnitude itself, neither
-    is Gaussian any more.
+    ``magnitude_std`` and ``phase_std_rad`` are the standard deviations along and perpendicular to the response, to
+    first order; that of the phase is infinite if the magnitude is zero. If ``magnitude_std`` is comparable to the
+    magnitude, neither distribution is Gaussian.
     """
 
     frequency_hz: Array
@@ -34,18 +34,18 @@ class FrequencyBand:
 
 
 def frequency_response_band(kernel: Array, spread: Array, lag_s: Array, frequency_hz: Array) -> FrequencyBand:
-    """Return the frequency response of an impulse response, and how far it may be off.
+    """Return the frequency response of an impulse response, with its standard deviations.
 
     Args:
         kernel: (lags,), output per input and second.
-        spread: covariance (lags, lags) of the kernel, or standard deviations (lags,), which take the lags to be
-            unrelated. Those of a kernel from a low-pass input are not: neighbours err in opposite directions, and bands
-            from deviations alone are then far too wide.
-        lag_s: (lags,), evenly spaced seconds.
+        spread: covariance (lags, lags) of the kernel, or standard deviations (lags,), which assume independent lags.
+            The errors of a kernel estimated from low-pass input are negatively correlated between neighbours; bands
+            from standard deviations are then far too wide.
+        lag_s: (lags,), evenly spaced, s.
         frequency_hz: (frequencies,).
 
     Raises:
-        UnusableInputError: shapes that do not belong together, or fewer than two lags.
+        UnusableInputError: shapes that do not match, or fewer than two lags.
     """
     lags = kernel.size
     if lags < 2 or lag_s.shape != (lags,) or spread.shape not in ((lags,), (lags, lags)):
@@ -61,7 +61,7 @@ def frequency_response_band(kernel: Array, spread: Array, lag_s: Array, frequenc
     magnitude = np.abs(response)
     known = magnitude > 0.0
     towards = np.where(known, response.conj() / np.where(known, magnitude, 1.0), 1.0)
-    turned = towards[:, None] * turn  # along the response in the real part, across it in the imaginary
+    turned = towards[:, None] * turn  # real part: along the response; imaginary part: perpendicular to it
     variance = [_quadratic(part, spread) for part in (turned.real, turned.imag)]
     along, across = (np.sqrt(np.maximum(v, 0.0)) for v in variance)
     return FrequencyBand(
@@ -75,24 +75,25 @@ def frequency_response_band(kernel: Array, spread: Array, lag_s: Array, frequenc
 
 
 def linear_kernel_covariance(model: Model, record: Record, fit_part: slice | None = None) -> Array:
-    """Covariance (lags, lags) of a linear kernel that was fitted to this part of a record, output per input and second.
+    """Return the covariance (lags, lags) of a linear kernel fitted to this part of a record, output per input and
+    second.
 
-    For models whose kernel is the least-squares one, as that of ``lms``. The colour of the noise is taken from an
-    autoregression of the residuals: a Bode diagram looks at single frequencies, where a smoothed spectrum errs.
+    For models with a least-squares kernel, such as ``lms``. The noise spectrum is that of an autoregression of the
+    residuals, because a smoothed spectrum is biased at single frequencies.
 
     Raises:
-        UnusableInputError: another sample rate, or a record that cannot carry the fit or the noise model.
+        UnusableInputError: another sample rate, or a record that is not sufficient for the fit or the noise model.
     """
     prepared = prepare(record, fit_part, model.memory_samples / record.sample_rate_hz)
     count = int(prepared.used.sum())
     noise = fit_autoregression(np.where(prepared.used, model.residuals(record), np.nan))
     error = kernel_error(record.input[prepared.part], noise, model.memory_samples, count, 1)
-    taken = count / max(1, count - model.memory_samples)  # the fit took its share of the noise
+    taken = count / max(1, count - model.memory_samples)  # the fit reduces the variance of the residual
     return error.covariance * taken * record.sample_rate_hz**2
 
 
 def _quadratic(rows: Array, spread: Array) -> Array:
-    """Return the variance (k,) of each row's sum (k, lags) over lags of this covariance or these deviations."""
+    """Return the variance (k,) of weighted sums (k, lags) over lags with this covariance or deviations."""
     if spread.ndim == 1:
         return np.asarray(rows**2 @ spread**2, dtype=np.float64)
     return np.asarray(np.einsum("ij,ij->i", rows @ spread, rows), dtype=np.float64)

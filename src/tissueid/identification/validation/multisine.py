@@ -1,4 +1,4 @@
-"""Periods of a periodic record, and the lines of its spectrum that the stimulus drives."""
+"""Periods of a periodic record, and the driven lines of its spectrum."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from tissueid.records import Record
 Lines = NDArray[np.int_]
 
 _ALIKE = 0.9
-"""Correlation of an input with itself one period later, at least."""
+"""Minimum correlation of an input with itself one period later."""
 
 _AS_ALIKE = 0.01
-"""Largest difference in correlation between the first repetition and a later one."""
+"""Largest difference of the correlation between the first repetition and a later one."""
 
 _SHORTEST_OVERLAP = 0.02
-"""Share of a record that must be left to compare two stretches of it."""
+"""Minimum overlap of two stretches that are correlated, as a share of the record."""
 
 _DRIVEN_RANGE = 1e-3
 _DRIVEN_SHARE = 0.1
-"""Power of a driven line, of the strongest of all and of the strongest near it, at least."""
+"""Minimum power of a driven line, relative to the strongest of all and to the strongest near it."""
 
 _NEAR = 5
-"""Odd lines to each side that count as near."""
+"""Number of odd lines to each side that count as near."""
 
 _FAR = 20.0
-"""Gaps to the next line, in usual ones, beyond which that is no part of the stimulus."""
+"""Gap to the next line, in usual gaps, beyond which that line is not part of the stimulus."""
 
 
 @dataclass(frozen=True, eq=False)
 class Periods:
     """Spectra of the whole periods of a record, shape (periods, lines), lines 0 .. period / 2.
 
-    ``input`` and ``output`` are discrete Fourier transforms of ``period`` samples; a straight drift of the period means
-    was taken off. ``tail`` is the output's difference, shape (m,), between the last settled samples before the first
-    period and the samples one period later: noise, twice; empty where the record holds none.
+    ``input`` and ``output`` are discrete Fourier transforms of ``period`` samples; a linear drift of the period means
+    was removed. ``tail`` is the difference (m,) of the output between the last settled samples before the first period
+    and the samples one period later: twice the noise power; empty if the record has none.
     """
 
     period: int
@@ -56,7 +56,7 @@ def find_period(u: Array) -> int:
     """Return the period of an input (n,), in samples.
 
     Raises:
-        UnusableInputError: it does not, or fewer than one period and a fiftieth were recorded.
+        UnusableInputError: the input is not periodic, or fewer than 1.02 periods were recorded.
     """
     known = np.isfinite(u)
     if not known.any() or np.ptp(u[known]) == 0.0:
@@ -70,7 +70,7 @@ def find_period(u: Array) -> int:
     scale = np.sqrt(power[n - lag] * (power[n] - power[lag]))
     alike = np.where(scale > 0.0, auto / np.maximum(scale, 1e-300), 0.0)  # (n,)
     alike[max(2, int(n * (1.0 - _SHORTEST_OVERLAP))) :] = 0.0
-    away = np.flatnonzero(alike < 0.5)  # past the peak about lag 0, which a smooth input makes broad
+    away = np.flatnonzero(alike < 0.5)  # beyond the peak about lag 0, which is broad for a smooth input
     first = int(away[0]) if away.size else n
     best = float(np.max(alike[first:], initial=0.0))
     if best < _ALIKE:
@@ -81,17 +81,17 @@ def find_period(u: Array) -> int:
             )
         )
     rising = np.flatnonzero(alike[first:] >= best - _AS_ALIKE) + first
-    run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # the first such peak alone
+    run = rising[: int(np.argmax(np.append(np.diff(rising) > 1, True))) + 1]  # only the first such peak
     return int(run[np.argmax(alike[run])])
 
 
 def cut_periods(record: Record, period: int, settling: float) -> Periods:
-    """Cut the whole periods out of a record, counted from its end; those with a gap are left out.
+    """Cut the whole periods out of a record, counted from its end; periods with a gap are left out.
 
     Args:
         record: one realisation of a periodic stimulus.
         period: samples.
-        settling: seconds at the start that no period may hold.
+        settling: time at the start that is not part of a period, s.
 
     Raises:
         UnusableInputError: no whole period is left.
@@ -124,9 +124,9 @@ def cut_periods(record: Record, period: int, settling: float) -> Periods:
 
 
 def _without_drift(periods: Array, number: Lines) -> Array:
-    """Return the periods (periods, n) less the straight line through their means.
+    """Return the periods (periods, n) minus the straight line through their means.
 
-    A drift is no period's own: it would put power on every line, the same in each period, and pass for distortion.
+    A drift adds power to every line, equal in each period, which would be taken for distortion.
     """
     if number.size < 2:
         return periods - float(periods.mean())
@@ -137,12 +137,13 @@ def _without_drift(periods: Array, number: Lines) -> Array:
 
 
 def find_driven(power: Array) -> Lines:
-    """Return the odd lines that a stimulus of this line power (lines,) drives.
+    """Return the odd lines driven by a stimulus with this line power (lines,).
 
-    A driven line stands out from the even lines near it and is not far below the strongest odd one near it.
+    The power of a driven line is well above that of the even lines near it, and not far below the strongest odd line
+    near it.
 
     Raises:
-        UnusableInputError: no odd line stands out, or even ones do too.
+        UnusableInputError: no odd line is above the even ones.
     """
     odd = np.arange(1, power.size, 2)
     even = np.arange(2, power.size, 2)
@@ -172,7 +173,7 @@ def find_driven(power: Array) -> Lines:
 
 
 def _hanging_together(lines: Lines, power: Array) -> Lines:
-    """Return the group of lines (k,) with the most power, without distant spurs such as those of the mains."""
+    """Return the group of adjacent lines (k,) with the most power, without distant spurs such as mains interference."""
     gaps = np.diff(lines)
     usual = np.array([float(np.median(gaps[max(0, i - _NEAR) : i])) if i else float(gaps[0]) for i in range(gaps.size)])
     groups = np.split(lines, np.flatnonzero(gaps > _FAR * usual) + 1)

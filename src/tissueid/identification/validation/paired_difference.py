@@ -17,11 +17,11 @@ FEWEST = 50
 
 @dataclass(frozen=True)
 class Difference:
-    """VAF of one model less that of another on the same ``n_samples``, in percentage points.
+    """VAF of one model minus that of another on the same ``n_samples``, in percentage points.
 
-    ``std_points`` allows for the dependence of neighbouring errors; None with too few samples. ``p_value`` is the
-    chance of a lead at least as large if the two erred alike (one-sided), None likewise. ``reduction`` is the share of
-    the other's error variance that this one does without.
+    ``std_points`` accounts for autocorrelated errors; None with too few samples. ``p_value`` is the one-sided
+    probability of such a lead if the two were equally accurate; None with too few samples. ``reduction`` is the lead as
+    a share of the other's error variance.
     """
 
     points: float
@@ -34,9 +34,9 @@ class Difference:
 def difference(error: Array, other: Array, measured: Array, sample_rate_hz: float) -> Difference:
     """Compare two models by their squared errors, sample by sample (Diebold and Mariano 1995).
 
-    ``error`` and ``other`` are measured less simulated of the two, (n,); ``measured`` (n,) sets the scale. Samples
-    where any is NaN are left out. A constant offset does not count, as in Eq. 3.13. Fewer than two common samples, or
-    a measurement that does not vary, give NaN.
+    ``error`` and ``other`` are measured minus simulated of the two, (n,); ``measured`` (n,) sets the scale. Samples
+    with a NaN are left out. A constant offset does not count, as in Eq. 3.13. With fewer than two common samples, or a
+    constant measurement, the result is NaN.
     """
     used = np.isfinite(error) & np.isfinite(other) & np.isfinite(measured)
     n = int(used.sum())

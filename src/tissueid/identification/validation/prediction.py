@@ -1,8 +1,8 @@
 """Prediction n steps ahead: free-run simulation plus the predictable part of its residual.
 
-``Model.predict`` of an output-error model is its simulation, because such a model says nothing of its noise. Here the
-noise is described from the residuals of the fitted samples and the description is added, so that a short horizon shows
-how much of what a model misses hangs together from sample to sample.
+``Model.predict`` of an output-error model is its simulation, because such a model has no noise model. Here a noise
+model is fitted to the residuals of the fitted samples, so that a short horizon shows how much of the residual is
+autocorrelated.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from tissueid.records import Record
 
 @dataclass(frozen=True, eq=False)
 class PredictionCurve:
-    """How well outputs are predicted against how far ahead; arrays have shape (horizons,).
+    """Accuracy of predictions against the horizon; arrays have shape (horizons,).
 
-    ``error_std`` is the standard deviation of the prediction error, ``expected_error_std`` what the noise model
-    foretold, both in the output's unit. ``free_run_vaf_percent`` is what the curve comes down to at long horizons.
+    ``error_std`` is the standard deviation of the prediction error, ``expected_error_std`` that expected from the noise
+    model, both in the unit of the output. ``free_run_vaf_percent`` is the limit at long horizons.
     """
 
     horizon: NDArray[np.int_]
@@ -46,7 +46,7 @@ class PredictionCurve:
 def fit_noise(
     model: Model, record: Record, fit_part: slice | None = None, max_order: int | None = None
 ) -> Autoregression:
-    """Describe the noise of a model by an autoregression of its residuals on the fitted samples.
+    """Fit an autoregression to the residuals of a model on the fitted samples.
 
     Raises:
         UnusableInputError: another sample rate, or too few residuals.
@@ -58,8 +58,8 @@ def fit_noise(
 def predict_ahead(model: Model, record: Record, horizon: int, noise: Autoregression) -> Array:
     """Predict each output from the input up to now and the output up to ``horizon`` samples ago, shape (n,).
 
-    Where one of the past residuals that this takes is unknown, at the start and after a gap, the prediction is the
-    free run and the noise's mean. NaN where the simulation is.
+    If a required past residual is unknown, at the start and after a gap, the prediction is the free run plus the mean
+    of the noise. NaN where the simulation is NaN.
 
     Raises:
         UnusableInputError: the horizon is less than one sample, or the record has another sample rate.
@@ -77,9 +77,9 @@ def prediction_curve(
     horizons: Sequence[int] | None = None,
     part: slice | None = None,
 ) -> PredictionCurve:
-    """Score predictions over horizons, in samples, on a part of a record, each from the same samples.
+    """Score predictions over horizons, in samples, on a part of a record, all on the same samples.
 
-    Without ``horizons`` they go from one sample to the model's memory, doubling.
+    The default horizons double from one sample to the memory of the model.
 
     Raises:
         UnusableInputError: a horizon is less than one sample, the rates differ, or no sample is left to score.
@@ -111,7 +111,7 @@ def prediction_curve(
 
 
 def _known_residual(model: Model, record: Record, simulated: Array) -> Array:
-    """Return the residual (n,), NaN where the memory reaches before the record: there it is not the noise alone."""
+    """Return the residual (n,), NaN where the memory begins before the record, because it is not only noise there."""
     complete = complete_windows(np.isfinite(record.input), model.memory_samples)
     return np.where(complete, record.output - simulated, np.nan)
 

@@ -1,8 +1,8 @@
 """Highest VAF that a model can reach, from repeats of a test.
 
-Two tests with the same command differ by what no model of the tissue foretells: noise of the sensor, movement of the
-patient, what the tissue does of itself. Its variance is the floor of the simulation error, and puts a ceiling on the
-variance accounted for.
+Two tests with the same command differ by components that no model of the tissue predicts: sensor noise, movement of the
+patient, spontaneous changes of the tissue. Their variance is the floor of the simulation error, and therefore bounds
+the VAF.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ _BLOCK_S = 0.25
 """Length of the aligned stretches, s."""
 
 _AS_GOOD = 1.5
-"""Ratio to the smallest misfit up to which a shift is as good as the best."""
+"""Ratio to the smallest misfit up to which a shift counts as equally good."""
 
 _UNLIKE = 0.5
-"""Misfit, relative to the input's variance, above which two stretches belong to different commands."""
+"""Misfit, relative to the variance of the input, above which two stretches belong to different commands."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ceiling:
     """The highest VAF that a model could reach on repeated tests.
 
-    ``vaf_percent`` is for a model that is given the input as it was: the linear answer to how the input differed
-    between repeats is taken off their difference. ``vaf_same_input_percent`` counts that difference as noise.
-    ``noise_rms`` is the noise floor of the output and ``output_rms`` its standard deviation, in the output's unit.
-    ``input_difference_percent`` is the root mean square of the input's differences between repeats over that of the
-    input. ``shifts`` (repeats,) is by how many samples each lagged behind the first at its start. ``noise`` (repeats,
-    n) is what is left of each repeat, NaN where unknown, each scaled to the noise of one repeat.
+    ``vaf_percent`` is for a model with the actual input: the linear response to the differences of the input between
+    repeats is subtracted. ``vaf_same_input_percent`` counts those differences as noise. ``noise_rms`` is the noise
+    floor of the output and ``output_rms`` its standard deviation, in the unit of the output.
+    ``input_difference_percent`` is the rms difference of the input between repeats, relative to the rms of the input.
+    ``shifts`` (repeats,) is the initial lag of each behind the first, in samples. ``noise`` (repeats, n) is the
+    remaining difference of each repeat, NaN if unknown, scaled to the noise of one repeat.
     """
 
     vaf_percent: Estimate
@@ -60,27 +60,27 @@ class Ceiling:
     noise: Array
     findings: tuple[str, ...]
     left_out: tuple[str, ...] = ()
-    """Which repeats were not used, and why."""
+    """Repeats that were not used, with the reason."""
 
     def explained_percent(self, vaf_percent: float) -> float:
-        """Return the share of what can be explained that a model of this VAF explains."""
+        """Return the share of the explainable variance that a model of this VAF explains."""
         return 100.0 * vaf_percent / self.vaf_percent.value
 
 
 def ceiling(records: Sequence[Record], part: slice | None = None, memory: float = 0.125) -> Ceiling:
-    """Find the noise floor and the highest VAF from two or more repeats of one command.
+    """Estimate the noise floor and the highest VAF from two or more repeats of one command.
 
-    Where the repeats differ slowly, because the tissue relaxes or the patient moves, a model fitted to one of them may
-    follow that one and score higher there: the ceiling is for a model that knows the input alone.
+    If the repeats differ slowly, because the tissue relaxes or the patient moves, a model fitted to one of them may
+    exceed the ceiling on that one: the ceiling is for a model that depends only on the input.
 
     Args:
-        records: the repeats. Stretches of them are shifted by whole samples where their inputs say so.
-        part: contiguous part to look at, on the samples of the first record.
-        memory: seconds, of the linear answer to the input's differences.
+        records: the repeats. Stretches of them are shifted by whole samples to align their inputs.
+        part: contiguous part to compare, on the samples of the first record.
+        memory: of the linear response to differences of the input, s.
 
     Raises:
-        UnusableInputError: fewer than two records, different sample rates, inputs that are not alike, or too few
-            samples that all repeats hold.
+        UnusableInputError: fewer than two records, different sample rates, inputs that do not match, or too few common
+            samples.
     """
     if len(records) < 2:
         raise UnusableInputError(
@@ -171,9 +171,10 @@ def _ceiling(floor: Array, power: Array, rate: float) -> Estimate:
 
 
 def _shifts(first: Array, other: Array, most: int, block: int) -> Lags:
-    """Return by how many samples the other input (m,) lags behind the first (n,), shape (blocks,), block by block.
+    """Return the lag in samples of the other input (m,) behind the first (n,), shape (blocks,), block by block.
 
-    A block that fits about as well where the one before it did stays there, as in a preload, where nothing moves.
+    A block keeps the shift of the one before it if that fits about as well, for example in a preload, where nothing
+    moves.
     """
     found = []
     last = 0
@@ -207,7 +208,7 @@ def _aligned(records: Sequence[Record], shifts: Sequence[Lags], block: int) -> t
         of_sample = np.concatenate([np.repeat(shift, block), np.full(n - shift.size * block, shift[-1])])
         source = np.arange(n) + of_sample
         inside = (source >= 0) & (source < len(record))
-        for change in np.flatnonzero(np.diff(shift)):  # where in the two blocks it happened is not known
+        for change in np.flatnonzero(np.diff(shift)):  # the exact place of the change within two blocks is unknown
             inside[change * block : (change + 2) * block] = False
         signals[0, row, inside] = record.input[source[inside]]
         signals[1, row, inside] = record.output[source[inside]]

@@ -1,9 +1,9 @@
-"""Correlations of a residual with a signal over many lags, with bands valid for coloured signals.
+"""Correlations of a residual with a signal over many lags, with confidence bands valid for coloured signals.
 
-All that is claimed rests on one fact: if the residual is unrelated to the input, then, the input being what it was, a
-sum of residuals weighted by any function of the input has a variance that follows from the residual's own colour alone.
-No distribution of the input is assumed. The residual is made white by an autoregression and what it is held against is
-filtered alike, which is generalised least squares: the band is narrow where the residual has little power.
+If the residual is independent of the input, then, given the input, the variance of a sum of residuals weighted by any
+function of the input follows from the autocovariance of the residual alone. No distribution of the input is assumed.
+The residual is whitened by an autoregression and the signals are filtered alike, which is generalised least squares:
+the band is narrow where the residual has little power.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from tissueid.identification.validation.autoregression import Autoregression
 Lags = NDArray[np.int_]
 
 _DRAWS = 4000
-"""Draws of the largest of many related Gaussian numbers; their seed is fixed, so a p-value does not change."""
+"""Number of draws for the maximum of correlated Gaussian numbers; the seed is fixed, so that p-values are reproducible.
+"""
 
 _RIDGE = 1e-6
-"""Share of the nuisance's power added where it is projected out: lags of a low-pass input are nearly related."""
+"""Ridge of the nuisance projection relative to its power: lags of a low-pass input are nearly collinear."""
 
 _NOTHING_NEW = 1e-4
-"""Share of a signal below which what the nuisance leaves of it is rounding."""
+"""Share of a signal below which the rest after projection is rounding."""
 
 LEVEL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Correlation coefficients (lags,) and the covariance (lags, lags) that chance alone would give them.
+    """Correlation coefficients (lags,) and their covariance (lags, lags) under the null hypothesis.
 
-    NaN, and no part of the joint statements, where a lag carries nothing that could be tested. ``unrelated`` says that
-    the covariance is diagonal.
+    NaN, and excluded from joint tests, for lags that cannot be tested. ``unrelated``: the covariance is diagonal.
     """
 
     lags: Lags
@@ -49,11 +49,11 @@ class Scores:
 
     @property
     def std(self) -> Array:
-        """Standard deviation by chance at each lag, shape (lags,)."""
+        """Standard deviation at each lag under the null hypothesis, shape (lags,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def joint(self) -> tuple[float, float]:
-        """Return the p-value of the largest lag, and the threshold that 5 % of all curves exceed."""
+        """Return the p-value of the largest lag, and the threshold that 5 % of all curves exceed by chance."""
         known = np.isfinite(self.correlation)
         if not known.any():
             return float("nan"), float("nan")
@@ -71,25 +71,25 @@ class Scores:
 
 
 def independent(lags: Lags, correlation: Array, std: Array) -> Scores:
-    """Return the scores of lags that chance leaves unrelated; all three of shape (lags,)."""
+    """Return the scores of lags that are independent under the null hypothesis; all arrays of shape (lags,)."""
     return Scores(lags, correlation, np.diag(std**2), unrelated=True)
 
 
 def _largest_of(related: Array) -> Array:
-    """Return the draws (draws,) of the largest modulus of Gaussian numbers of unit variance, so related (k, k)."""
+    """Return draws (draws,) of the largest modulus of Gaussian numbers with this correlation matrix (k, k)."""
     values, vectors = linalg.eigh(related)
     kept = values > 1e-9 * values[-1]
-    shape = (vectors[:, kept] * np.sqrt(values[kept])).astype(np.float32)  # (k, rank): single precision is plenty
+    shape = (vectors[:, kept] * np.sqrt(values[kept])).astype(np.float32)  # (k, rank): single precision is sufficient
     unit = np.random.Generator(np.random.PCG64(0)).standard_normal((shape.shape[1], _DRAWS), dtype=np.float32)
     return np.asarray(np.max(np.abs(shape @ unit), axis=0), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A whitened residual (n,) held against lags of whitened signals, worked as one matrix of products.
+    """Products of a whitened residual (n,) with lags of whitened signals, as one matrix.
 
     ``products`` are sums over ``n_rows`` samples of all columns: a constant, the nuisance lags, the lags of each
-    signal, and last the residual. Every column but the first and last was divided by its size, the nuisance by
+    signal, and last the residual. All columns except the first and last were divided by their rms, the nuisance by
     ``nuisance_size``.
     """
 
@@ -100,10 +100,10 @@ class Held:
     n_rows: int
 
     def scores(self, which: int, extra: Array | None = None, widening: float = 1.0, project: bool = True) -> Scores:
-        """Return scores of one signal. What the nuisance explains of it is taken out first, unless ``project`` is off.
+        """Return the scores of one signal, with the nuisance projected out unless ``project`` is off.
 
         ``extra`` (nuisance, nuisance) is the covariance of coefficients by which the residual may depend on the
-        nuisance lags; it counts where these are not projected out. ``widening`` multiplies the variance otherwise.
+        nuisance lags; it is used if these are not projected out. Otherwise ``widening`` multiplies the variance.
         """
         first = 1 + self.nuisance + sum(lags.size for lags in self.signals[:which])
         some = slice(first, first + self.signals[which].size)
@@ -128,7 +128,7 @@ class Held:
 
     @cached_property
     def innovation_power(self) -> float:
-        """Variance of the whitened residual, less what the constant and the nuisance lags explain of it."""
+        """Variance of the whitened residual, minus what the constant and the nuisance lags explain."""
         out = slice(0, 1 + self.nuisance)
         p = self.products
         load = np.full(out.stop, _RIDGE * float(np.mean(np.diag(p[out, out]))))
@@ -142,10 +142,10 @@ class Held:
 def hold(
     residual: Array, noise: Autoregression, nuisance: tuple[Array, int], signals: Sequence[tuple[Array, Lags]]
 ) -> Held:
-    """Whiten a residual (n,) and all it is held against, and form the products.
+    """Whiten a residual (n,) and the signals alike, and form the products.
 
-    ``nuisance`` is a signal (n,) and how many lags of it, from 0 on; each of ``signals`` is one (n,) and its lags, of
-    which negative ones look ahead. Samples at which any of it is unknown are left out.
+    ``nuisance`` is a signal (n,) and its number of lags, from 0 on; each of ``signals`` is one (n,) and its lags, of
+    which negative ones look ahead. Samples with any unknown value are left out.
     """
     columns = [(noise.whiten(nuisance[0]), np.arange(nuisance[1]))]
     columns += [(noise.whiten(signal), lags) for signal, lags in signals]
@@ -170,7 +170,7 @@ def _rms(signal: Array) -> float:
 
 
 def _complete(whitened: Array, columns: Sequence[tuple[Array, Lags]]) -> Mask:
-    """Return the samples (n,) whose residual is known and so are all lags of all signals."""
+    """Return the mask (n,) of samples with a known residual and known lags of all signals."""
     n = whitened.size
     complete = np.isfinite(whitened)
     for signal, lags in columns:
@@ -189,9 +189,9 @@ def _complete(whitened: Array, columns: Sequence[tuple[Array, Lags]]) -> Mask:
 class KernelError:
     """Uncertainty of a linear kernel fitted by least squares to ``fitted`` samples, and its effect on residuals.
 
-    ``covariance`` (lags, lags) is that of the kernel. ``excess`` (length,) is the correlation coefficient that the
-    error of the kernel leaves in residuals of other samples at lags 0, 1, ...; in those of the fitted samples it is
-    ``deficit``, which at lag 0 is what a fit takes from their variance.
+    ``covariance`` (lags, lags) is that of the kernel. ``excess`` (length,) is the autocorrelation coefficient at lags
+    0, 1, ... that the error of the kernel adds to residuals of other samples; ``deficit`` is the reduction in residuals
+    of the fitted samples, at lag 0 that of their variance.
     """
 
     covariance: Array
@@ -202,7 +202,7 @@ class KernelError:
 def kernel_error(x: Array, noise: Autoregression, lags: int, fitted: int, length: int) -> KernelError:
     """Return the uncertainty of a fit of ``lags`` lags to ``fitted`` samples of an input like x (n,); NaN is unknown.
 
-    The covariance is inv(R) S inv(R) / fitted, with S from the product of the spectra of the input and of the noise.
+    The covariance is inv(R) S inv(R) / fitted, with S from the product of the spectra of input and noise.
     """
     known = np.isfinite(x)
     filled = np.where(known, x - np.mean(x[known]), 0.0)
@@ -224,7 +224,7 @@ def kernel_error(x: Array, noise: Autoregression, lags: int, fitted: int, length
 
 
 def _through_lags(form: Array, auto: Array, length: int) -> Array:
-    """Trace of a symmetric form (m, m) with the lagged correlation matrices of an input, at lags 0 .. length - 1."""
+    """Return the trace of a symmetric form (m, m) with lagged correlation matrices, lags 0 .. length - 1."""
     m = form.shape[0]
     along = np.array([np.trace(form, offset=d) for d in range(m)])  # sums of diagonals
     both_sides = np.concatenate([along[:0:-1], along])  # (2 m - 1,)

@@ -1,8 +1,8 @@
 """Residual tests of a model on a record.
 
 Linear and higher-order correlations (Billings and Voon 1986; Billings and Zhu 1994) of the residual with itself, the
-input, and the model's own output. A right model leaves a residual unrelated to the input; which test finds otherwise
-says what is missing.
+input, and the output of the model. The residual of a complete model is independent of the input; the tests that fail
+indicate what is missing.
 """
 
 from __future__ import annotations
@@ -87,10 +87,10 @@ MEANINGS: dict[TestName, Message] = {
         "the correlation of the residual in time depends on the input: its dynamics change with the load",
     ),
 }
-"""Meaning of each test that fails."""
+"""Interpretation of each test that fails."""
 
 _MOST_LAGS = 64
-"""Lags of the tests with nuisance and of the higher orders, at most."""
+"""Largest number of lags of the tests with nuisance parameters and of the higher orders."""
 
 _Z = 1.959964
 
@@ -99,10 +99,10 @@ _Z = 1.959964
 class ResidualTest:
     """One test. ``lag_s``, ``correlation`` and ``band`` have shape (lags,).
 
-    ``correlation`` is a coefficient between -1 and 1 of signals made white alike; NaN where a lag can tell nothing.
-    ``band`` is what a single lag exceeds one time in twenty by chance, ``overall_band`` what any lag does.
-    ``p_value`` is the chance of a lag as far out as the farthest; ``adjusted_p_value`` allows for how many tests there
-    are (Holm 1979). Both are None where nothing could be tested.
+    ``correlation`` is a coefficient between -1 and 1 of whitened signals; NaN for lags that cannot be tested. A single
+    lag exceeds ``band`` by chance in 5 % of tests, any lag exceeds ``overall_band`` in 5 %. ``p_value`` is that of the
+    largest lag; ``adjusted_p_value`` is corrected for the number of tests (Holm 1979). Both are None if nothing could
+    be tested.
     """
 
     name: TestName
@@ -116,7 +116,7 @@ class ResidualTest:
 
     @property
     def passed(self) -> bool | None:
-        """False at p below 5 % of this test alone; None where nothing could be tested."""
+        """False if p is below 5 % for this test alone; None if nothing could be tested."""
         return None if self.p_value is None else self.p_value >= 1.0 - LEVEL
 
 
@@ -124,8 +124,8 @@ class ResidualTest:
 class ResidualTests:
     """All tests of one model on one record, in the order of ``MEANINGS``.
 
-    ``noise_order`` is the order of the autoregression that made the residual white. ``findings`` says what the tests
-    found that chance would not bring in one of twenty right models.
+    ``noise_order`` is the order of the whitening autoregression. ``findings`` are the failed tests at a family-wise
+    level of 5 %.
     """
 
     tests: tuple[ResidualTest, ...]
@@ -142,19 +142,19 @@ class ResidualTests:
 def residual_tests(
     model: Model, record: Record, part: slice | None = None, *, in_sample: bool = False, scheduled: bool = False
 ) -> ResidualTests:
-    """Test what a model leaves of a record, or of a contiguous part of it.
+    """Test the residual of a model on a record, or on a contiguous part of it.
 
-    Held-out samples are what these tests are for: there the size of each is right. The uncertainty of a fitted linear
-    kernel is allowed for, as known from ``model.report.n_samples``; that of nonlinear parameters is taken at its
-    largest, which makes the tests of the square and the cube cautious for nonlinear models.
+    The tests are meant for held-out samples, on which their size is correct. The uncertainty of a fitted linear kernel
+    is included, computed from ``model.report.n_samples``; for nonlinear parameters an upper bound is used, which makes
+    the tests of the square and the cube conservative for nonlinear models.
 
     Args:
         model: any model.
         record: the data; inputs before the part still count as memory.
         part: contiguous part to test.
-        in_sample: the samples are the fitted ones. Then the test against the input says nothing for a model with a free
-            kernel, whose fit made that correlation nil, and is left out.
-        scheduled: take the simulation that chooses its kernel by the measured output.
+        in_sample: the samples are the fitted ones. The test against the input is then left out for a model with a free
+            kernel, because the fit makes that correlation zero.
+        scheduled: use the simulation whose kernels are selected by the measured output.
 
     Raises:
         UnusableInputError: another sample rate, a model without a schedule, or too few samples for the memory.
@@ -180,7 +180,7 @@ def residual_tests(
     y = simulated - float(np.mean(simulated[used]))
     noise = fit_autoregression(residual)
     short = np.arange(max(2, min(memory, _MOST_LAGS, count // 20)))
-    long = np.arange(memory + min(memory, _MOST_LAGS, count // 20))  # past the memory too: it may be too short
+    long = np.arange(memory + min(memory, _MOST_LAGS, count // 20))  # also beyond the memory, which may be too short
     speed = np.concatenate([[np.nan], np.diff(y)])
     held = hold(
         residual,
@@ -229,9 +229,9 @@ def _autocorrelation(residual: Array, lags: Lags, error: KernelError, share: flo
 
 
 def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
-    """Return the innovation e[n] of the residual (n,) against e[n - k] x[n - k], the product of Billings and Voon.
+    """Return the scores of the innovation e[n] of the residual (n,) against e[n - k] x[n - k] (Billings and Voon).
 
-    The terms of each sum are unrelated to one another when the innovation is white and knows nothing of the input.
+    The terms of each sum are uncorrelated if the innovation is white and independent of the input.
     """
     carried = innovation * x
     rows = np.arange(int(lags[-1]), innovation.size)
@@ -244,9 +244,9 @@ def _product(innovation: Array, x: Array, lags: Lags) -> Scores:
 
 
 def _normal_scores(values: Array) -> Array:
-    """Return the values (n,) put on a normal distribution by their ranks; NaN stay.
+    """Return the normal scores of the ranks of values (n,); NaN stay.
 
-    Squares of residuals have long tails, and sums of them are not yet normal after a few thousand samples.
+    Squared residuals have heavy tails, and sums of a few thousand of them are not yet normal.
     """
     known = np.isfinite(values)
     scores = np.full(values.size, np.nan)
@@ -257,7 +257,7 @@ def _normal_scores(values: Array) -> Array:
 
 
 def _share(model: Model, x: Array) -> float:
-    """Parameters for each direction of the linear kernel's error: one for a free kernel, less for a few numbers."""
+    """Return parameters per direction of the linear kernel's error: 1 for a free kernel, less for few parameters."""
     parameters, memory = model.report.n_parameters, model.memory_samples
     if parameters >= memory:
         return parameters / memory
@@ -268,7 +268,7 @@ def _share(model: Model, x: Array) -> float:
 
 
 def _is_straight(model: Model, u: Array, simulated: Array, used: Mask) -> bool:
-    """Return whether half the input's excursions give half the output's."""
+    """Return whether half of the input excursion gives half of the output excursion."""
     middle = float(np.mean(u[used]))
     half = model.simulate(middle + 0.5 * (u - middle))[used]
     rest = model.simulate(np.full(u.size, middle))[used]
@@ -301,7 +301,7 @@ def _judged(scores: dict[TestName, Scores | None], rate: float) -> tuple[Residua
 
 
 def _holm(p_values: dict[TestName, float]) -> dict[TestName, float]:
-    """Return p-values that allow for how many there are (Holm 1979)."""
+    """Return p-values corrected for their number (Holm 1979)."""
     adjusted: dict[TestName, float] = {}
     largest = 0.0
     for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):

@@ -1,6 +1,6 @@
 """Scores of a model on a record: variance accounted for, information criteria, held-out simulation.
 
-Samples that were not received are NaN and are not filled in. An output sample is scored only if it and every input
+Samples that were not received are NaN and are never interpolated. An output sample is scored only if it and every input
 sample that it depends on were received.
 """
 
@@ -43,8 +43,8 @@ class Score:
 def vaf_percent(measured: Array, modelled: Array) -> float:
     """Return the variance accounted for, % (Eq. 3.13), over the samples where both arrays (n,) are finite.
 
-    Negative where the error varies more than the measurement. NaN with fewer than two samples, or where the
-    measurement does not vary.
+    Negative if the error varies more than the measurement. NaN with fewer than two samples, or if the measurement is
+    constant.
     """
     used = np.isfinite(measured) & np.isfinite(modelled)
     if used.sum() < 2:

@@ -1,4 +1,4 @@
-"""Standard deviation of a variance accounted for, with dependent samples."""
+"""Standard deviation and significance of a variance accounted for, with autocorrelated samples."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from tissueid.identification.correlation import Correlator
 from tissueid.identification.effective_samples import dependence_samples, long_run_covariance
 
 _FEWEST = 8
-"""Samples below which nothing is said of a correlation."""
+"""Samples below which no significance is computed."""
 
 _LEAST = 1e-12
-"""Least share of the variance that is left unexplained in Student's quotient."""
+"""Lower bound on the unexplained share of the variance in the t statistic."""
 
 
 def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> float:
@@ -25,10 +25,10 @@ def vaf_std_percent(measured: Array, error: Array, sample_rate_hz: float) -> flo
 
 
 def unrelated_p_value(measured: Array, simulated: Array) -> float:
-    """Return the one-sided p-value of a simulation against simulations unrelated to the measurement; 1 for no fit.
+    """Return the one-sided p-value of a simulation against independent simulations; 1 for no fit.
 
-    Both have shape (n,) and hold no NaN. Their correlation is held against Student's distribution, with the number of
-    independent samples that the autocorrelations of both leave (Bartlett 1935).
+    Both have shape (n,) and no NaN. Their correlation is tested by Student's t with the effective sample size that
+    follows from both autocorrelations (Bartlett 1935).
     """
     n = measured.size
     if n < _FEWEST:
@@ -53,6 +53,6 @@ def ratio_std(power: Array, whole: Array, sample_rate_hz: float) -> float:
     if not mean > 0.0 or power.size < 2:
         return float("nan")
     ratio = float(np.mean(power)) / mean
-    terms = (power - ratio * whole) / mean  # its mean is nil, and its sum over n is the ratio's error
+    terms = (power - ratio * whole) / mean  # zero mean; its sum over n is the error of the ratio
     block = max(dependence_samples(power, sample_rate_hz), dependence_samples(whole, sample_rate_hz))
     return float(np.sqrt(long_run_covariance(terms[:, None], block)[0, 0])) / power.size

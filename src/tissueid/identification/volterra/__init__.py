@@ -1,1 +1,1 @@
-"""Volterra kernels: exact, regularised, in a Laguerre basis, and without ever being formed."""
+"""Volterra kernels: exact, regularised, in a Laguerre basis, and by kernel regression."""

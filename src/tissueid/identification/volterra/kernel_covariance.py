@@ -1,9 +1,9 @@
 """Prior covariances of smooth, decaying Volterra kernels.
 
-For h1 the diagonal/correlated form of Chen, Ohlsson and Ljung (2012), for h2 that of Birpoutsoukis, Marconato, Lataire
-and Schoukens (2017), turned by 45 degrees: decay and correlation along the diagonal and across it, each with its own.
-In place of their exponential correlation stands Matern's of order 3/2: its kernels have a slope everywhere, as the
-response of a mass has, and the marginal likelihood prefers it clearly on measured tissue.
+For h1 the diagonal/correlated form of Chen, Ohlsson and Ljung (2012); for h2 that of Birpoutsoukis, Marconato, Lataire
+and Schoukens (2017), rotated by 45 degrees, with separate decay and correlation along and across the diagonal. The
+exponential correlation is replaced by Matern's of order 3/2, whose kernels are differentiable, as the response of a
+mass is, and which has a clearly higher marginal likelihood on measured tissue.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Index = NDArray[np.intp]
 
 @njit(cache=True)
 def fill_pairs(along: Array, across: Array, twice_along: Index, distance: Index) -> Array:
-    """Covariance (p, p) whose entry for two places is along[u, u'] across[v, v'], from their u and v (p,)."""
+    """Return the covariance (p, p) with entries along[u, u'] across[v, v'] for the u and v (p,) of coefficients."""
     p = twice_along.size
     covariance = np.empty((p, p))
     for m in range(p):
@@ -36,9 +36,9 @@ def fill_pairs(along: Array, across: Array, twice_along: Index, distance: Index)
 def gather_pairs(
     weight: Array, along: Array, across: Array, twice_along: Index, distance: Index
 ) -> tuple[Array, Array]:
-    """Return the sums of weight * across over the pairs of each u, u', and of weight * along over those of each v, v'.
+    """Return sums of weight * across over the pairs of each u, u', and of weight * along over those of each v, v'.
 
-    ``weight`` (p, p) is symmetric, and so are the sums but for which of two halves an entry is counted in.
+    ``weight`` (p, p) is symmetric; the sums are symmetric except that a pair of entries is counted in one half only.
     """
     by_along = np.zeros_like(along)
     by_across = np.zeros_like(across)
@@ -55,11 +55,13 @@ FIRST = 3
 """Number of hyperparameters of the covariance of h1; that of h2 has five."""
 
 Tables = tuple[Array, Array, Array]
-"""A covariance, and its derivatives by the logarithms of decay and correlation rate."""
+"""A covariance, and its derivatives with respect to the logarithms of decay and correlation rate."""
 
 
 def matern(distance: Array, rate: float) -> tuple[Array, Array]:
-    """Return Matern correlation of order 3/2 and its derivative by the logarithm of ``rate``, shape of ``distance``."""
+    """Return the Matern correlation of order 3/2 and its derivative with respect to log ``rate``, shape of
+    ``distance``.
+    """
     reach = rate * distance
     fading = np.exp(-reach)
     return (1.0 + reach) * fading, -(reach**2) * fading
@@ -83,10 +85,10 @@ class FirstOrderCovariance:
 
 
 class SecondOrderCovariance:
-    """Covariance of the upper triangle of h2, row by row, from L lags.
+    """Covariance of the upper triangle of h2, row by row, for L lags.
 
-    With u = (i + j) / 2 along the diagonal and v = |i - j| across it, c exp(-a_u (u + u')) r(b_u |u - u'|)
-    exp(-a_v (v + v')) r(b_v |v - v'|), of the logarithms of c, a_u, b_u, a_v, b_v; rates per lag.
+    With u = (i + j) / 2 along the diagonal and v = |i - j| across it, c exp(-a_u (u + u')) r(b_u |u - u'|) exp(-a_v (v
+    + v')) r(b_v |v - v'|), of the logarithms of c, a_u, b_u, a_v, b_v; rates per lag.
     """
 
     def __init__(self, lags: int) -> None:
@@ -128,7 +130,9 @@ class SecondOrderCovariance:
 
 
 def _separable(lag: Array, scale: float, decay: float, rate: float) -> Tables:
-    """scale exp(-decay (t + t')) r(rate |t - t'|) at the places t, and its derivatives by log decay and log rate."""
+    """Return scale exp(-decay (t + t')) r(rate |t - t'|) at t, and its derivatives with respect to log decay and log
+    rate.
+    """
     fading = np.exp(-decay * lag)
     size = scale * fading[:, None] * fading
     correlation, slope = matern(np.abs(lag[:, None] - lag), rate)

@@ -1,8 +1,9 @@
-"""Regularised Volterra kernels to third order and over long memories, without ever forming their coefficients.
+"""Regularised Volterra kernels to third order and over long memories, by kernel regression.
 
-The posterior mean of every kernel follows from one system of as many equations as rows (Franz and Schoelkopf 2006, A
-unifying view of Wiener and Volterra theory and polynomial kernel regression), here with a covariance of the lags that
-is smooth and dies away: alpha = (K + s^2 I)^-1 (y - h0), h1 = c1 P X' alpha, h2 = c2 P X' diag(alpha) X P, and so on.
+The posterior mean of all kernels follows from one system of as many equations as rows (Franz and Schoelkopf 2006, A
+unifying view of Wiener and Volterra theory and polynomial kernel regression), here with a smooth, decaying covariance
+of the lags: alpha = (K + s^2 I)^-1 (y - h0), h1 = c1 P X' alpha, h2 = c2 P X' diag(alpha) X P, and so on. The
+coefficients are never formed.
 """
 
 from __future__ import annotations
@@ -21,20 +22,20 @@ from tissueid.identification.volterra.regressors import lagged_inputs
 from tissueid.messages import Message
 
 MAX_ROWS = 7000
-"""Rows that are solved together: 400 MB, and some three seconds on one core."""
+"""Largest number of rows that are solved together: 400 MB, and about three seconds on one core."""
 
 SEARCH_ROWS = 900
-"""Rows by which the hyperparameters are chosen."""
+"""Number of rows by which the hyperparameters are selected."""
 
 _REFIT = 1.5
 """Ratio of estimated to assumed dependence above which the hyperparameters are searched again."""
 
 _BLOCK = 512
 _LEVERAGES = 400
-"""Rows of which the leverage is worked out, evenly spaced; the trace of the hat matrix follows from their mean."""
+"""Number of evenly spaced rows whose leverage is computed; the trace of the hat matrix follows from their mean."""
 
 _STD_STEPS = 3e10
-"""Multiplications up to which standard deviations are worked out for the whole of h2 and not only its diagonal."""
+"""Multiplications up to which standard deviations are computed for all of h2; above, only for its diagonal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +43,11 @@ class DualKernels:
     """Posterior of Volterra kernels in output units per input units, per lag.
 
     ``kernel1`` has shape (L,), ``kernel2`` (L, L), ``kernel3`` (L, L, L), symmetric, None above the order. Standard
-    deviations have the shape of their kernel; ``kernel2_std`` is NaN off the diagonal where it would have cost too
-    much. ``effective_parameters`` is the trace of the hat matrix. ``hyperparameters`` holds prior standard deviations
-    at lag 0 in the unit of each kernel, that of what it has on its diagonal alone, and decays and correlation rates per
-    lag. ``noise_variance`` is that of the residual, ``dependence`` how many rows say as much as one, ``rows`` how many
-    were solved, ``log_evidence`` that of the thinned rows by which the prior was chosen.
+    deviations have the shape of their kernel; ``kernel2_std`` is NaN off the diagonal if it was too expensive to
+    compute. ``effective_parameters`` is the trace of the hat matrix. ``hyperparameters`` holds prior standard
+    deviations at lag 0 in the unit of each kernel, that of the diagonal part, and decays and correlation rates per lag.
+    ``noise_variance`` is that of the residual, ``dependence`` the number of rows per independent row, ``rows`` the
+    number of rows solved, ``log_evidence`` that of the thinned rows by which the prior was selected.
     """
 
     kernel0: float
@@ -79,14 +80,14 @@ def dual_kernels(
     """Return the regularised kernels of order 0 to ``order`` (1, 2 or 3).
 
     Args:
-        x: input (n,), its mean removed.
+        x: input (n,) with its mean removed.
         y: output (n,).
-        used: the samples (n,) that are rows; every input of their memory must have been received.
-        lags: L, how many lags a kernel has.
-        spacing: samples from one lag to the next.
+        used: mask (n,) of the rows; every input of their memory must have been received.
+        lags: L, number of lags of a kernel.
+        spacing: samples between lags.
         order: of the highest kernel.
-        max_rows: beyond this many, rows are thinned evenly, and a warning says so; memory is 8 bytes times its square.
-        search_rows: rows, evenly spaced, by which the marginal likelihood chooses the prior.
+        max_rows: above this number rows are thinned evenly, with a warning; memory is 8 bytes times its square.
+        search_rows: number of evenly spaced rows by which the prior is selected.
 
     Raises:
         UnusableInputError: the order is not 1 to 3, or there are fewer than ten rows.
@@ -125,9 +126,9 @@ def dual_kernels(
 
 
 def simulate_third(kernel3: Array, x: Array, spacing: int) -> Array:
-    """Return the output (n,) of a symmetric third-order kernel (L, L, L) to an input x (n,) less its mean.
+    """Return the output (n,) of a symmetric third-order kernel (L, L, L) for an input x (n,) minus its mean.
 
-    At rest before the first sample; NaN where the memory holds a NaN. Takes n L^3 multiplications in blocks.
+    At rest before the first sample; NaN where the memory contains a NaN. Takes n L^3 multiplications in blocks.
     """
     lags = kernel3.shape[0]
     row, column = np.triu_indices(lags)
@@ -152,7 +153,9 @@ def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, eq=False)
 class _Chosen:
-    """A prior: scales relative to ``density``, what the noise of a row of the search counts with."""
+    """A selected prior, with scales relative to ``density``: the noise variance of a row of the search times
+    dependence.
+    """
 
     hyper: Array
     density: float
@@ -170,11 +173,13 @@ def _choose(
     spacing: int,
     search_rows: int,
 ) -> _Chosen:
-    """Return the prior by the marginal likelihood of thinned rows, and the dependence of all rows by their residual."""
+    """Select the prior by the marginal likelihood of thinned rows; estimate the dependence of all rows from their
+    residual.
+    """
     some = _thinned(rows, search_rows)
     windows, output = lagged_inputs(x, some, lags, spacing), y[some]
     share = some.size / rows.size
-    counted = 1.0  # thinned rows are taken for independent at first
+    counted = 1.0  # thinned rows are initially assumed to be independent
     hyper: Array | None = None
     while True:
         hyper, noise, evidence = search(covariance, windows, output, counted, hyper)
@@ -187,7 +192,7 @@ def _choose(
 
 
 def _modelled(covariance: DualCovariance, hyper: Array, windows: Array, output: Array, others: Array) -> Array:
-    """Output (m,), but for its constant, at lagged inputs (m, L) of the kernels that these rows (n, L) lead to."""
+    """Return the output (m,), up to a constant, for lagged inputs (m, L), by the kernels of these rows (n, L)."""
     z = covariance.between(hyper, windows, windows)
     z[np.diag_indices_from(z)] += 1.0
     solution = linalg.solve(z, np.column_stack([output, np.ones(output.size)]), assume_a="pos", check_finite=False)
@@ -208,7 +213,7 @@ def _posterior(
     density = max(1.0, chosen.dependence * n / all_rows) * chosen.noise_variance
     hyper = covariance.rescaled(chosen.hyper, chosen.density / density)
     z = np.empty((n, n), order="F")
-    for first in range(0, n, _BLOCK):  # the lower triangle alone
+    for first in range(0, n, _BLOCK):  # lower triangle only
         z[first:, first : first + _BLOCK] = covariance.between(hyper, windows[first:], windows[first : first + _BLOCK])
     z[np.diag_indices(n)] += 1.0
     factor = linalg.cholesky(z, lower=True, overwrite_a=True, check_finite=False)
@@ -225,7 +230,9 @@ def _posterior(
     )  # alpha, (n,)
 
     def std(prior: Array, cross: Array) -> Array:
-        """Of kernel values with prior variances (k,) and covariances (n, k) with the rows, all relative."""
+        """Return the standard deviations of kernel values with prior variances (k,) and covariances (n, k) with the
+        rows.
+        """
         known = half(cross)
         variance = prior - np.einsum("ij,ij->j", known, known) + (by_ones @ known) ** 2 / certainty
         return np.asarray(np.sqrt(density * np.maximum(variance, 0.0)))
@@ -279,7 +286,7 @@ def _posterior(
 
 
 def _third(through: Array, weights: Array) -> Array:
-    """Sum over the rows of weights (n,) times the triple products of ``through`` (n, L): (L, L, L), symmetric."""
+    """Return the sum of weights (n,) times triple products of ``through`` (n, L), (L, L, L), symmetric."""
     lags = through.shape[1]
     row, column = np.triu_indices(lags)
     pairs = np.zeros((lags, row.size))

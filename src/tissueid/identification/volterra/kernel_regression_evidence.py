@@ -1,7 +1,7 @@
 """Marginal likelihood of Volterra kernels of any order in the space of the rows.
 
-With one covariance P for every lag of an order, the outputs of its kernel have covariance c (x_n' P x_m)^order
-(Franz and Schoelkopf 2006), however many coefficients the kernel has. So N rows cost N^2 numbers and N^3 steps.
+With one covariance P of the lags per order, the outputs of a kernel have the covariance c (x_n' P x_m)^order (Franz and
+Schoelkopf 2006) for any number of coefficients. N rows need N^2 numbers and N^3 operations.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _DECAY, _RATE = (1e-3, 2.0), (3e-3, 3.0)
 """Bounds of decays and correlation rates, per lag."""
 
 _SHAPES = FIRST + 2
-"""Hyperparameters before the scales of the higher orders."""
+"""Number of hyperparameters before the scales of the higher orders."""
 
 _NAMES = (
     "first_std",
@@ -35,23 +35,22 @@ _NAMES = (
 _SCALE_DOWN, _SCALE_UP = 14.0, 8.0
 
 _EXPECTED = (100.0, 20.0, 5.0)
-"""Ratio of the output of each order to the noise, in power, that the search begins with."""
+"""Initial ratio of output power to noise power for each order."""
 
 _ON_DIAGONAL = 0.01
-"""Share of that which the diagonals begin with."""
+"""Initial share of that ratio for the diagonal parts."""
 
 _EXPLAINED = 1e-10
 """Share of the output's power below which the unexplained part is rounding."""
 
 
 class DualCovariance:
-    """Covariance of the outputs of kernels of first to ``order``-th order, and what it is made of.
+    """Covariance of the outputs of kernels of order 1 to ``order``.
 
-    A kernel of higher order is the sum of a smooth one and of one on its diagonal alone, as a static curve before the
-    dynamics makes it, which no smooth covariance could hold. The hyperparameters are the logarithms of c, a, b of h1;
-    then a and b that the smooth parts share; then for each higher order the scales of its smooth part and of its
-    diagonal, which dies away as h1 does: (3,), (7,) or (9,). Scales are relative to the variance that a row's noise
-    counts with.
+    A kernel of higher order is the sum of a smooth part and a diagonal part; a static curve before the dynamics gives
+    the latter, which a smooth covariance cannot represent. The hyperparameters are the logarithms of c, a, b of h1;
+    then a and b of all smooth parts; then for each higher order the scales of its smooth part and of its diagonal part,
+    which decays as h1: (3,), (7,) or (9,). Scales are relative to the noise variance of a row.
     """
 
     def __init__(self, lags: int, order: int) -> None:
@@ -59,11 +58,11 @@ class DualCovariance:
         self._lag_covariance = FirstOrderCovariance(lags)
 
     def scales(self, hyper: Array) -> tuple[Array, Array]:
-        """Return the scales of the smooth parts and of the diagonals of second and higher order, (order - 1,) each."""
+        """Return the scales of the smooth and of the diagonal parts of order 2 and higher, (order - 1,) each."""
         return np.exp(hyper[_SHAPES::2]), np.exp(hyper[_SHAPES + 1 :: 2])
 
     def lag_covariances(self, hyper: Array) -> tuple[Array, Array, Array]:
-        """Return P of h1 with its scale, and without scales P of the smooth parts and of the diagonals, (L, L) each."""
+        """Return P of h1 with its scale, and P of the smooth and of the diagonal parts without scales, (L, L) each."""
         first = self._lag_covariance.matrix(hyper[:FIRST])
         if self.order == 1:
             return first, first, first
@@ -83,7 +82,9 @@ class DualCovariance:
         return total
 
     def slopes(self, hyper: Array, windows: Array, weight: Array) -> Array:
-        """Return the derivatives of sum(weight * covariance) by the hyperparameters, for a symmetric weight (n, n)."""
+        """Return the derivatives of sum(weight * covariance) with respect to the hyperparameters, for a symmetric
+        weight (n, n).
+        """
         found = np.zeros(hyper.size)
         found[:FIRST] = self._lag_covariance.slopes(hyper[:FIRST], windows.T @ (weight @ windows))
         if self.order > 1:
@@ -123,7 +124,7 @@ class DualCovariance:
         return np.array(hyper)
 
     def bounds(self, begin: Array) -> list[tuple[float, float]]:
-        """Return the bounds of the hyperparameters, the scales' about where a search begins."""
+        """Return the bounds of the hyperparameters; those of the scales are relative to ``begin``."""
         shape = [(float(np.log(low)), float(np.log(high))) for low, high in (_DECAY, _RATE)]
         scales = [(float(begin[k] - _SCALE_DOWN), float(begin[k] + _SCALE_UP)) for k in self._scale_places(begin)]
         return [scales[0], *shape, *(shape if self.order > 1 else []), *scales[1:]]
@@ -154,8 +155,8 @@ def search(
 ) -> tuple[Array, float, float]:
     """Return hyperparameters, noise variance and log marginal likelihood for lagged inputs (n, L) and an output (n,).
 
-    ``dependence`` is how many of these rows say as much as one. The scales are relative to ``dependence`` times the
-    noise variance. The constant is free; it is integrated out.
+    ``dependence`` is the number of these rows per independent row. The scales are relative to ``dependence`` times the
+    noise variance. The constant is integrated out.
     """
     rows = output.size / dependence - 1.0
     ones = np.ones(output.size)
@@ -168,7 +169,7 @@ def search(
         z[np.diag_indices_from(z)] += 1.0
         try:
             inverse, logarithms = _inverse(z)
-        except linalg.LinAlgError:  # a step so long that nothing is left of the noise
+        except linalg.LinAlgError:  # the step was too long: the noise vanishes
             return 1e3 * rows, np.zeros(hyper.size)
         by_ones = inverse @ ones
         total = float(by_ones.sum())

@@ -41,10 +41,10 @@ def lag_grid(memory: float, sample_rate_hz: float, spacing: int) -> LagGrid:
 
 
 def automatic_grid(memory: float, x: Array, sample_rate_hz: float) -> LagGrid:
-    """Return the grid with the largest spacing that the bandwidth of the input ``x`` (n,), without its mean, allows.
+    """Return the grid with the largest spacing that the bandwidth of the input ``x`` (n,), with zero mean, allows.
 
-    The Nyquist frequency of the grid lies above ``POWER_EDGE`` of the input power. A finer grid would have coefficients
-    that the input does not excite. The spacing is increased further where the grid would exceed ``MOST_LAGS``.
+    The Nyquist frequency of the grid is above ``POWER_EDGE`` of the input power. A finer grid would have coefficients
+    that the input does not excite. The spacing is increased further if the grid would exceed ``MOST_LAGS``.
     """
     frequency, power = input_spectrum(x, sample_rate_hz)
     share = np.cumsum(power)
@@ -87,12 +87,11 @@ def whiteness(products: Array) -> float:
 def smoothed(kernel2: Array, spread: float) -> Array:
     """Return a second-order kernel (L, L) after a 2-D Gaussian low-pass that preserves its sum (Chen 2010, 4.3.2).
 
-    ``spread`` is the full width, at half height, of the filter's Gaussian gain in both directions, in samples of the
-    kernel's L-point Fourier transform. The thesis specifies "a spread of 15 samples in all directions" without saying
-    of which quantity. A standard deviation of 15 of 41 samples would pass 41 % of the amplitude at the Nyquist
-    frequency and leave the kernels of low-passed tests rough; a full width of 15 reproduces the figures of the thesis.
-
-    The kernel is mirrored at its borders; a plain Fourier transform would mix lag 0 with the last lag.
+    ``spread`` is the full width at half maximum of the filter's Gaussian gain in both directions, in samples of the
+    kernel's L-point Fourier transform. The thesis specifies "a spread of 15 samples in all directions" without naming
+    the quantity. A standard deviation of 15 of 41 samples would pass 41 % of the amplitude at the Nyquist frequency and
+    leave the kernels of low-passed tests rough; a full width of 15 reproduces the figures of the thesis. The kernel is
+    mirrored at its borders; a plain Fourier transform would mix lag 0 with the last lag.
     """
     lags = kernel2.shape[0]
     frequency = 0.5 * np.arange(lags)  # of a cosine transform, in samples of the Fourier transform

@@ -1,8 +1,8 @@
 """Volterra kernels as sums of discrete Laguerre functions (Marmarelis 1993).
 
-A handful of functions that ring out like the system itself replace one coefficient a lag: Q + Q (Q + 1) / 2 + ...
-with Q about ten, whatever the memory. How fast they ring out (the pole) and how many there are is decided by what each
-of five stretches of the record says of the kernels that the other four led to: a coloured residual buys no functions.
+About ten decaying functions replace one coefficient per lag: Q + Q (Q + 1) / 2 + ... coefficients for any memory. The
+decay (the pole) and the number of functions are selected by five-fold cross-validation over stretches of the record,
+which is robust against coloured residuals.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tissueid.identification.preparation import SAMPLES_PER_PARAMETER
 from tissueid.messages import Message
 
 MOST_FUNCTIONS = {1: 16, 2: 12, 3: 9}
-"""Functions tried for kernels of first, second and third order."""
+"""Largest number of functions tried for kernels up to first, second and third order."""
 
 _STRETCHES = 5
 _POLES = 9
@@ -30,20 +30,20 @@ _NARROWINGS = 3
 _RIDGE = 1e-12
 
 _MORE = 4
-"""Functions beyond those of an expansion by which the error of cutting it off is judged."""
+"""Number of additional functions by which the truncation error of an expansion is estimated."""
 
 _NEIGHBOURS = 5
 
 
 @dataclass(frozen=True, eq=False)
 class LaguerreKernels:
-    """Volterra kernels in output units per input units, per lag, and the expansion that they come from.
+    """Volterra kernels in output units per input units, per lag, and their expansion.
 
     ``kernel1`` has shape (L,), ``kernel2`` (L, L), ``kernel3`` (L, L, L), symmetric, None above the order. Standard
-    deviations have the shape of their kernel; they hold the noise, of any colour, and what cutting off the sum costs.
-    ``functions`` has shape (L, Q), ``coefficients`` (p,): the constant, one a function, one a pair, one a triple of
-    functions in the order of ``combinations_with_replacement``. ``n_parameters`` counts the pole too.
-    ``held_out_percent`` is the variance accounted for in the stretches of the record that were left out in turn.
+    deviations have the shape of their kernel; they include coloured noise and the truncation error. ``functions`` has
+    shape (L, Q), ``coefficients`` (p,): the constant, then one per function, per pair and per triple of functions in
+    the order of ``combinations_with_replacement``. ``n_parameters`` includes the pole. ``held_out_percent`` is the
+    cross-validated variance accounted for.
     """
 
     kernel0: float
@@ -65,8 +65,9 @@ class LaguerreKernels:
 def laguerre_functions(lags: int, count: int, pole: float) -> Array:
     """Return the first ``count`` discrete Laguerre functions at lags 0 .. L - 1, shape (L, count).
 
-    Orthonormal over infinitely many lags. ``pole``, from 0 to under 1, is what is left of the first after one lag. Each
-    comes from the one before by an all-pass filter, which is stable however many there are.
+    Orthonormal over infinitely many lags. ``pole``, 0 to below 1, is the decay of the first function per lag. Each
+    function follows from the previous one by an all-pass filter, which is numerically stable for any number of
+    functions.
     """
     impulse = np.zeros(lags)
     impulse[0] = 1.0
@@ -91,17 +92,17 @@ def laguerre_kernels(
     """Return the kernels of order 0 to ``order`` (1, 2 or 3) by least squares on Laguerre functions.
 
     Args:
-        x: input (n,), its mean removed.
+        x: input (n,) with its mean removed.
         y: output (n,).
-        used: the samples (n,) that are rows; every input of their memory must have been received.
-        lags: L, how many lags a kernel has; the functions are cut off there.
-        spacing: samples from one lag to the next.
+        used: mask (n,) of the rows; every input of their memory must have been received.
+        lags: L, number of lags of a kernel; the functions are truncated there.
+        spacing: samples between lags.
         order: of the highest kernel.
-        functions: how many, None to choose.
-        pole: of the functions, None to choose.
+        functions: number of functions; None to select it.
+        pole: of the functions; None to select it.
 
     Raises:
-        UnusableInputError: the order is not 1 to 3, the pole not from 0 to under 1, or too few rows.
+        UnusableInputError: the order is not 1 to 3, the pole not from 0 to below 1, or too few rows.
     """
     if order not in MOST_FUNCTIONS:
         raise UnusableInputError(
@@ -147,7 +148,7 @@ def laguerre_kernels(
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A record to try expansions on: input (n,), output (rows,) less its mean, the rows."""
+    """Data for expansions: input (n,), output (rows,) minus its mean, the rows."""
 
     x: Array
     output: Array
@@ -195,10 +196,10 @@ class _Trial:
 
 
 def _choose(trial: _Trial, counts: Sequence[int], pole: float | None) -> tuple[float, int, float]:
-    """Return the pole and number of functions that miss least in what is left out, and the share that they miss."""
+    """Return the pole and number of functions with the smallest cross-validation error, and that error as a share."""
     counts = list(counts)
     tried: dict[float, Array] = {}
-    # The slowest function worth trying has died to a tenth at the end of the memory.
+    # The slowest function that is tried has decayed to 0.1 at the end of the memory.
     highest = 0.1 ** (1.0 / max(2, trial.lags))
     poles = [pole] if pole is not None else list(np.linspace(0.05, highest, _POLES))
     for candidate in poles:
@@ -265,7 +266,7 @@ def _solve(trial: _Trial, count: int, pole: float, held_out: float, offset: floa
 
 @dataclass(frozen=True, eq=False)
 class _Low:
-    """h0, h1 (L,) and h2 (L, L), or something of their shapes."""
+    """h0, h1 (L,) and h2 (L, L), or quantities of the same shapes."""
 
     zeroth: float
     first: Array
@@ -283,10 +284,10 @@ def _kernels(functions: Array, coefficients: Array, order: int) -> _Low:
 
 
 def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
-    """Return the squared error to expect of a sum that was cut off: what a few functions more change, squared.
+    """Return the expected squared truncation error: the squared change due to a few more functions.
 
-    In expectation that is the squared bias that they remove and the variance that they add. It is averaged over
-    neighbouring lags, because a single one says little. Zero when there are no more functions or rows to be had.
+    Its expectation is the squared bias that they remove plus the variance that they add. It is averaged over
+    neighbouring lags to reduce its scatter. Zero if there are no more functions or rows.
     """
     more = min(trial.lags, count + _MORE)
     while more > count and _count(more, trial.order) * SAMPLES_PER_PARAMETER > trial.rows.size:
@@ -305,12 +306,12 @@ def _beyond(trial: _Trial, count: int, pole: float, kernels: _Low) -> _Low:
 
 
 def _count(functions: int, order: int) -> int:
-    """Return the coefficients of an expansion to this order, the constant included."""
+    """Return the number of coefficients of an expansion to this order, including the constant."""
     return int(_highest(functions, order).size)
 
 
 def _highest(functions: int, order: int) -> NDArray[np.intp]:
-    """Return the highest function that each coefficient stands for (p,); -1 for the constant."""
+    """Return the highest function of each coefficient (p,); -1 for the constant."""
     highest = [-1]
     for degree in range(1, order + 1):
         highest += [some[-1] for some in combinations_with_replacement(range(functions), degree)]

@@ -12,12 +12,13 @@ from tissueid.identification.volterra.regressors import Kernels, VolterraRegress
 from tissueid.identification.volterra.stimulus import VolterraStimulus
 
 _MOST_FORMED = 1500
-"""Most coefficients that regularised kernels are solved for; beyond, the route that never forms them is taken."""
+"""Largest number of coefficients for which regularised kernels are solved directly; above, kernel regression is used.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Kernels per lag with standard deviations of the first two orders, and how many parameters they spent."""
+    """Kernels per lag with standard deviations of the first two orders, and the effective number of parameters."""
 
     kernels: Kernels
     kernel1_std: Array | None
@@ -47,10 +48,10 @@ def exactly(stimulus: VolterraStimulus, output: Array, sample_rate_hz: float) ->
 
 
 def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
-    """Return the kernels of first to third order under a prior that is smooth and dies away, for an output (n,).
+    """Return regularised kernels with a smooth, decaying prior for an output (n,).
 
     Raises:
-        UnusableInputError: so few or so dependent rows leave nothing to choose a prior by.
+        UnusableInputError: too few independent rows to select a prior.
     """
     if regressors.order == 3 or regressors.columns > _MOST_FORMED:
         return _dually(regressors, output)
@@ -69,10 +70,10 @@ def with_prior(regressors: VolterraRegressors, output: Array) -> Solved:
 
 
 def in_laguerre_functions(regressors: VolterraRegressors, output: Array) -> Solved:
-    """Return the kernels of first to third order as sums of a few Laguerre functions, for an output (n,).
+    """Return the kernels as sums of a few Laguerre functions for an output (n,).
 
     Raises:
-        UnusableInputError: too few rows even for those.
+        UnusableInputError: too few rows.
     """
     found = laguerre_kernels(
         regressors.x, output, regressors.used, regressors.lags, regressors.spacing, regressors.order

@@ -13,14 +13,14 @@ from tissueid.identification.volterra.kernel_regression import simulate_third
 from tissueid.identification.volterra.regressors import Kernels
 
 _ENTRIES_AT_ONCE = 1 << 16
-"""Lagged inputs that are worked at a time, so that they stay in the processor's cache."""
+"""Number of lagged inputs processed at a time, so that they fit the processor cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImpulseResponse:
-    """The answer to an input sample of ``height`` about the operating point, order by order (Eq. 4.15).
+    """Response to an input sample of ``height`` about the operating point, order by order (Eq. 4.15).
 
-    ``zeroth`` is a level, the others have shape (lags,); all are in the output's unit.
+    ``zeroth`` is a level, the others have shape (lags,); all are in the unit of the output.
     """
 
     lag_s: Array
@@ -32,20 +32,20 @@ class ImpulseResponse:
 
     @property
     def total(self) -> Array:
-        """h0 + h1(t) + h2(t, t) + h3(t, t, t) times the height's powers, (lags,)."""
+        """h0 + h1(t) + h2(t, t) + h3(t, t, t) times powers of the height, (lags,)."""
         return self.zeroth + self.first + self.second + self.third
 
 
 @dataclass(frozen=True, eq=False)
 class VolterraModel(Model):
-    """Eq. 4.1 about an operating point: the kernels act on the input less ``input_mean``.
+    """Eq. 4.1 about an operating point: the kernels act on the input minus ``input_mean``.
 
-    ``kernel0`` is the output's level there (not its mean: even kernels add to that), ``kernel1`` (lags,) is in output
-    units per input unit and second, ``kernel2`` (lags, lags) per input unit and second squared, ``kernel3`` (lags,
-    lags, lags) likewise; all are symmetric, and None above ``order``. ``lag_s`` (lags,) are the times of their lags,
-    ``lag_spacing`` samples apart. ``kernel1_std`` and ``kernel2_std`` have the kernels' shapes; None where none can be
-    had.
-    ``unfiltered`` is the model as it was before its second-order kernel was smoothed.
+    ``kernel0`` is the level of the output there (not its mean, to which even kernels contribute), ``kernel1`` (lags,)
+    is in output units per input unit and second, ``kernel2`` (lags, lags) per input unit squared and second squared,
+    ``kernel3`` (lags, lags, lags) per input unit cubed and second cubed; all are symmetric, and None above ``order``.
+    ``lag_s`` (lags,) are the times of their lags, ``lag_spacing`` samples apart. ``kernel1_std`` and ``kernel2_std``
+    have the shapes of the kernels; None if unknown. ``unfiltered`` is the model before its second-order kernel was
+    smoothed.
     """
 
     order: int
@@ -63,7 +63,7 @@ class VolterraModel(Model):
 
     @property
     def per_lag(self) -> Kernels:
-        """The kernels as they multiply samples: in output units per input unit, or its power."""
+        """The kernels as factors of samples: in output units per power of the input unit."""
         step = self.lag_spacing / self.sample_rate_hz
         return Kernels(
             self.kernel0,
@@ -73,11 +73,11 @@ class VolterraModel(Model):
         )
 
     def simulate(self, u: Array) -> Array:
-        """Simulate free-run: input (n,) in, output (n,) out, at rest at the mean input before the first sample."""
+        """Simulate in free run: input (n,), output (n,), at rest at the mean input before the first sample."""
         return np.asarray(np.sum(self.contributions(u), axis=0), dtype=np.float64)
 
     def contributions(self, u: Array) -> tuple[Array, ...]:
-        """Return what each order, from the zeroth on, adds to the simulation of an input (n,): arrays (n,)."""
+        """Return the contribution of each order, from 0 on, to the simulation of an input (n,): arrays (n,)."""
         x = np.asarray(u, dtype=np.float64) - self.input_mean
         finite = np.isfinite(x)
         parts = np.vstack(

@@ -1,13 +1,13 @@
-"""Regularised Volterra kernels: a Gaussian prior for smooth, decaying kernels, by marginal likelihood.
+"""Regularised Volterra kernels: a Gaussian prior for smooth, decaying kernels, selected by marginal likelihood.
 
-The posterior mean takes the place of the exact least-squares answer where the input leaves lags without information
-(Chen 2010, 4.3). It is smooth because the fit is, and not because a fit was filtered, so nothing is lost in the output.
-Everything works on the normal equations; the marginal likelihood and its slopes cost O(M^3) an evaluation at most,
-whatever the number of samples.
+The posterior mean replaces the exact least-squares solution if the input does not excite all lags (Chen 2010, 4.3). The
+estimate itself is smooth; it is not filtered afterwards, so that the output is not affected. All computations use the
+normal equations; the marginal likelihood and its derivatives cost at most O(M^3) for any number of samples.
 
-The likelihood is that of white noise. What tissue leaves is coloured, and neighbouring rows say much the same; taken
-for independent they would let the marginal likelihood fit noise. So N rows count as N / d, where ``dependence`` d is
-how many times denser than white noise the residual's power lies where the modelled output has its own.
+The likelihood assumes white noise. The residual of tissue is coloured, and neighbouring rows are not independent; if
+they were treated as independent, the marginal likelihood would fit noise. N rows therefore count as N / d, where
+``dependence`` d is the ratio of the residual's power density to that of white noise, weighted by the spectrum of the
+modelled output.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ROUGH = 0.25
 """Spatial frequency, cycles per lag, above which :func:`roughness` counts: half the Nyquist frequency of the lags."""
 
 _RANK = 1e-14
-"""Share of the Gram matrix, its columns scaled to one, under which what is left of it carries nothing."""
+"""Pivot of the Gram matrix, with columns scaled to 1, below which it is treated as zero."""
 
 _EXPLAINED = 1e-10
 """Share of the output's power below which the unexplained part is rounding."""
@@ -50,7 +50,7 @@ _SCALES = (0, 3)
 
 _DECAY, _RATE = (1e-3, 2.0), (3e-3, 3.0)
 _BOUNDS = (_DECAY, _DECAY, _RATE, _DECAY, _DECAY, _RATE, _DECAY, _RATE)
-"""Of decays and correlation rates, per lag; those of the scales stand about their beginning."""
+"""Bounds of decays and correlation rates, per lag; those of the scales are relative to the starting point."""
 
 _SCALE_DOWN, _SCALE_UP = 14.0, 8.0
 
@@ -58,10 +58,10 @@ _REACH = np.log([4.0, 0.5, 2.0, 4.0, 0.5, 2.0, 0.5, 2.0])
 """Largest factor by which priors may become wider and rougher than at the start of a search."""
 
 _WORTH = 0.03
-"""Ratio of a direction's variance by a prior to what the samples leave it, under which it is left out of a search."""
+"""Ratio of prior variance to noise variance of a direction below which it is left out of a search."""
 
 _EXPECTED = (100.0, 20.0)
-"""Ratio of the output of h1 and of h2 to the noise, in power, that the search begins with."""
+"""Initial ratio of output power to noise power for h1 and h2."""
 
 _REFIT = 1.5
 """Ratio of estimated to assumed dependence above which the kernels are refitted."""
@@ -70,7 +70,7 @@ _BLOCKS = 10
 
 
 class Applied(Protocol):
-    """Whatever turns coefficients (p,) into modelled outputs (rows,)."""
+    """Interface of regressors that map coefficients (p,) to outputs (rows,)."""
 
     def apply(self, theta: Array) -> Array:
         """Return P theta."""
@@ -82,10 +82,10 @@ class RegularisedKernels:
     """Posterior of Volterra coefficients, in the order of the normal equations.
 
     ``coefficients`` and ``std`` have shape (p,); the first, h0, is relative to the mean output and not penalised.
-    ``effective_parameters`` is the trace of the hat matrix. ``hyperparameters`` holds prior standard deviations at
-    lag 0 in the kernel's unit, decays and correlation rates per lag. ``noise_variance`` is that of the residual, and
-    ``dependence`` how many times denser than white it was taken to be where it matters. ``log_evidence`` is the
-    restricted log marginal likelihood of the rows that this leaves.
+    ``effective_parameters`` is the trace of the hat matrix. ``hyperparameters`` holds prior standard deviations at lag
+    0 in the unit of each kernel, decays and correlation rates per lag. ``noise_variance`` is that of the residual,
+    ``dependence`` the number of rows per independent row. ``log_evidence`` is the restricted log marginal likelihood of
+    the effective number of rows.
     """
 
     coefficients: Array
@@ -100,15 +100,15 @@ class RegularisedKernels:
 def regularised(
     equations: NormalEquations, dependence: float = 1.0, start: RegularisedKernels | None = None
 ) -> RegularisedKernels:
-    """Return the regularised kernels of first or second order from normal equations alone.
+    """Return the regularised kernels of first or second order from normal equations.
 
     Args:
-        equations: of an input and output whose means are removed.
-        dependence: rows that say as much as one independent row (:func:`residual_dependence`); 1 for white noise.
-        start: an answer to begin the search at, for instance the one with another dependence.
+        equations: of an input and output with zero means.
+        dependence: number of rows per independent row (:func:`residual_dependence`); 1 for white noise.
+        start: result from which the search starts, for example one with another dependence.
 
     Raises:
-        UnusableInputError: the order is not 1 or 2, or so dependent rows leave nothing to choose a prior by.
+        UnusableInputError: the order is not 1 or 2, or there are too few independent rows to select a prior.
     """
     if equations.order not in (1, 2):
         raise UnusableInputError(
@@ -134,11 +134,11 @@ def regularised(
 
 
 def regularised_fit(equations: NormalEquations, regressors: Applied, output: Array) -> RegularisedKernels:
-    """Return the regularised kernels with the dependence of the rows found from their own residual.
+    """Return the regularised kernels with the dependence of the rows estimated from their residual.
 
     Args:
         equations: the normal equations of ``regressors`` and ``output``.
-        regressors: what turns coefficients into outputs.
+        regressors: map coefficients to outputs.
         output: (rows,).
 
     Raises:
@@ -170,10 +170,10 @@ def regularised_fit(equations: NormalEquations, regressors: Applied, output: Arr
 
 
 def residual_dependence(residual: Array, modelled: Array) -> float:
-    """Return how many of the rows say as much as one independent row, at least 1.
+    """Return the number of rows per independent row, at least 1.
 
     The mean of the residual's power spectrum, weighted by that of the modelled output, over its plain mean; both
-    (rows,). Spectra are smoothed by Bartlett's window over a tenth of the rows.
+    (rows,). Spectra are smoothed by a Bartlett window over a tenth of the rows.
     """
     longest = max(1, residual.size // _BLOCKS)
     found = []
@@ -196,17 +196,17 @@ def roughness(kernel2: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the samples tell: ``root`` B (M, rank), so that B B' is the Gram matrix, and the output (rank,) by it."""
+    """Information in the samples: ``root`` B (M, rank) with B B' the Gram matrix, and the output (rank,)."""
 
     root: Array
     output: Array
 
 
 class _Evidence:
-    """Marginal likelihood of the hyperparameters, with the noise and the constant integrated or profiled out.
+    """Marginal likelihood of the hyperparameters, with the noise profiled and the constant integrated out.
 
-    Everything is in kernels and not in coefficients: those off the diagonal of h2 carry it twice. Covariances are
-    relative to d sigma^2, so the common scale falls out, and d is left in the number of rows alone.
+    All quantities refer to kernels, not coefficients: off-diagonal coefficients of h2 are twice the kernel. Covariances
+    are relative to d sigma^2, so that the common scale cancels and d only enters through the number of rows.
     """
 
     def __init__(self, equations: NormalEquations, dependence: float) -> None:
@@ -248,17 +248,17 @@ class _Evidence:
         return np.asarray(np.log(hyper), dtype=np.float64)
 
     def hyper_of(self, found: RegularisedKernels) -> Array:
-        """Return the hyperparameters of an answer, as this search has them."""
+        """Return the hyperparameters of a result in the scaling of this search."""
         hyper = np.array(list(found.hyperparameters.values()))
         scales = [k for k in _SCALES if k < hyper.size]
         hyper[scales] = hyper[scales] ** 2 / (found.dependence * found.noise_variance)
         return np.asarray(np.log(hyper), dtype=np.float64)
 
     def search(self, begin: Array) -> Array:
-        """Return the hyperparameters (3,) or (8,) of the greatest marginal likelihood near a beginning.
+        """Return the hyperparameters (3,) or (8,) with the greatest marginal likelihood near a starting point.
 
-        It looks only at what the samples tell a prior rougher and wider than the one it begins with (a quarter of
-        the directions, as a rule), and looks again from where it came to when it left those bounds.
+        The search is restricted to directions that matter for a prior wider and rougher than the start (typically a
+        quarter of all), and restarts from its result if it exceeded that range.
         """
         bounds = [(float(np.log(low)), float(np.log(high))) for low, high in _BOUNDS[: begin.size]]
         middle = self.initial()
@@ -284,7 +284,7 @@ class _Evidence:
         return hyper
 
     def _told_to(self, hyper: Array) -> _Seen:
-        """Return the normal equations for a prior, without directions in which the prior is stronger than the data."""
+        """Return the normal equations without directions in which a prior is stronger than the data."""
         seen = self._seen
         worth, directions = linalg.eigh(seen.root.T @ self._times_prior(hyper, seen), check_finite=False)
         kept = directions[:, worth > _WORTH]
@@ -295,7 +295,7 @@ class _Evidence:
         lags, root = self._lags, seen.root
         try:
             factor, weights = _solve(seen, self._times_prior(hyper, seen))
-        except linalg.LinAlgError:  # a step so long that nothing is left of the noise
+        except linalg.LinAlgError:  # the step was too long: the noise vanishes
             return 1e3 * self._independent, np.zeros(hyper.size)
         power = self._unexplained(seen, weights)
         value = 0.5 * self._independent * np.log(power / self._power) + float(np.sum(np.log(np.diag(factor))))
@@ -308,7 +308,7 @@ class _Evidence:
         return float(value), 0.5 * slopes
 
     def posterior(self, hyper: Array) -> RegularisedKernels:
-        """Return the mean, standard deviation and what goes with them, at the hyperparameters given."""
+        """Return the posterior mean, standard deviations and related results for given hyperparameters."""
         spread = self._times_prior(hyper, self._seen)  # K B, (M, rank)
         factor, weights = _solve(self._seen, spread)
         power = self._unexplained(self._seen, weights)
@@ -361,7 +361,7 @@ class _Evidence:
 
 
 def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
-    """Return Cholesky factor (rank, rank) of I + B' K B from K B, and the weights (rank,) that make kernels of K B."""
+    """Return the Cholesky factor (rank, rank) of I + B' K B, and the weights (rank,) that turn K B into kernels."""
     inner = seen.root.T @ spread
     inner[np.diag_indices_from(inner)] += 1.0
     factor = linalg.cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
@@ -369,7 +369,7 @@ def _solve(seen: _Seen, spread: Array) -> tuple[Array, Array]:
 
 
 def _product(half: Array, step: Array) -> Array:
-    """Return half' half - step step', symmetric (p, p): what a change of the covariance is weighed by."""
+    """Return half' half - step step', symmetric (p, p): the weight of a change of the covariance."""
     product = half.T @ half
     product -= np.outer(step, step)
     return np.asarray(product, dtype=np.float64)

@@ -1,11 +1,12 @@
-"""The regressors of a Volterra series to third order, and its normal equations (Chen 2010, Eqs. 4.2-4.5 and 4.14).
+"""Regressors of a Volterra series to third order, and its normal equations (Chen 2010, Eqs. 4.2-4.5 and 4.14).
 
-Coefficients stand in this order: h0, then h1 at lags 0 .. L - 1, then the upper triangle of h2 row by row, where what
-is off the diagonal carries twice the kernel, because x(n - i) x(n - j) stands there for two equal terms; then h3
-likewise for i <= j <= k. Lags are a whole number of samples apart, while every sample of the record can be a row.
+The coefficients are ordered: h0, then h1 at lags 0 .. L - 1, then the upper triangle of h2 row by row, where
+off-diagonal coefficients are twice the kernel because x(n - i) x(n - j) represents two equal terms; then h3 in the same
+way for i <= j <= k. Lags are a whole number of samples apart; every sample of the record can be a row.
 
-The product of two lagged inputs is the product x(n) x(n - d) lagged: L channels hold all of them. So the Gram matrix
-costs rows x L x M and not rows x M^2, and P theta and P'r are quadratic forms in the L lagged inputs.
+The product of two lagged inputs is the lagged product x(n) x(n - d): L channels contain all of them. The Gram matrix
+therefore costs rows x L x M operations instead of rows x M^2, and P theta and P'r are quadratic forms of the L lagged
+inputs.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ _ROWS_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """All that a least-squares fit of kernels needs to know of the samples.
+    """Sufficient statistics of a least-squares fit of kernels.
 
     ``gram`` (p, p) and ``right`` (p,) are the sums over the rows of products of the regressors with each other, and
-    with the output less its mean over the rows; ``output_power`` is that output's sum of squares. So the h0 that they
-    hold is relative to that mean.
+    with the output minus its mean over the rows; ``output_power`` is that output's sum of squares. The estimated h0 is
+    relative to that mean.
     """
 
     gram: Array
@@ -42,13 +43,13 @@ class NormalEquations:
 
 
 def coefficient_count(lags: int, order: int) -> int:
-    """Return M of Eq. 4.5: the number of different coefficients of symmetric kernels of order 0 to ``order``."""
+    """Return M of Eq. 4.5: the number of distinct coefficients of symmetric kernels of order 0 to ``order``."""
     return sum(math.comb(lags + degree - 1, degree) for degree in range(order + 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Kernels:
-    """Volterra kernels per lag: symmetric, so that h2 times two inputs counts both orders of them.
+    """Symmetric Volterra kernels per lag.
 
     ``zeroth`` is a number, ``first`` has shape (L,), ``second`` (L, L), ``third`` (L, L, L); None above the order.
     """
@@ -61,7 +62,7 @@ class Kernels:
 
 @dataclass(frozen=True, eq=False)
 class VolterraRegressors:
-    """Eq. 4.4 for an input ``x`` (n,), its mean removed, at the rows of a mask ``used`` (n,), orders 0 to 3.
+    """Eq. 4.4 for an input ``x`` (n,) with its mean removed, at the rows of a mask ``used`` (n,), orders 0 to 3.
 
     Every input of a row's memory must have been received.
     """
@@ -74,12 +75,12 @@ class VolterraRegressors:
 
     @property
     def columns(self) -> int:
-        """M, how many coefficients there are."""
+        """M, the number of coefficients."""
         return coefficient_count(self.lags, self.order)
 
     @cached_property
     def rows(self) -> NDArray[np.intp]:
-        """Samples that are rows, (rows,)."""
+        """Indices of the samples that are rows, (rows,)."""
         return np.flatnonzero(self.used)
 
     @cached_property
@@ -88,7 +89,7 @@ class VolterraRegressors:
         return lagged_inputs(self.x, self.rows, self.lags, self.spacing)
 
     def apply(self, theta: Array) -> Array:
-        """Return P theta: (M,) to (rows,)."""
+        """Return P theta, (rows,), for theta (M,)."""
         if self.order == 3:
             by_channel = np.empty(self.columns)
             by_channel[self._place] = theta
@@ -102,26 +103,26 @@ class VolterraRegressors:
         return total
 
     def adjoint(self, r: Array) -> Array:
-        """Return P'r: (rows,) to (M,)."""
+        """Return P'r, (M,), for r (rows,)."""
         if self.order < 3:
             return self._sums(r, self.windows)
         chunks = [slice(first, first + _ROWS_AT_ONCE) for first in range(0, r.size, _ROWS_AT_ONCE)]
         return np.asarray(np.sum([self._sums(r[some], self.windows[some]) for some in chunks], axis=0))
 
     def block_sums(self, r: Array, edges: NDArray[np.intp]) -> Array:
-        """Return P'r over each block of rows alone, (M, blocks), for an r (rows,) and the first row of each block."""
+        """Return P'r over each block of rows, (M, blocks), for r (rows,) and the first row of each block."""
         ends = np.append(edges[1:], r.size)
         blocks = [self._sums(r[a:b], self.windows[a:b]) for a, b in zip(edges, ends, strict=True)]
         return np.column_stack(blocks)
 
     def matrix(self) -> Array:
-        """Return P itself, (rows, M)."""
+        """Return the explicit matrix P, (rows, M)."""
         if self.order == 0:
             return np.ones((self.rows.size, 1))
         return self._lagged.matrix()[:, self._place]
 
     def gram(self) -> Array:
-        """Return P'P, (M, M), by the displacement of lagged products."""
+        """Return P'P, (M, M), by the shift structure of lagged products."""
         if self.order == 0:
             return np.array([[float(self.rows.size)]])
         return self._lagged.gram(self._place)
@@ -147,7 +148,7 @@ class VolterraRegressors:
 
     @cached_property
     def _lagged(self) -> LaggedRegressors:
-        """The same columns as lags of the products of an input with itself and with earlier ones."""
+        """The same columns as lags of products of the input with itself and with delayed inputs."""
         n = self.x.size
         channels = [self.x]
         counts = [self.lags]
@@ -163,7 +164,7 @@ class VolterraRegressors:
 
     @cached_property
     def _place(self) -> NDArray[np.intp]:
-        """Where each coefficient (M,) stands among the columns ordered channel by channel."""
+        """Index of each coefficient (M,) in the columns ordered by channel."""
         starts = 1 + np.concatenate([[0], np.cumsum(self._lagged.lags)[:-1]])
         place = [np.arange(1 + self.lags)]
         channel = 1
@@ -187,7 +188,7 @@ def lagged_inputs(x: Array, rows: NDArray[np.intp], lags: int, spacing: int) -> 
 
 
 def kernels_of(values: Array, lags: int, order: int) -> Kernels:
-    """Return the symmetric kernels of coefficients (M,), each divided by how often it stands for one term (Eq. 4.14).
+    """Return the symmetric kernels of coefficients (M,), each divided by its multiplicity (Eq. 4.14).
 
     Standard deviations of coefficients give those of the kernels in the same way.
     """
@@ -198,7 +199,7 @@ def kernels_of(values: Array, lags: int, order: int) -> Kernels:
     if order >= 2:
         upper = np.zeros((lags, lags))
         upper[np.triu_indices(lags)] = values[done : done + lags * (lags + 1) // 2]
-        second = 0.5 * (upper + upper.T)  # on the diagonal both halves hold the whole
+        second = 0.5 * (upper + upper.T)  # diagonal entries appear in both summands
         done += lags * (lags + 1) // 2
     if order >= 3:
         third = np.zeros((lags, lags, lags))

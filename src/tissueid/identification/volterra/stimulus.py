@@ -1,4 +1,4 @@
-"""Exact solution of Eqs. 4.2-4.14, with a factor per stimulus that is reused for other responses."""
+"""Exact solution of Eqs. 4.2-4.14, with a factor of the stimulus that can be reused for other responses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tissueid.identification.volterra.regressors import VolterraRegressors
 
 _SHORTEST_BLOCK = 10
 _OFFSETS = 4
-"""Into how many places blocks are shifted, and their answers averaged."""
+"""Number of block offsets over which the result is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class VolterraStimulus:
     factor: Factor
 
     def matches(self, x: Array, used: Mask, lags: int, spacing: int, order: int) -> bool:
-        """Return whether this is the factor of that input (n,), at those rows (n,), with those kernels."""
+        """Return whether this is the factor for that input (n,), those rows (n,) and those kernels."""
         mine = self.regressors
         return (
             (mine.lags, mine.spacing, mine.order) == (lags, spacing, order)
@@ -34,15 +34,15 @@ class VolterraStimulus:
         )
 
     def solve(self, output: Array) -> Array:
-        """Return the coefficients (M,) for an output (n,), of which only the rows are read."""
+        """Return the coefficients (M,) for an output (n,), of which only the rows are used."""
         return self.factor.solve(output[self.regressors.rows])
 
     def deviations(self, residuals: Array, sample_rate_hz: float) -> Array:
         """Return the standard deviations of the coefficients (M,), from the residuals at the rows (rows,).
 
-        What a kernel leaves of tissue is coloured and not unrelated to the input, so the covariance is the sandwich
-        inv(P'P) S inv(P'P), with S from sums of P e over blocks of rows within which the residual depends on itself
-        (White 1982), widened for the coefficients that the residual was bent to.
+        The residual of tissue is coloured and depends on the input. The covariance is the sandwich inv(P'P) S inv(P'P),
+        with S from sums of P e over blocks of rows within which the residual is autocorrelated (White 1982), corrected
+        for the degrees of freedom of the fit.
         """
         rows, columns = residuals.size, self.regressors.columns
         block = max(_SHORTEST_BLOCK, dependence_samples(residuals, sample_rate_hz))
@@ -58,7 +58,7 @@ class VolterraStimulus:
 
 
 def factor_stimulus(x: Array, used: Mask, lags: int, spacing: int = 1, order: int = 2) -> VolterraStimulus:
-    """Factor the regressors of an input x (n,), its mean removed, at the rows of a mask (n,).
+    """Factor the regressors of an input x (n,) with its mean removed, at the rows of a mask (n,).
 
     Lags are ``spacing`` samples apart. Every input of a row's memory must have been received.
     """

@@ -1,9 +1,9 @@
 """Block structure indicated by Volterra kernels: Wiener, Hammerstein, LNL, or none of them.
 
-The second kernel of a Hammerstein system lives on its diagonal and follows the first kernel there; every slice of a
-Wiener system's is the first kernel; of an LNL system's, the sum of the slices is (Chen, Ishii and Suzumura 1986; Haber
-and Keviczky 1999; Westwick and Kearney 2003, chapter 4). Parameters that vary with depth leave none of these but a
-narrow main lobe between two of the opposite sign (Chen 2010, 4.2, Fig. 4.5).
+The second-order kernel of a Hammerstein system is diagonal and proportional to the first-order kernel there; each of
+its slices is proportional to the first-order kernel for a Wiener system, and the sum of the slices is for an LNL system
+(Chen, Ishii and Suzumura 1986; Haber and Keviczky 1999; Westwick and Kearney 2003, chapter 4). Parameters that vary
+with depth give none of these, but a narrow main lobe between two of opposite sign (Chen 2010, 4.2, Fig. 4.5).
 """
 
 from __future__ import annotations
@@ -22,43 +22,44 @@ from tissueid.messages import Listing, Message
 KernelName = Literal["linear", "wiener", "hammerstein", "lnl", "neither", "undetermined"]
 
 _BLURS = (0.0, 0.5, 1.0, 1.5, 2.0)
-"""Widths, in lags, by which an estimated kernel may be smeared across its diagonal: a regularised one always is."""
+"""Widths, in lags, by which an estimated kernel may be smoothed across its diagonal, as regularised kernels are."""
 
 _NEAR = 0.95
 """Cosine above which kernels without a standard deviation are proportional."""
 
 _TOLERANCE = 0.02
-"""Tolerance of a cosine below its band: priors and short memories distort kernels by as much."""
+"""Tolerance of a cosine below its band: the distortion of kernels by priors and short memories."""
 
 _DRAWS = 100
 _LEVEL = 0.05
 _LOBE = 0.1
 _FELT = 4.0
-"""Threshold of the strongest value of a kernel, in standard errors, for the kernel to be present."""
+"""Threshold of the largest value of a kernel, in standard errors, for the kernel to differ from zero."""
 
 _LEAST = 0.1
-"""Share of an estimated kernel's energy that is taken to be the kernel's own at the least."""
+"""Lower bound on the share of an estimated kernel's energy that is not noise."""
 
 
 @dataclass(frozen=True)
 class StructureScore:
-    """How close kernels come to a structure: a cosine, and the ``band`` above which it would lie 19 times in 20."""
+    """Similarity of kernels to a structure: a cosine, and the ``band`` that it would exceed in 95 % of cases."""
 
     cosine: float
     band: float
 
     @property
     def kept(self) -> bool:
-        """True when the kernels are as the structure demands, within their uncertainty."""
+        """Whether the kernels agree with the structure within their uncertainty."""
         return self.cosine >= self.band
 
 
 @dataclass(frozen=True)
 class StructureVerdict:
-    """What kernels say: a name, the score of each structure that was tried, and a sentence.
+    """Structure indicated by kernels: a name, the score of each structure that was tested, and a sentence.
 
-    ``scores`` has the keys ``hammerstein``, ``wiener`` and ``lnl``; it is empty when there is no second kernel to
-    score. ``side_lobes`` is the largest value of the second kernel of the other sign than its peak, as a share of it.
+    ``scores`` has the keys ``hammerstein``, ``wiener`` and ``lnl``; it is empty without a second-order kernel.
+    ``side_lobes`` is the largest value of the second-order kernel with the sign opposite to its peak, relative to the
+    peak.
     """
 
     name: KernelName
@@ -70,16 +71,16 @@ class StructureVerdict:
 def kernel_structure(
     kernel1: Array, kernel2: Array, kernel1_std: Array | None = None, kernel2_std: Array | None = None
 ) -> StructureVerdict:
-    """Name the block structure that Volterra kernels have, from a first (L,) and a symmetric second one (L, L).
+    """Return the block structure indicated by a first-order kernel (L,) and a symmetric second-order kernel (L, L).
 
     Args:
-        kernel1: first kernel about the operating point; its scale does not matter.
-        kernel2: second kernel on the same lags.
-        kernel1_std: standard deviations (L,); without them a cosine of 0.95 is asked for, and no kernel is too weak.
+        kernel1: first-order kernel about the operating point; its scale is irrelevant.
+        kernel2: second-order kernel on the same lags.
+        kernel1_std: standard deviations (L,); without them, a cosine of 0.95 is required and no kernel counts as zero.
         kernel2_std: standard deviations (L, L).
 
     Raises:
-        UnusableInputError: the shapes do not belong together, or a value is not finite.
+        UnusableInputError: the shapes do not match, or a value is not finite.
     """
     kernel1, kernel2 = np.asarray(kernel1, dtype=np.float64), np.asarray(kernel2, dtype=np.float64)
     _check(kernel1, kernel2)
@@ -161,7 +162,7 @@ def _check(kernel1: Array, kernel2: Array) -> None:
 
 
 def _there(kernel: Array, std: Array | None) -> bool:
-    """Return whether a kernel differs from zero: its strongest value stands out of its errors."""
+    """Return whether a kernel differs from zero: its largest value exceeds its standard error."""
     if not np.any(kernel):
         return False
     if std is None:
@@ -170,7 +171,7 @@ def _there(kernel: Array, std: Array | None) -> bool:
 
 
 def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array | None) -> dict[str, StructureScore]:
-    """Return the cosines with bands; without a first kernel, Wiener means rank one and LNL cannot be asked."""
+    """Return the cosines with bands; without a first-order kernel, Wiener means rank one and LNL is not tested."""
     cosines = {"wiener": _wiener(kernel1, kernel2), "hammerstein": _hammerstein(kernel1, kernel2)}
     if kernel1 is not None:
         cosines["lnl"] = _cosine(kernel2.sum(axis=0), kernel1)
@@ -181,7 +182,7 @@ def _scores(kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Arr
 
 
 def _cosine(a: Array, b: Array) -> float:
-    """Return the absolute cosine between two arrays of one shape."""
+    """Return the absolute cosine between two arrays of the same shape."""
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return abs(float(np.vdot(a, b))) / size if size > 0.0 else 0.0
 
@@ -194,7 +195,7 @@ def _wiener(kernel1: Array | None, kernel2: Array) -> float:
 
 
 def _hammerstein(kernel1: Array | None, kernel2: Array) -> float:
-    """Return the best cosine with a diagonal kernel, smeared by as much as an estimate may be."""
+    """Return the best cosine with a diagonal kernel, smoothed by the widths in ``_BLURS``."""
     diagonal = np.diag(kernel2) if kernel1 is None else kernel1
     return max(_cosine(kernel2, _smeared(np.diag(diagonal), width)) for width in _BLURS)
 
@@ -206,19 +207,19 @@ def _smeared(kernel2: Array, width: float) -> Array:
 def _bands(
     kernel1: Array | None, kernel2: Array, std1: Array | None, std2: Array, names: tuple[str, ...]
 ) -> dict[str, float]:
-    """Return where each cosine would lie above 19 times in 20 if the structure held and the kernels had these errors.
+    """Return the value that each cosine would exceed in 95 % of cases if the structure held, with these errors.
 
-    The errors of neighbouring lags depend on each other in ways that standard deviations do not tell; they are
-    drawn both unrelated and as smooth as the kernel itself, and the wider band is taken.
+    The correlation of errors between lags is not known from standard deviations; errors are drawn both independent and
+    as smooth as the kernel itself, and the wider band is used.
     """
-    rng = np.random.Generator(np.random.PCG64(0))  # the same answer every time
+    rng = np.random.Generator(np.random.PCG64(0))  # reproducible
     first = kernel1 if kernel1 is not None else _leading(kernel2)
     widths = (0.0, _smoothness(first))
     lags = first.size
     energy = float(np.sum(kernel2**2))
-    size = np.sqrt(max(energy - float(np.sum(std2**2)), _LEAST * energy))  # without what the errors add to it
+    size = np.sqrt(max(energy - float(np.sum(std2**2)), _LEAST * energy))  # energy without that of the errors
     truths = {"wiener": _of_size(np.outer(first, first), size), "hammerstein": _of_size(np.diag(first), size)}
-    truths["lnl"] = truths["wiener"]  # its sums of slices are the first kernel too
+    truths["lnl"] = truths["wiener"]  # the sum of its slices is the first-order kernel as well
     bands = dict.fromkeys(names, 1.0)
     for width in widths:
         found: dict[str, list[float]] = {name: [] for name in names}
@@ -251,14 +252,14 @@ def _of_size(pattern: Array, size: float) -> Array:
 
 
 def _smoothness(kernel: Array) -> float:
-    """Return the width, in lags, of the Gaussian whose smoothing leaves noise as smooth as a kernel (L,) is."""
+    """Return the width, in lags, of the Gaussian filter that makes white noise as smooth as a kernel (L,)."""
     neighbours = float(kernel[1:] @ kernel[:-1]) / float(kernel @ kernel)
     neighbours = min(max(neighbours, 1e-6), 0.999)  # exp(-1 / (4 width^2)) for smoothed white noise
     return float(np.sqrt(-0.25 / np.log(neighbours)))
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], width: float) -> Array:
-    """Return the unit-variance Gaussian errors of a shape, unrelated or smooth over a width in lags."""
+    """Return unit-variance Gaussian errors of a shape, independent or smoothed by a width in lags."""
     white = rng.standard_normal(shape)
     if width < 0.3:
         return white
@@ -267,6 +268,6 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], width: float) -> Ar
 
 
 def _side_lobes(kernel2: Array) -> float:
-    """Return the largest value of the other sign than the peak's, as a share of the peak."""
+    """Return the largest value with the sign opposite to the peak, relative to the peak."""
     peak = kernel2.flat[int(np.argmax(np.abs(kernel2)))]
     return float(max(0.0, np.max(-np.sign(peak) * kernel2)) / abs(peak)) if peak != 0.0 else 0.0

@@ -1,1 +1,1 @@
-"""The Wiener cascade: iteration, refinement, parameters."""
+"""Wiener cascade: iteration, refinement, parameters."""

@@ -1,8 +1,9 @@
-"""The iteration of Hunter and Korenberg (1986): Chen 2010, Eqs. 3.18-3.25, and its feedback form for g that turns back.
+"""Iteration of Hunter and Korenberg (1986): Chen 2010, Eqs. 3.18-3.25, and its feedback form for g that is not
+monotone.
 
-Korenberg and Hunter (1999) replace the inverse of g, where there is none, by the old linear output plus a function of
-the error of the output. Here the function is the slope of g: a step down the squared error, whose kernel is estimated
-from the input as every other. Where g is straight that is the inverse itself.
+Korenberg and Hunter (1999) replace the inverse of g, if there is none, by the previous linear output plus a function of
+the output error. Here the function is the slope of g: a gradient step of the squared error, whose kernel is estimated
+from the input like any other. For a straight g it equals the inverse.
 """
 
 from __future__ import annotations
@@ -24,18 +25,18 @@ from tissueid.identification.static_nonlinearity import Form, StaticNonlinearity
 from tissueid.messages import Message
 
 _CERTAIN = 3.0
-"""Threshold of the sum of a kernel as a divisor, in standard deviations from zero."""
+"""Significance threshold of a kernel's sum, in standard deviations; a smaller sum is not used as a divisor."""
 
 _FOLDED_PERCENT = 5.0
-"""Share of the output that may lie on a branch of g that cannot be inverted before the feedback form takes over."""
+"""Share of the output, %, on branches of g that cannot be inverted, above which the feedback form is used."""
 
 _LEADING = 1.5
-"""Size of the leading eigenvalue of the second-order correlation in the next from which it is no chance."""
+"""Minimum ratio of the leading eigenvalue of the second-order correlation to the next."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cascade:
-    """A Wiener cascade: a kernel (lags,) that sums to one, and g. ``rss`` is over the fitted samples."""
+    """A Wiener cascade: a kernel (lags,) that sums to 1, and g. ``rss`` is over the fitted samples."""
 
     kernel: Array
     nonlinearity: StaticNonlinearity
@@ -46,10 +47,10 @@ class Cascade:
 class Pass:
     """One pass of the iteration.
 
-    ``linear_vaf_percent`` is that of the impulse response against the output it was estimated from, the measured one
-    at first and the inverted one after; ``nonlinear_vaf_percent`` that of the cascade against the measured output.
-    ``clipped_percent`` of the output lies beyond what g reaches and is inverted to the end of its range, or answers
-    to a branch of g that turns back. ``feedback`` says that the next pass does without the inverse.
+    ``linear_vaf_percent`` scores the impulse response against the output that it was estimated from: the measured
+    output in the first pass, the inverted one in later passes. ``nonlinear_vaf_percent`` scores the cascade against the
+    measured output. ``clipped_percent`` of the output is outside the range of g and inverted to its end, or on a branch
+    of g that is not monotone. ``feedback``: the next pass uses the feedback form.
     """
 
     cascade: Cascade
@@ -60,15 +61,17 @@ class Pass:
 
 
 def linear_output(kernel: Array, x: Array, input_mean: float) -> Array:
-    """Return z, shape (n,): the mean input and what the kernel makes of the rest x (n,), in the input's unit."""
+    """Return z, shape (n,): the mean input plus the response of the kernel to the rest x (n,), in the unit of the
+    input.
+    """
     return input_mean + convolve_at_rest(kernel, x)
 
 
 class LinearStage:
-    """The input of a cascade over its fitted stretch: one spectrum and one inverse for all kernels.
+    """Input of a cascade over its fitted stretch: one spectrum and one inverse for all kernels.
 
-    ``x`` is the input of the stretch less its mean, zero where it is missing; ``output`` (n,) the measured one of the
-    whole record, ``y`` (m,) its fitted samples; ``lags`` the length of a kernel.
+    ``x`` is the input of the stretch minus its mean, with zeros for missing samples; ``output`` (n,) the measured
+    output of the whole record, ``y`` (m,) its fitted samples; ``lags`` the length of a kernel.
     """
 
     def __init__(self, solved: ImpulseResponses) -> None:
@@ -78,7 +81,7 @@ class LinearStage:
         self.input_mean = prepared.input_mean
         self._stretch = slice(max(0, prepared.part.start - self.lags + 1), prepared.part.stop)
         x = solved.input[self._stretch]
-        # What stands in for missing inputs reaches no fitted output: the memory of those is complete.
+        # The zeros for missing inputs affect no fitted output, because the memory of those is complete.
         self.x = np.where(np.isfinite(x), x, 0.0)
         self._correlator = Correlator(self.x, self.lags)
         used = prepared.used[self._stretch]
@@ -98,7 +101,9 @@ class LinearStage:
         return self._correlator.convolve(kernel)[self.used]
 
     def products(self, values: Array) -> Array:
-        """Sums of values (m,) times the inputs of each lag before them, (lags,): the transpose of :meth:`response`."""
+        """Return sums of values (m,) times the inputs of each lag before them, (lags,): the adjoint of
+        :meth:`response`.
+        """
         scattered = np.zeros(self.x.size)
         scattered[self.used] = values
         return self._correlator.cross(scattered) * scattered.size
@@ -108,17 +113,19 @@ class LinearStage:
         return np.asarray(self.solved.inverse @ right)
 
     def kernel(self, target: Array) -> Array:
-        """Return the impulse response per sample (lags,) to an output (n,) of the whole record."""
+        """Return the impulse response per sample (lags,) for an output (n,) of the whole record."""
         return self.solve(self.solved.products(target))
 
     def inverted(self, nonlinearity: StaticNonlinearity) -> Array:
-        """Return the measured output carried back through g, (n,), to fit a kernel to (Eqs. 3.21, 3.25)."""
+        """Return the measured output transformed by the inverse of g, (n,), as target of a kernel fit (Eqs. 3.21,
+        3.25).
+        """
         target = self.output.copy()
         target[self._stretch] = nonlinearity.inverse(self.output[self._stretch])
         return target
 
     def fed_back(self, cascade: Cascade, share: float) -> Array:
-        """Return the linear output of a cascade and a share of the output error times the slope of g, (n,)."""
+        """Return the linear output of a cascade plus a share of the output error times the slope of g, (n,)."""
         linear = self._correlator.convolve(cascade.kernel)
         z = self.input_mean + linear[self.used]
         slope = cascade.nonlinearity.slope(z)
@@ -129,10 +136,10 @@ class LinearStage:
 
     @cached_property
     def even_kernel(self) -> Array | None:
-        """A kernel (lags,) up to its size, for a system whose output tells an input from its mirror image too little.
+        """Kernel (lags,), up to its scale, of a system that is mostly even; None if no eigenvalue dominates.
 
-        The correlation of the output with pairs of inputs is, for a Gaussian input, twice the curvature of g times
-        R h h' R: h leads its eigenvectors in the metric of R. None when no eigenvalue leads.
+        For a Gaussian input, the correlation of the output with pairs of inputs is twice the curvature of g times R h
+        h' R: h is its leading eigenvector in the metric of R.
         """
         padded = np.concatenate([np.zeros(self.lags - 1), self.x])
         windows = np.lib.stride_tricks.sliding_window_view(padded, self.lags)
@@ -157,12 +164,12 @@ class LinearStage:
 
 
 def hunter_korenberg(stage: LinearStage, form: Form, degree: int, passes: int) -> list[Pass]:
-    """Estimate impulse response and nonlinearity in turn, the former to the output carried back through the latter.
+    """Estimate impulse response and nonlinearity alternately; the response is fitted to the output inverted through g.
 
-    The kernel is divided by its sum, its steady-state gain, so that z is an absolute load and g carries the
-    compliance. Fewer passes than asked for come back when the inverted output no longer answers the input. When a
-    polynomial turns back, the feedback form takes over, and the iteration is also begun from the second-order
-    correlation, which finds a system that has hardly a linear part; the better of the two comes back.
+    The kernel is divided by its sum, the steady-state gain, so that z is an absolute load and g is the compliance. The
+    result has fewer passes if the inverted output no longer depends on the input. If a polynomial is not monotone, the
+    feedback form is used, and the iteration is also started from the second-order correlation, for systems with a weak
+    linear part; the better of the two is returned.
 
     Raises:
         UnusableInputError: the first impulse response has no steady-state gain.
@@ -192,12 +199,12 @@ def _best_rss(passes: list[Pass]) -> float:
 def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Array | None) -> list[Pass]:
     """Run ``passes`` iterations from the impulse response to the measured output, or from a ``first`` kernel (lags,).
 
-    As long as the inverse is taken, z is scaled by the steady-state gain. A kernel on its way by feedback may have a
-    sum that is far from what it will be, so there z keeps the spread of the input, and a pass is only reported once its
-    gain is certain.
+    With the inverse, z is scaled by the steady-state gain. With feedback, the sum of a kernel may be far from its final
+    value before convergence; z then keeps the spread of the input, and a pass is only reported once its gain is
+    significant.
     """
     ones = np.ones(stage.lags)
-    gain_std = math.sqrt(max(0.0, float(ones @ stage.solve(ones))) / stage.y.size)  # for a residual of one
+    gain_std = math.sqrt(max(0.0, float(ones @ stage.solve(ones))) / stage.y.size)  # for a residual of unit variance
     variance = _variance(stage.y)
     spread = math.sqrt(_variance(stage.x))
     target = stage.output
@@ -206,7 +213,7 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
     feedback = first is not None
     share = 1.0
     done: list[Pass] = []
-    for number in range(passes if first is None else passes + 1):  # a kernel that was given is no pass
+    for number in range(passes if first is None else passes + 1):  # a given kernel does not count as a pass
         begun = first if number == 0 else None
         kernel = stage.kernel(target) if begun is None else begun  # Eqs. 3.18, 3.22
         linear = stage.response(kernel)  # Eqs. 3.20, 3.24
@@ -245,16 +252,16 @@ def _iterate(stage: LinearStage, form: Form, degree: int, passes: int, first: Ar
         if best is None or cascade.rss < best.rss:
             best = cascade
         elif feedback:
-            share *= 0.5  # the step was too long: a shorter one from where it began
+            share *= 0.5  # the step was too long: repeat from the same point with a shorter one
         target = stage.fed_back(best, share) if feedback else inverted
     return done
 
 
 def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Cascade:
-    """Return the cascade with as much of its kernel as ``stage`` has lags, of the more that ``longer`` has.
+    """Return the cascade with its kernel cut from the lags of ``longer`` to those of ``stage``.
 
-    What the kernel holds where the input has no power, which the refinement leaves to chance, goes first: a cut through
-    it would excite what is in the band. What then goes with the cut hardly moves z, so g stays as it is.
+    Components in directions that the input does not excite, which the refinement does not determine, are removed first,
+    because a cut through them would affect the excited band. The cut itself hardly changes z, so that g is kept.
     """
     kernel = longer.solved.without_unexcited(cascade.kernel)[: stage.lags]
     kernel = kernel / float(kernel.sum())
@@ -264,6 +271,6 @@ def shortened(longer: LinearStage, stage: LinearStage, cascade: Cascade) -> Casc
 
 
 def _normalised(stage: LinearStage, cascade: Cascade) -> Cascade:
-    """Return the same cascade with a kernel that sums to one; a polynomial knows no scale of z."""
+    """Return the same cascade with a kernel that sums to 1, and g refitted to the scaled z."""
     kernel = cascade.kernel / float(cascade.kernel.sum())
     return Cascade(kernel, cascade.nonlinearity.refit(stage.input_mean + stage.response(kernel), stage.y), cascade.rss)

@@ -15,18 +15,18 @@ from tissueid.messages import Message
 from tissueid.records import Estimate, Record
 
 _FLAT = 1e-3
-"""Share of the largest slope of g below which an output does not determine z."""
+"""Slope of g, relative to its largest, below which an output does not determine z."""
 
 _BENT = 2.0
-"""Threshold of C2 from zero for a curved nonlinearity, in standard deviations."""
+"""Significance threshold of C2, in standard deviations, for a curved nonlinearity."""
 
 
 def fit_linear_stage(
     record: Record, used: Mask, z: Array, nonlinearity: StaticNonlinearity, hold: Hold
 ) -> SecondOrderFit:
-    """Fit a second-order system to the linear stage, from the measured output and not from z alone.
+    """Fit a second-order system to the linear stage by the error of the measured output.
 
-    The output error is carried back through the slope of g to z, and weighted by that slope, so that the fit
+    The output error is divided by the slope of g to give an error of z, and weighted by that slope, so that the fit
     minimises the error of the measured output to first order and its covariance is that of the measurement.
     """
     stage = replace(record, output=z, output_unit=record.input_unit)
@@ -53,17 +53,17 @@ def wiener_parameters(
 ) -> dict[str, Estimate]:
     """Return the named estimates of a cascade.
 
-    ``scaled_mass_s2`` and ``scaled_damping_s`` are M/K and B/K of the linear stage times ``scaling``. Mass, damping
-    and stiffness are those at the mean input (Eqs. 3.27-3.29); for signals other than N and m, a gain instead.
+    ``scaled_mass_s2`` and ``scaled_damping_s`` are M/K and B/K of the linear stage times ``scaling``. Mass, damping and
+    stiffness are those at the mean input (Eqs. 3.27-3.29); for signals other than N and m, a gain instead.
 
     Args:
         nonlinearity: g.
         covariance: of its coefficients, shape (p, p).
         stage: the second-order system of the linear stage.
         mean_input: input at which mass, damping and stiffness are reported.
-        scaling: stiffness ascribed to the linear stage.
+        scaling: assigned stiffness of the linear stage.
         surface: known offset of g, or None.
-        c3: known C3, when the offset is not known.
+        c3: known C3, if the offset is unknown.
         mechanical: the record is of N and m.
     """
     found: dict[str, Estimate] = {}
@@ -92,7 +92,7 @@ def wiener_parameters(
 
 
 def straightness(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimate]) -> list[str]:
-    """Return a warning where the curvature of an exponential is below its uncertainty."""
+    """Return a warning if the curvature of an exponential is not significant."""
     if not isinstance(nonlinearity, Exponential):
         return []
     bend = next(estimate for name, estimate in parameters.items() if name.startswith("c2"))
@@ -109,7 +109,7 @@ def straightness(nonlinearity: StaticNonlinearity, parameters: dict[str, Estimat
 def derived(
     nonlinearity: StaticNonlinearity, covariance: Array, figure: Callable[[StaticNonlinearity], float]
 ) -> Estimate:
-    """Return a figure of g with its standard deviation to first order; no standard deviation where it is not finite."""
+    """Return a function of g with its standard deviation to first order; None for a deviation that is not finite."""
     value = figure(nonlinearity)
     slopes = np.zeros(nonlinearity.coefficients.size)
     for k, spread in enumerate(np.sqrt(np.maximum(np.diag(covariance), 0.0))):
@@ -124,7 +124,7 @@ def derived(
 
 
 def _product(first: Estimate, second: Estimate, factor: float) -> Estimate:
-    """Return the product of two figures whose errors are taken to be unrelated."""
+    """Return the product of two estimates with independent errors."""
     value = first.value * second.value * factor
     if first.std is None or second.std is None:
         return Estimate(value)

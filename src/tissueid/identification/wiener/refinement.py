@@ -1,10 +1,10 @@
-"""Joint least-squares refinement of a Wiener cascade, and the uncertainty of its static nonlinearity.
+"""Joint least-squares refinement of a Wiener cascade, and the covariance of its static nonlinearity.
 
-The Hunter-Korenberg iteration regresses on the inverse of noisy outputs, which biases it where g bends. Here the
-simulation error of the output itself is minimised over the kernel and g together: Gauss-Newton, with g solved again
-at each step (Golub and Pereyra 1973). The normal equations are never formed. They are solved by conjugate gradients
-in which a product is a convolution and a correlation, and the input's own correlation matrix is the preconditioner;
-what the input does not excite is left alone.
+The Hunter-Korenberg iteration regresses on the inverse of noisy outputs, which causes a bias where g is curved. Here
+the simulation error is minimised over kernel and g together: Gauss-Newton, with g refitted at each step (variable
+projection, Golub and Pereyra 1973). The normal equations are solved without being formed, by conjugate gradients whose
+products are a convolution and a correlation, with the correlation matrix of the input as preconditioner; directions
+that the input does not excite are not changed.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from tissueid.identification.wiener.iteration import Cascade, LinearStage
 
 _STEPS = 10
 _SETTLED = 1e-3
-"""Relative gain of a step below which the search ends."""
+"""Relative decrease of the squared error below which the iteration ends."""
 
 _STEP_TOLERANCE, _STEP_PRODUCTS = 1e-2, 20
 _COVARIANCE_TOLERANCE, _COVARIANCE_PRODUCTS = 1e-6, 100
 
 
 class _Slopes:
-    """The slopes J (m, lags) of the simulated output by the kernel at a cascade, as products and not as a matrix.
+    """Derivatives J (m, lags) of the simulated output with respect to the kernel of a cascade, as products.
 
-    A change of the kernel's sum can be undone by g, so only changes that keep the sum are let through.
+    A change of the kernel's sum can be compensated by g, so only changes that keep the sum are considered.
     """
 
     def __init__(self, stage: LinearStage, cascade: Cascade) -> None:
@@ -43,15 +43,15 @@ class _Slopes:
         return np.asarray(self._slope * self.stage.response(kernel - kernel.mean()))
 
     def backward(self, values: Array) -> Array:
-        """Return the transpose of J times values (m,), shape (lags,)."""
+        """Return J' values, shape (lags,), for values (m,)."""
         products = self.stage.products(self._slope * values)
         return np.asarray(products - products.mean())
 
     def solve(self, right: Array, project: Callable[[Array], Array], tolerance: float, products: int) -> Array:
         """Solve J' P J kernel = right for the kernel (lags,); ``project`` applies the projection P to a vector (m,).
 
-        Preconditioned conjugate gradients, for at most ``products`` products, or until one more gains less than
-        ``tolerance`` of all that was gained: what the input does not excite gains nothing and is never entered.
+        Preconditioned conjugate gradients with at most ``products`` products, ended when a product gains less than
+        ``tolerance`` of the total gain, so that directions that are not excited are never entered.
         """
         kernel = np.zeros(self.stage.lags)
         residual = right
@@ -81,7 +81,7 @@ class _Slopes:
 
 
 def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
-    """Minimise the simulation error over kernel and g together; the answer is never worse than the start."""
+    """Minimise the simulation error over kernel and g together. The result is never worse than the start."""
     for _ in range(_STEPS):
         slopes = _Slopes(stage, cascade)
         q, _ = np.linalg.qr(slopes.by_g)  # (m, p)
@@ -111,9 +111,9 @@ def refine(stage: LinearStage, cascade: Cascade) -> Cascade:
 
 
 def coefficient_covariance(stage: LinearStage, cascade: Cascade) -> Array:
-    """Return the covariance (p, p) of the coefficients of g, with the kernel unknown too and a residual of any colour.
+    """Return the covariance (p, p) of the coefficients of g, for an unknown kernel and coloured residuals.
 
-    What the kernel could explain of each coefficient's effect is taken out of it first; the rest determines it.
+    The component of each coefficient's effect that the kernel can explain is projected out.
     """
     slopes = _Slopes(stage, cascade)
     own = np.empty_like(slopes.by_g)  # (m, p)
