@@ -48,7 +48,7 @@ def calibrations(tmp_path_factory):
 def open_window(qtbot, tmp_path, bench, clock, calibrations, monkeypatch):
     """Opens windows; at the end each is closed, its work is waited for, and the garbage is collected in this thread."""
     windows = []
-    monkeypatch.setattr("tissueid.app.identifying.analyse_all", analyse_once)
+    monkeypatch.setattr("tissueid.analysis.analyse_all", analyse_once)
 
     def make(**changes):
         services = {"opener": bench.open, "finder": found, "folder": tmp_path, "wait": lambda _: None}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from tissueid.formatting import clean
 from tissueid.language import _
+from tissueid.procedures.report import AnalysedTest
 from tissueid.records import Estimate
 from tissueid.sessions import Session, Test
 from tissueid.sessions.quality import Quality
@@ -60,7 +62,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Findings:
-    """The analysis of one test of a session. ``cautions`` are refusals and warnings of engines.
+    """The analysis of one test of a session. ``cautions`` are refusals of engines, and ``refused`` the same by engine.
 
     ``quality`` is the judgement of the quality gate, None for a test that was not judged. ``accepted`` is the accepted
     result of its sitting, from the file next to the session.
@@ -82,6 +84,12 @@ class Findings:
     nonlinearity: Curves
     prediction: Curves
     accepted: AcceptedResult | None = None
+    refused: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def analysed(self) -> AnalysedTest:
+        """The test with its analyses, as reports take it."""
+        return AnalysedTest(self.session, self.test, self.analyses, dict(self.refused))
 
 
 def whose(findings: Findings) -> str:

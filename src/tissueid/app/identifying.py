@@ -7,18 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tissueid.analysis import Analysis, analyse_all
+from tissueid.analysis import Analysis
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
 from tissueid.formatting import display_unit, estimate, fixed, label_and_unit
-from tissueid.identification import engine_label, report_engines
+from tissueid.identification import engine_label
 from tissueid.identification.base import Mask
 from tissueid.identification.engines.lms import Lms, LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
+from tissueid.procedures.report import analyse_test
 from tissueid.reports.configured import surface_of
 from tissueid.reports.verdict import judge, linear_engine, visited
 from tissueid.sessions import Session, Test
@@ -47,14 +48,11 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
     Raises:
         UnusableInputError: the session holds no such test.
     """
-    test = session.test(number)
-    analyses: dict[str, Analysis] = {}
+    analysed = analyse_test(session, number)
+    test, analyses = analysed.test, analysed.analyses
     refusals: dict[str, list[str]] = {}
-    for name in report_engines():
-        try:
-            analyses |= analyse_all(session, (name,), test=test)
-        except UnusableInputError as error:
-            refusals.setdefault(error.message, []).append(engine_label(name))
+    for name, why in analysed.refused.items():
+        refusals.setdefault(why, []).append(engine_label(name))
     accepted, unread = _accepted(path, test)
     return Findings(
         path=path,
@@ -76,6 +74,7 @@ def identify(path: Path, session: Session, number: int | None) -> Findings:
         nonlinearity=_drawn(_nonlinearity, analyses),
         prediction=_drawn(_prediction, analyses),
         accepted=accepted,
+        refused=analysed.refused,
     )
 
 

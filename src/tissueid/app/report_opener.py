@@ -11,9 +11,10 @@ from tissueid.app.context import AppContext
 from tissueid.app.findings import Findings
 from tissueid.app.guidance import Guidance
 from tissueid.app.notice import Notice
-from tissueid.app.session_jobs import write_test_report
 from tissueid.language import _
 from tissueid.messages import Message, Verbatim, translated
+from tissueid.procedures.output_files import unused_path
+from tissueid.procedures.report import write_page
 
 
 def _shown(path: Path, *, opened: bool) -> Message:
@@ -51,8 +52,7 @@ class Reports(QObject):
             self.show(self._written)
             return
         self._guidance.say(_("Writing the report."))
-        work = functools.partial(write_test_report, self._findings)
-        self._context.jobs.do(work, self._show_written, self._context.say_failed)
+        self._context.jobs.do(functools.partial(_written, self._findings), self._show_written, self._context.say_failed)
 
     def show(self, path: Path) -> None:
         """Open a report and show its path."""
@@ -64,3 +64,9 @@ class Reports(QObject):
         self._written = path
         self._context.show_idle()
         self.show(path)
+
+
+def _written(findings: Findings) -> Path:
+    """Write the page of a test next to its session under an unused name; return its path."""
+    page = unused_path(findings.path.with_name(f"{findings.path.stem}-report.html"))
+    return write_page(page, findings.analysed)

@@ -1,4 +1,4 @@
-"""Jobs on sessions: analysis of a test, quality judgement, and the report."""
+"""Jobs on sessions: analysis of a test and quality judgement."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from tissueid.app.findings import Findings
-from tissueid.procedures.output_files import unused_path
 from tissueid.sessions import Session, read_session
 from tissueid.sessions.quality import quality_of
 
@@ -34,12 +33,3 @@ def judge_and_analyse(findings: Findings) -> Findings:
         for test, found in judge_session(session)
     )
     return find(findings.path, replace(session, tests=tests), findings.test.number)
-
-
-def write_test_report(findings: Findings) -> Path:
-    """Write the report of one test next to its session under an unused name; return its path."""
-    from tissueid.reports import write_report
-
-    path = unused_path(findings.path.with_name(f"{findings.path.stem}-report.html"))
-    write_report(path, findings.session, {findings.test.number: findings.analyses})
-    return path

@@ -16,6 +16,7 @@ from tissueid.cli.import_export import export_command, import_command
 from tissueid.cli.plan_command import plan_command
 from tissueid.cli.twin_commands import twin
 from tissueid.procedures.recovery import RecoveryPlan
+from tissueid.procedures.report import ReportPlan
 
 app = typer.Typer(
     help="Measure living tissue with a voice coil and nonlinear system identification. Research use only.",
@@ -384,19 +385,12 @@ def recover(plan: RecoveryPlan, json_file: JsonFile = None) -> None:
 
 
 @app.command()
-def report(
-    session: Annotated[Path, typer.Argument(metavar="SESSION", help="session file")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="HTML page to write")],
-    test: OneTest = None,
-    engines: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="engines to report; default: lms,spectral,wiener")
-    ] = None,
-    pdf: Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="also write a short PDF")] = None,
-) -> None:
+@plan_command
+def report(plan: ReportPlan) -> None:
     """Write the report of one saved test as an HTML page.
 
     The page is self-contained. --pdf adds a short PDF.
     """
-    from tissueid.cli.report import run_report
+    from tissueid.cli.report import report_test
 
-    run_report(session, out, test, engines, pdf)
+    report_test(plan)

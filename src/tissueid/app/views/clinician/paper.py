@@ -12,6 +12,7 @@ from tissueid.formatting import display_unit, label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 from tissueid.procedures.output_files import unused_path
+from tissueid.procedures.report import write_pdf
 from tissueid.records import Estimate
 
 THIS = marked("This:")
@@ -23,11 +24,8 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
     """Write the PDF of a test under an unused name; return its path.
 
     Raises:
-        OSError: it cannot be written.
-        UnusableInputError: nothing could be identified.
+        UnusableInputError: nothing could be identified, or it cannot be written.
     """
-    from tissueid.reports.pdf import write_pdf
-
     path = unused_path(findings.path.with_name(f"{findings.path.stem}-report.pdf"))
     further: list[Table] = []
     if len(comparison.sightings) > 1:
@@ -45,8 +43,7 @@ def write_paper(findings: Findings, standing: Standing | None, comparison: Compa
             heading = _("The subject's other sites and sittings († another instrument)")
         further.append((heading, columns, lines))
     result = None if standing is None else _result(standing)
-    write_pdf(path, findings.session, findings.test, findings.analyses, result=result, further=further)
-    return path
+    return write_pdf(path, findings.analysed, result, further)
 
 
 def _result(standing: Standing) -> tuple[Table, tuple[str, ...]]:
