@@ -10,6 +10,7 @@ from typing import Any
 from tissueid.language import _
 from tissueid.messages import MISSING, signed
 from tissueid.records import Estimate
+from tissueid.units import Figure, display_unit, shown_si, split_name, unit_of
 
 ANONYMOUS = "anonymous"
 """Pseudonym, in files, of a subject that has none."""
@@ -23,60 +24,6 @@ _DEEPEST = 4
 _DIGEST = re.compile(r"[0-9a-f]{40,128}")
 _DIGITS = 16
 """Digits of a hash that are shown."""
-
-_UNITS = {
-    "m": ("mm", 1e3),
-    "kg": ("g", 1e3),
-    "H": ("mH", 1e3),
-    "A": ("A", 1.0),
-    "N/A": ("N per A", 1.0),
-    "degC": ("°C", 1.0),
-    "ohm": ("Ω", 1.0),
-    "m s-2": ("m/s²", 1.0),
-    "rad/s": ("Hz", 0.5 / math.pi),
-    "rad": ("°", 180.0 / math.pi),
-    "N s/m": ("N·s/m", 1.0),
-    "N s/m²": ("N·s/m²", 1.0),
-    "N s²/m²": ("N·s²/m²", 1.0),
-    "1": ("", 1.0),
-}
-"""Displayed unit of each SI unit and the factor to it. Other units are shown unchanged."""
-
-_SUFFIXES = {
-    "n_s2_per_m2": "N s²/m²",
-    "n_s_per_m2": "N s/m²",
-    "n_per_root_hz": "N/√Hz",
-    "n_per_m2": "N/m²",
-    "kg_per_m": "kg/m",
-    "n_s_per_m": "N s/m",
-    "n_per_m": "N/m",
-    "n_per_a": "N/A",
-    "m_per_s": "m/s",
-    "m_s2": "m/s²",
-    "rad_per_s": "rad/s",
-    "per_n": "1/N",
-    "per_m": "1/m",
-    "percent": "%",
-    "years": "years",
-    "kg": "kg",
-    "db": "dB",
-    "hz": "Hz",
-    "ohm": "ohm",
-    "rad": "rad",
-    "deg": "°",
-    "s2": "s²",
-    "m": "m",
-    "n": "N",
-    "v": "V",
-    "a": "A",
-    "h": "H",
-    "s": "s",
-    "c": "degC",
-}
-"""Suffixes of names, longest first, and their SI units."""
-
-_ASSUMED_UNITS = {"memory": "s", "window": "s", "seconds": "s", "sample_rate": "Hz"}
-"""SI units of names without a suffix."""
 
 _LABELS = {
     "natural_frequency_rad_per_s": "Natural frequency",
@@ -95,11 +42,6 @@ _LABELS = {
 
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def display_unit(si_unit: str) -> tuple[str, float]:
-    """Return the displayed unit of an SI unit and the factor to it."""
-    return _UNITS.get(si_unit, (si_unit, 1.0))
 
 
 def with_unit(text: str, unit: str) -> str:
@@ -168,12 +110,21 @@ def plus_minus(found: Estimate, scale: float = 1.0) -> str:
 
 def label_and_unit(name: str) -> tuple[str, str]:
     """Split a name such as ``mass_kg`` into its label and SI unit ("" without one)."""
-    if name in _ASSUMED_UNITS:
-        return _LABELS.get(name, _plain(name)), _ASSUMED_UNITS[name]
-    for suffix, unit in _SUFFIXES.items():
-        if name.endswith(f"_{suffix}"):
-            return _LABELS.get(name, _plain(name.removesuffix(f"_{suffix}"))), unit
-    return _LABELS.get(name, _plain(name)), ""
+    stem, unit = split_name(name)
+    return _LABELS.get(name) or _plain(stem), unit
+
+
+def figure_text(figure: Figure, value: float | None) -> str:
+    """Return an SI value (temperatures in °C) as text with the decimals of its active unit, without the unit."""
+    unit = unit_of(figure)
+    return fixed(None if value is None else value * unit.factor, unit.decimals)
+
+
+def value_and_rest(found: Estimate, si_unit: str) -> tuple[str, str]:
+    """Return the value of an SI figure as text, and its deviation, common power of ten and unit as another text."""
+    unit, scale = shown_si(si_unit)
+    value, deviation, power = estimate(found, scale)
+    return value, " ".join(filter(None, [deviation and f"± {deviation}", power, unit]))
 
 
 def axis_label(name: str, unit: str) -> str:

@@ -11,7 +11,7 @@ from app.test_window import press, wait_for_result
 from app.views.technician_pages import sweep
 from PySide6.QtCore import QSettings
 
-from tissueid.app import units
+from tissueid import units
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.live_analysis import LiveAnalysis
 from tissueid.app.plan import Plan
@@ -32,6 +32,7 @@ from tissueid.app.views.researcher.spectrum_card import SpectrumCard
 from tissueid.app.views.researcher.statistics_table import StatisticsTable
 from tissueid.app.views.technician.sweeps_panel import SweepsPanel
 from tissueid.calibration import Quantity
+from tissueid.formatting import figure_text, value_and_rest
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
 
@@ -59,14 +60,14 @@ def ticks_of(card, side):
 def test_every_quantity_has_a_unit_in_both_systems_that_says_the_same():
     """The factors against those of the prefixes, which are written down here anew."""
     prefixes = {"mm": 1e-3, "mm/s": 1e-3, "g": 1e-3}
-    assert set(units.UNITS) == set(units.SYSTEMS)
-    assert set(units.UNITS["clinical"]) == set(units.UNITS["si"])
-    for quantity, unit in units.UNITS["clinical"].items():
+    assert set(units.FIGURES) == set(units.SYSTEMS)
+    assert set(units.FIGURES["clinical"]) == set(units.FIGURES["si"])
+    for quantity, unit in units.FIGURES["clinical"].items():
         assert unit.factor * prefixes.get(unit.symbol, 1.0) == pytest.approx(1.0), quantity
-        assert units.UNITS["si"][quantity].factor == 1.0
+        assert units.FIGURES["si"][quantity].factor == 1.0
         assert unit.decimals >= 0
         # Both show the same place behind the decimal point of the quantity, to within a tenth.
-        finer = units.UNITS["si"][quantity]
+        finer = units.FIGURES["si"][quantity]
         assert 10.0**-finer.decimals == pytest.approx(10.0**-unit.decimals / unit.factor, rel=10.0)
 
 
@@ -107,13 +108,13 @@ def test_labels_and_figures_are_converted():
     assert units.shown_label(plain) == (plain, 1.0)
     assert units.shown_label("Coherence") == ("Coherence", 1.0)
     assert units.shown_si("kg") == ("kg", 1.0)
-    assert units.figure("position", 0.0275) == "0.0275"
-    assert units.figure("mass", None) == "—"
-    assert units.said(Estimate(0.0853, 0.0012), "kg") == ("0.0853", "± 0.0012 kg")
+    assert figure_text("position", 0.0275) == "0.0275"
+    assert figure_text("mass", None) == "—"
+    assert value_and_rest(Estimate(0.0853, 0.0012), "kg") == ("0.0853", "± 0.0012 kg")
     units.use("clinical")
-    assert units.figure("position", 0.0275) == "27.5"
-    assert units.said(Estimate(0.0853, 0.0012), "kg") == ("85.3", "± 1.2 g")
-    assert units.said(Estimate(1e-9, math.nan), "kg")[1].endswith("g")
+    assert figure_text("position", 0.0275) == "27.5"
+    assert value_and_rest(Estimate(0.0853, 0.0012), "kg") == ("85.3", "± 1.2 g")
+    assert value_and_rest(Estimate(1e-9, math.nan), "kg")[1].endswith("g")
 
 
 @pytest.mark.parametrize("kept", ["", "imperial", None, 7, ["si"]])

@@ -9,9 +9,9 @@ from reports.page_check import checked
 
 from tissueid.calibration import Calibration, Quantity
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit
 from tissueid.reports.calibration import sweep_report
 from tissueid.reports.calibration_panels import NO_RESPONSES
+from tissueid.units import display_unit
 
 PLACES = 1e-3 * np.arange(2, 31, 4)
 GRID = np.linspace(2e-3, 30e-3, 57)

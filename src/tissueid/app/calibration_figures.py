@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from tissueid.app.units import shown
 from tissueid.calibration.file import Quantity
 from tissueid.calibration.labels import readable
 from tissueid.formatting import plus_minus
 from tissueid.messages import translated
 from tissueid.records import Estimate
+from tissueid.units import shown
 
 
 def figure_of(name: str, found: Quantity) -> tuple[str, str, str]:

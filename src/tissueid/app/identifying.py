@@ -11,7 +11,7 @@ from tissueid.analysis import Analysis
 from tissueid.app.findings import Curves, Findings, Number
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit, estimate, fixed, label_and_unit
+from tissueid.formatting import estimate, fixed, label_and_unit
 from tissueid.identification import engine_label
 from tissueid.identification.base import Mask
 from tissueid.identification.engines.lms import Lms, LmsModel
@@ -25,6 +25,7 @@ from tissueid.reports.verdict import judge, linear_engine, visited
 from tissueid.sessions import Session, Test
 from tissueid.sessions.accepted_result import AcceptedResult, result_of
 from tissueid.sessions.quality import quality_of
+from tissueid.units import display_unit
 
 MM = 1e3
 MS = 1e3

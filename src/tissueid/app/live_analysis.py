@@ -14,10 +14,9 @@ from tissueid.app.plan import Plan
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.units import said
 from tissueid.app.words import sentence
 from tissueid.device import SIMULATED_LINE
-from tissueid.formatting import label_and_unit
+from tissueid.formatting import label_and_unit, value_and_rest
 from tissueid.instrument.discovery import IN_PROCESS
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, Verbatim, translated
@@ -214,7 +213,8 @@ class LiveAnalysis(QWidget):
     def _show_numbers(self, view: LiveView) -> None:
         for name, figure in self.numbers.items():
             found = view.parameters.get(name)
-            figure.fill(*((MISSING, "") if found is None else said(found, label_and_unit(_QUANTITIES[name])[1])))
+            unit = label_and_unit(_QUANTITIES[name])[1]
+            figure.fill(*((MISSING, "") if found is None else value_and_rest(found, unit)))
 
     def _show_response(self, view: LiveView, missing: str) -> None:
         response, std = MM * view.impulse_response, view.impulse_response_std

@@ -16,9 +16,10 @@ from PySide6.QtGui import QKeyEvent, QKeySequence, QValidator
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QHBoxLayout, QLineEdit, QSpinBox, QWidget
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit, label_and_unit
+from tissueid.formatting import label_and_unit
 from tissueid.language import _
 from tissueid.messages import Message
+from tissueid.units import display_unit
 
 _DECIMALS = 15
 _DIGITS = 10

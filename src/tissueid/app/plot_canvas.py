@@ -17,11 +17,11 @@ from PySide6.QtWidgets import QFileDialog, QFrame, QLabel, QMenu, QScrollArea, Q
 
 from tissueid.analysis.curves.plot import Axis
 from tissueid.app.theme import LIGHT, Theme
-from tissueid.app.units import shown
 from tissueid.app.words import sentence
 from tissueid.formatting import number
 from tissueid.language import _, marked
 from tissueid.messages import translated
+from tissueid.units import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,8 +17,8 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLay
 from tissueid.app.axis import QuickAxis
 from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.theme import Theme, faint
-from tissueid.app.units import shown, shown_label
 from tissueid.language import _
+from tissueid.units import shown, shown_label
 
 Array = NDArray[np.float64]
 

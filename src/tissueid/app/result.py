@@ -25,12 +25,11 @@ from tissueid.app.findings import Curves, Findings, Number, whose
 from tissueid.app.plotting import PlotCard
 from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
-from tissueid.app.units import said
 from tissueid.app.views.clinician.comparison_card import ComparisonCard
 from tissueid.app.views.clinician.sitting import Standing
 from tissueid.app.views.clinician.summary import SittingSummary
 from tissueid.device import SIMULATED_LINE
-from tissueid.formatting import local_time, zone_offset
+from tissueid.formatting import local_time, value_and_rest, zone_offset
 from tissueid.language import _, marked
 from tissueid.messages import Message, translated
 from tissueid.records import Estimate
@@ -333,7 +332,8 @@ class _Tile(QFrame):
         number = self._number
         if number is None:
             return
-        value, rest = (number.value, number.unit) if number.found is None else said(number.found, number.si_unit)
+        found = number.found
+        value, rest = (number.value, number.unit) if found is None else value_and_rest(found, number.si_unit)
         self._value.setText(value)
         self._rest.setText(rest)
         self.setAccessibleName(f"{number.label}: {value} {rest}, {number.note}")

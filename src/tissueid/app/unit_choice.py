@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Protocol, runtime_checkable
+
 from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QWidget
 
-from tissueid.app.units import FollowsUnits, use
+from tissueid.units import use
+
+
+@runtime_checkable
+class FollowsUnits(Protocol):
+    """A widget that shows figures."""
+
+    def take_units(self) -> None:
+        """Show the figures again in the active units."""
+
 
 SETTING = "units"
 """Under which the choice is kept."""

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.formatting import display_unit, label_and_unit, plus_minus
+from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.language import marked
 from tissueid.messages import Message, message_from
 from tissueid.records import Estimate
+from tissueid.units import unit_for
 
 _LABELS = {
     "current_offset_a": marked("Zero of the current channel"),
@@ -67,7 +68,6 @@ CHANNELS = {
     "acceleration_x": marked("acceleration along the stroke"),
 }
 """Name of each channel within a sentence."""
-_UNITS = {"m/s^2": "m/s²"}
 _KINDS = {"static": marked("Static calibration"), "sweep": marked("Dynamic sweep")}
 
 
@@ -78,16 +78,15 @@ def label_of(name: str) -> str:
 
 def readable(name: str, found: Quantity) -> tuple[str, str, str]:
     """Return label, value with standard deviation, and display unit of a quantity."""
-    unit, scale = display_unit(_UNITS.get(found.unit, found.unit))
-    if found.unit == "m/A":
-        unit, scale = "mm/A", 1e3
-    elif name == "calibration_relative_uncertainty":
-        unit, scale = "%", 100.0
-    elif found.unit == "m" and 0.0 < max(abs(found.value), found.std or 0.0) < 1e-4:
-        unit, scale = "µm", 1e6
-    elif found.unit in ("A", "V") and 0.0 < max(abs(found.value), found.std or 0.0) < 0.1:
-        unit, scale = f"m{found.unit}", 1e3
+    unit, scale = unit_of_quantity(name, found)
     return label_of(name), plus_minus(Estimate(found.value, found.std), scale), unit
+
+
+def unit_of_quantity(name: str, found: Quantity) -> tuple[str, float]:
+    """Return the display unit of a quantity, with a prefix for small values, and the factor to it."""
+    if name == "calibration_relative_uncertainty":
+        return "%", 100.0
+    return unit_for(found.unit, max(abs(found.value), found.std or 0.0))
 
 
 def verdict_of(calibration: Calibration) -> Message:

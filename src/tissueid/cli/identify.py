@@ -17,12 +17,13 @@ from tissueid.cli.output import check_json, human_output, messages_json, table, 
 from tissueid.cli.quality import repeat_warnings
 from tissueid.configuration import travel_word
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit, fixed, label_and_unit, plus_minus
+from tissueid.formatting import fixed, label_and_unit, plus_minus
 from tissueid.identification.depth_profile import DepthProfile
 from tissueid.identification.registry import engine_names
 from tissueid.identification.validation.residual_tests import ResidualTests, residual_tests
 from tissueid.records import Estimate
 from tissueid.sessions import read_session
+from tissueid.units import display_unit
 
 _MOST_DEPTHS = 16
 """Largest number of rows of the table against depth; the JSON contains all."""

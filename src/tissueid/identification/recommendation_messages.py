@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissueid.formatting import display_unit, fixed, number, with_unit
+from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification.candidates import Standing, SufficientOption
 from tissueid.identification.model_family import Family
 from tissueid.identification.registry import label_of
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+from tissueid.units import display_unit
 
 _SHORT_S = 1.0
 """Length of held-out data, s, below which there are too few independent stretches to compare models."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.formatting import display_unit, fixed, number, with_unit
+from tissueid.formatting import fixed, number, with_unit
 from tissueid.identification import engine_label
 from tissueid.identification.engines.spectral import SpectralModel
 from tissueid.identification.second_order_fit import SecondOrderFit
@@ -17,6 +17,7 @@ from tissueid.records import Record
 from tissueid.reports.diagnostics import Prediction, power_edge
 from tissueid.reports.signal_figures import lost_samples, skewness
 from tissueid.sessions import Test
+from tissueid.units import display_unit
 
 FEW_FREQUENCIES = Message(
     "report.few_frequencies", "the input has power at fewer than three frequencies: use noise or a multisine"

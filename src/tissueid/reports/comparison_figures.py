@@ -12,7 +12,7 @@ from tissueid.analysis import EngineComparison, Scored, SweepRow
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit
+from tissueid.formatting import axis_label
 from tissueid.identification import engine_label
 from tissueid.identification.base import Model
 from tissueid.identification.depth_profile import DepthProfile
@@ -34,6 +34,7 @@ from tissueid.reports.style import (
     log_axis,
     new_figure,
 )
+from tissueid.units import display_unit
 
 _MARKERS = "os^DvPX*<>"
 NO_MEMORY_SWEEP = Message(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit, fixed, label_and_unit, number, with_unit
+from tissueid.formatting import fixed, label_and_unit, number, with_unit
 from tissueid.gap.diagnosis import Diagnosis, parameters_of
 from tissueid.gap.scoring import Candidate
 from tissueid.gap.twin_export import twin_of
@@ -16,6 +16,7 @@ from tissueid.messages import translated
 from tissueid.reports.tables import Table
 from tissueid.twin.catalogue import effect
 from tissueid.twin.effect import STAGE_NAMES, STAGES
+from tissueid.units import display_unit
 
 _TASKS = {
     "drive": marked("command to voltage"),

@@ -18,7 +18,7 @@ from tissueid.atomic_write import atomic_file
 from tissueid.calibration.active import in_words
 from tissueid.device import SIMULATED_LINE
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import clean, display_unit, subject_text
+from tissueid.formatting import clean, subject_text
 from tissueid.identification import engine_label
 from tissueid.identification.engines.lms import LmsModel
 from tissueid.identification.engines.spectral import SpectralModel
@@ -35,6 +35,7 @@ from tissueid.reports.tables import readable_date, status_text
 from tissueid.reports.validation_figures import readable_stretch
 from tissueid.reports.verdict import judge, key_numbers, linear_engine, visited
 from tissueid.sessions import Session, Test
+from tissueid.units import display_unit
 
 FurtherTable = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 """A heading, the heads of columns, and rows."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tissueid.analysis.curves.plot import thin
 from tissueid.configuration import has_depth
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit
+from tissueid.formatting import axis_label
 from tissueid.language import _
 from tissueid.messages import Message
 from tissueid.records import Record
@@ -33,6 +33,7 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.sessions import SIGNAL_UNITS, Test
+from tissueid.units import display_unit
 
 _COLOURS = {"voltage": SERIES[0], "force": SERIES[1], "current": SERIES[1], "position": SERIES[2]}
 """Colours of signals, the same in all figures."""

@@ -16,7 +16,6 @@ from tissueid.configuration import has_depth
 from tissueid.device import DeviceDescription
 from tissueid.formatting import (
     axis_label,
-    display_unit,
     fixed,
     grouped,
     label_and_unit,
@@ -37,6 +36,7 @@ from tissueid.records import Estimate
 from tissueid.reports.configured import spring_line
 from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Session, Test
+from tissueid.units import display_unit
 
 Row = tuple[str, ...]
 

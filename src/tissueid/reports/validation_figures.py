@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit
+from tissueid.formatting import axis_label
 from tissueid.language import _
 from tissueid.messages import Message
 from tissueid.reports.diagnostics import Prediction, autocorrelation, cross_correlation
@@ -23,6 +23,7 @@ from tissueid.reports.style import (
     drawing,
     new_figure,
 )
+from tissueid.units import display_unit
 
 STRETCH_S = 0.5
 _MOST_POINTS = 3000

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tissueid.analysis import Analysis
-from tissueid.formatting import display_unit, estimate, fixed, label_and_unit
+from tissueid.formatting import estimate, fixed, label_and_unit
 from tissueid.identification import label_of, report_engines
 from tissueid.identification.engines.wiener import WienerModel
 from tissueid.language import _, marked
@@ -19,6 +19,7 @@ from tissueid.reports.signal_figures import lost_samples
 from tissueid.sessions import Test
 from tissueid.sessions.quality import HEADLINES, quality_of
 from tissueid.sessions.quality import Verdict as QualityVerdict
+from tissueid.units import display_unit
 
 Level = Literal["good", "check", "poor"]
 

@@ -7,16 +7,16 @@ from app.benches import WAIT_MS
 from app.views.test_clinician import idle, press, run_test
 from coded import reads
 
-from tissueid.app.units import shown_si
 from tissueid.app.views.clinician.finishing import finish
 from tissueid.audit import AuditError
 from tissueid.errors import LinkLostError
-from tissueid.formatting import display_unit, label_and_unit, plus_minus
+from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.instrument import SimulatedInstrument
 from tissueid.records import Estimate
 from tissueid.reports import pdf
 from tissueid.sessions.accepted_result import read_result
 from tissueid.sessions.quality import HEADLINES
+from tissueid.units import display_unit, shown_si
 
 pytestmark = [pytest.mark.qt_log_level_fail("WARNING"), pytest.mark.qt_log_ignore("This plugin does not support")]
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPoint, Qt
 
+from tissueid import units
 from tissueid.analysis.curves import Axis, Plot, Surface
-from tissueid.app import units
 from tissueid.app.theme import LIGHT
 from tissueid.app.views.researcher.kernel_plot import KernelPlot
 

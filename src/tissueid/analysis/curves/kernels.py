@@ -7,13 +7,13 @@ import numpy as np
 from tissueid.analysis.curves.plot import Array, Axis, Plot, Surface
 from tissueid.analysis.curves.units import LAG, kernel_unit, ratio_unit, signal_axis
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit
 from tissueid.identification.base import Model
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import marked
 from tissueid.messages import Message
 from tissueid.records import Record
+from tissueid.units import display_unit
 
 _MOST_FREQUENCIES = 400
 _FINER = 4

@@ -1,6 +1,6 @@
 """The data of a plot, whatever draws it: curves, surfaces and bars over labelled axes.
 
-Values are in clinical display units (:func:`tissueid.formatting.display_unit`). Labels are English texts marked for
+Values are in clinical display units (:func:`tissueid.units.display_unit`). Labels are English texts marked for
 translation, or messages; they are translated when they are drawn.
 """
 

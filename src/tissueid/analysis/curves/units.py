@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from tissueid.analysis.curves.plot import Axis
-from tissueid.formatting import display_unit, label_and_unit, superscript
+from tissueid.formatting import label_and_unit, superscript
 from tissueid.language import marked
 from tissueid.records import Record
+from tissueid.units import display_unit
 
 _LONGEST_LABEL = 40
 LAG = Axis(marked("Lag"), "ms")

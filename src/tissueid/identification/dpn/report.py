@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
-from tissueid.formatting import display_unit, number
+from tissueid.formatting import number
 from tissueid.identification.base import Array
 from tissueid.identification.dpn.confidence_bands import KnownCurves
 from tissueid.language import marked
 from tissueid.messages import Listing, Message
 from tissueid.records import Estimate
+from tissueid.units import display_unit
 
 _DOUBT = 3.0
 """Significance threshold of a change with depth, in standard deviations."""

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, label_and_unit
+from tissueid.formatting import axis_label, label_and_unit
 from tissueid.identification.cascades.curves import curve_slopes
 from tissueid.identification.correlation import convolve_at_rest
 from tissueid.identification.engines.cascade import CascadeModel
@@ -26,6 +26,7 @@ from tissueid.reports import captions
 from tissueid.reports.diagnostics import Array
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.style import BLUE, DASHES, FULL_WIDTH, INK, MUTED, ORANGE, SERIES, drawing, new_figure
+from tissueid.units import display_unit
 
 _STRUCTURES = {
     "linear": marked("a linear system"),

@@ -9,7 +9,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from tissueid.analysis.curves.plot import CONFIDENCE
 from tissueid.analysis.scoring import effective_parameters
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed, number
+from tissueid.formatting import axis_label, fixed, number
 from tissueid.identification.base import Model
 from tissueid.identification.validation.prediction import fit_noise, prediction_curve
 from tissueid.identification.validation.residual_tests import ResidualTest, TestName, residual_tests
@@ -32,6 +32,7 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.reports.validation_figures import prediction_figure
+from tissueid.units import display_unit
 
 _ANY: type[Model] = Model  # type: ignore[type-abstract]
 _STRETCH_S = 0.25

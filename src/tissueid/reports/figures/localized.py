@@ -7,12 +7,13 @@ from matplotlib.axes import Axes
 
 from tissueid.analysis.curves.plot import thin
 from tissueid.analysis.curves.units import kernel_unit, ratio_unit
-from tissueid.formatting import axis_label, display_unit, fixed
+from tissueid.formatting import axis_label, fixed
 from tissueid.identification.localized import LevelFit, LocalizedModel
 from tissueid.language import _, marked
 from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import depth_bar, depth_colours
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, SERIES, frequency_axis, log_axis, new_figure
+from tissueid.units import display_unit
 
 _BELOW = 0.3
 """Lower end of a Bode diagram as a multiple of the lowest natural frequency."""

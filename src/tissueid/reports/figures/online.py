@@ -7,7 +7,7 @@ import numpy as np
 from tissueid.analysis.curves.plot import CONFIDENCE, Plot, Surface, thin
 from tissueid.analysis.curves.units import LAG, TIME, kernel_unit, signal_axis
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed
+from tissueid.formatting import axis_label, fixed
 from tissueid.identification.engines.als import AlsModel
 from tissueid.identification.engines.rls import RlsModel
 from tissueid.identification.online.identifier import OnlineModel
@@ -28,6 +28,7 @@ from tissueid.reports.style import (
     SERIES,
     new_figure,
 )
+from tissueid.units import display_unit
 
 
 @figure(

@@ -12,7 +12,7 @@ from tissueid.analysis.curves.kernels import kernels_by_depth
 from tissueid.analysis.curves.plot import CONFIDENCE, Surface, thin
 from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed
+from tissueid.formatting import axis_label, fixed
 from tissueid.identification.partitions.model import PartitionedModel
 from tissueid.language import _, marked
 from tissueid.reports import captions
@@ -21,6 +21,7 @@ from tissueid.reports.figures.registry import Drawn, Subject, figure
 from tissueid.reports.panels import depth_bar, depth_colours, diagonal, residual_cloud
 from tissueid.reports.plot_renderer import draw_kernel
 from tissueid.reports.style import DASHES, FULL_WIDTH, MUTED, POINTS, SHADE, new_figure
+from tissueid.units import display_unit
 
 _WAYS = {1: marked("into the tissue"), -1: marked("out of the tissue"), 0: marked("as fitted")}
 _STRETCH_S = 4.0

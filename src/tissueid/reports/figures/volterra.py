@@ -11,7 +11,7 @@ from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.plot import CONFIDENCE, Axis, Plot, Surface
 from tissueid.analysis.curves.units import kernel_unit
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed, number, with_unit
+from tissueid.formatting import axis_label, fixed, number, with_unit
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.language import _, marked
 from tissueid.messages import Message
@@ -32,6 +32,7 @@ from tissueid.reports.style import (
     SERIES,
     new_figure,
 )
+from tissueid.units import display_unit
 
 _HEIGHT = 2.0
 """Height of the impulse of Eq. 4.15 in standard deviations of the input."""

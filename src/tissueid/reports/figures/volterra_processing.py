@@ -13,7 +13,7 @@ from tissueid.analysis.curves.kernels import second_order_kernel
 from tissueid.analysis.curves.plot import Axis, Plot, Surface
 from tissueid.analysis.curves.units import LAG
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed
+from tissueid.formatting import axis_label, fixed
 from tissueid.identification.base import Model
 from tissueid.identification.engines.volterra import Volterra
 from tissueid.identification.validation import vaf_percent
@@ -38,6 +38,7 @@ from tissueid.reports.style import (
     new_figure,
 )
 from tissueid.reports.validation_figures import readable_stretch
+from tissueid.units import display_unit
 
 _SPREAD = 15.0
 """Standard deviation of the filter in samples of the kernel's transform, as in the thesis."""

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import axis_label, display_unit, fixed, label_and_unit, number
+from tissueid.formatting import axis_label, fixed, label_and_unit, number
 from tissueid.identification.engines.wiener import Wiener, WienerModel
 from tissueid.language import _, marked
 from tissueid.messages import Message
@@ -27,6 +27,7 @@ from tissueid.reports.style import (
     drawing,
     new_figure,
 )
+from tissueid.units import display_unit
 
 _MOST_POINTS = 4000
 

@@ -11,7 +11,7 @@ from tissueid.sessions.imports.imported_session import (
     instrument_figures,
 )
 from tissueid.sessions.imports.imported_test import Choices, Imported, Source, import_test
-from tissueid.sessions.imports.units import alternatives
+from tissueid.units import alternatives
 
 __all__ = [
     "FORMATS",

@@ -12,8 +12,8 @@ from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
 from tissueid.sessions.imports.imported_table import ImportedTable
-from tissueid.sessions.imports.units import Unit, alternatives, known_unit, unit_named
 from tissueid.sessions.model import SIGNAL_UNITS, STAND_INS
+from tissueid.units import Unit, alternatives, known_unit, unit_named
 
 ROLES = (*SIGNAL_UNITS, *STAND_INS.values())
 """What a column can be: time, a signal of the format, or the bare input and output of something else."""

@@ -25,7 +25,7 @@ from tissueid.sessions.imports.text_cells import (
     numbers,
     shown,
 )
-from tissueid.sessions.imports.units import known_unit
+from tissueid.units import known_unit
 from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
 
 _LOOKED_AT = 400

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tissueid.errors import UnusableInputError
 from tissueid.language import marked
 from tissueid.messages import Action, Message, Verbatim
-from tissueid.sessions.imports.units import name_and_unit
+from tissueid.units import split_header
 
 MAX_BYTES = 4_000_000_000
 _MOST_LISTED = 20
@@ -70,12 +70,12 @@ class Column:
     @classmethod
     def headed(cls, header: str) -> Column:
         """Return a column whose header may contain its unit."""
-        return cls(header.strip(), name_and_unit(header)[1])
+        return cls(header.strip(), split_header(header)[1])
 
     @property
     def name(self) -> str:
         """The header without its unit."""
-        return name_and_unit(self.header)[0]
+        return split_header(self.header)[0]
 
 
 Loader = Callable[[Sequence[int], Rows], tuple[list[NDArray[np.float64]], range]]

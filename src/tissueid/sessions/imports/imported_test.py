@@ -20,8 +20,8 @@ from tissueid.sessions.imports.format_detection import open_foreign
 from tissueid.sessions.imports.imported_table import MAP, RATE, ROWS, TIME, ImportedTable, Rows, sha256_of
 from tissueid.sessions.imports.recording_date import recording_date
 from tissueid.sessions.imports.sample_clock import Clock, clock_of, resampled, steady
-from tissueid.sessions.imports.units import Unit
 from tissueid.sessions.model import DATE_NOTE, SIGNAL_UNITS, Test
+from tissueid.units import Unit
 
 _SI = Unit("", "")
 _SELECTED = re.compile(r"(?P<path>.+)@(?P<first>-?\d{1,12})?:(?P<last>-?\d{1,12})?", re.DOTALL)

@@ -17,7 +17,7 @@ from tissueid.errors import UnusableInputError
 from tissueid.messages import Message
 from tissueid.sessions.imports.imported_table import ROWS, Column, ImportedTable, Rows
 from tissueid.sessions.imports.text_cells import blocks_of, encoding_of, lines_of, numbers, shown
-from tissueid.sessions.imports.units import known_unit
+from tissueid.units import known_unit
 from tissueid.untrusted_input import MAX_COLUMNS, MAX_SAMPLES
 
 FIRST_LINE = "LabVIEW Measurement"

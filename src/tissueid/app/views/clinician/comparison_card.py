@@ -13,9 +13,10 @@ from tissueid.app.small_window import FoldingBox
 from tissueid.app.theme import Theme
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import QUANTITIES
-from tissueid.formatting import display_unit, label_and_unit
+from tissueid.formatting import label_and_unit
 from tissueid.language import _, marked
 from tissueid.messages import translated
+from tissueid.units import display_unit
 
 _ROW = 17
 _AROUND = 62

@@ -8,12 +8,13 @@ from pathlib import Path
 from tissueid.app.findings import Findings
 from tissueid.app.views.clinician.comparing import Comparison
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
-from tissueid.formatting import display_unit, label_and_unit, plus_minus
+from tissueid.formatting import label_and_unit, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 from tissueid.procedures.output_files import unused_path
 from tissueid.procedures.report import write_pdf
 from tissueid.records import Estimate
+from tissueid.units import display_unit
 
 THIS = marked("This:")
 """What stands before the label of the sitting of the shown test: what follows may be cut off, this not."""

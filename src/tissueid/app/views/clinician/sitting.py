@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissueid.app.plan import Plan
-from tissueid.formatting import display_unit, fixed, label_and_unit, number, plus_minus
+from tissueid.formatting import fixed, label_and_unit, number, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, Message, translated
 from tissueid.records import Estimate
 from tissueid.sessions import Test
 from tissueid.sessions.accepted_result import AcceptedResult, AcceptedTest, AcceptedValue
 from tissueid.sessions.quality import Verdict
+from tissueid.units import display_unit
 
 if TYPE_CHECKING:
     from tissueid.analysis import Analysis

@@ -6,9 +6,9 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
-from tissueid.app.units import shown_si
 from tissueid.app.views.clinician.sitting import HEADS, QUANTITIES, VALUE_HEAD, Standing
 from tissueid.language import _, marked
+from tissueid.units import shown_si
 
 _EXPLAINED = marked(
     "Deviation: of one test about the mean of the repeats. Two tests of the same site differ by less than the last "

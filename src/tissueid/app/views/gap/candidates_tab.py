@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QVBoxLayout, QWidget
 
 from tissueid.app.theme import Theme
-from tissueid.app.units import shown_si
 from tissueid.app.views.gap.bar_table import BarTable
 from tissueid.app.views.gap.displayed_text import STAGE_TITLES, as_sentence, as_title
 from tissueid.app.views.gap.labels import plain_label
 from tissueid.formatting import plus_minus, with_unit
 from tissueid.language import _, marked
 from tissueid.messages import translated
+from tissueid.units import shown_si
 
 if TYPE_CHECKING:
     from tissueid.app.views.gap.page_content import Fitted, PageContent, Rival

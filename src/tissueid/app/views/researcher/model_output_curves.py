@@ -7,8 +7,8 @@ import numpy as np
 from tissueid.analysis import Analysis
 from tissueid.app.views.researcher.plot_data import Array, Line
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit
 from tissueid.messages import Message
+from tissueid.units import display_unit
 
 _COLUMNS = 3000
 """Columns of a thinned curve: more than any screen is wide. Shorter records are kept sample by sample."""

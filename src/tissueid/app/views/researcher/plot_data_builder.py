@@ -12,7 +12,6 @@ from tissueid.app.views.researcher.model_output_curves import model_output
 from tissueid.app.views.researcher.plot_data import Array, Line, Panel, PlotData
 from tissueid.app.words import sentence
 from tissueid.errors import UnusableInputError
-from tissueid.formatting import display_unit
 from tissueid.identification.cascades.curves import curve_slopes
 from tissueid.identification.engines.cascade import CascadeModel
 from tissueid.identification.engines.hammerstein import HammersteinModel
@@ -24,6 +23,7 @@ from tissueid.identification.validation.residual_tests import ResidualTests, res
 from tissueid.identification.volterra.model import VolterraModel
 from tissueid.messages import Message, translated
 from tissueid.records import Record
+from tissueid.units import display_unit
 
 MS = 1e3
 CONFIDENCE = 1.96

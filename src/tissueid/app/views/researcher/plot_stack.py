@@ -15,8 +15,9 @@ from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.signal_loading import MOST_TESTS, Channel, LoadedTest
-from tissueid.formatting import display_unit, fixed
+from tissueid.formatting import fixed
 from tissueid.language import _
+from tissueid.units import display_unit
 
 MOST_PLOTS = 6
 SHORTEST_S = 0.005

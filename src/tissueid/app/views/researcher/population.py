@@ -14,11 +14,12 @@ from scipy.stats import t as student
 
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import Array
-from tissueid.formatting import axis_label, clean, display_unit, label_and_unit, subject_text
+from tissueid.formatting import axis_label, clean, label_and_unit, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING
 from tissueid.records import Estimate
+from tissueid.units import display_unit
 
 DISTRIBUTION, SUBJECT, SITE, DATE, REPEAT = "distribution", "subject", "site", "date", "repeat"
 ACROSS: Mapping[str, str] = {

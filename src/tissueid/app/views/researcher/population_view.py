@@ -16,7 +16,6 @@ from PySide6.QtWidgets import QComboBox, QGridLayout, QLabel, QPushButton, QVBox
 from tissueid.app.elided_label import ElidedLabel
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
-from tissueid.app.units import shown, shown_si
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.engine_variants import variant_of
 from tissueid.app.views.researcher.population import (
@@ -35,9 +34,10 @@ from tissueid.app.views.researcher.population import (
 from tissueid.app.views.researcher.result_figures import PopulationFigure
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.app.views.researcher.tool_tips import plain_tip
-from tissueid.formatting import axis_label, display_unit, grouped, label_and_unit, plus_minus, with_unit
+from tissueid.formatting import axis_label, grouped, label_and_unit, plus_minus, with_unit
 from tissueid.language import _, marked, plural
 from tissueid.records import Estimate
+from tissueid.units import display_unit, shown, shown_si
 
 SPREADS: Mapping[str, str] = {
     "std": marked("Mean ± standard deviation"),

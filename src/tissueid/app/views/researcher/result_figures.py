@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissueid.app.theme import LIGHT
-from tissueid.app.units import shown, shown_label
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.views.researcher.plot_data import Array, Line, Panel
 from tissueid.app.views.researcher.plot_panels import OUTPUT, PANELS, PICTURES, PanelStyle
 from tissueid.app.views.researcher.population import DATE, DISTRIBUTION, Population
 from tissueid.app.views.researcher.results_table import SERIES
 from tissueid.language import _
+from tissueid.units import shown, shown_label
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.axes import Axes

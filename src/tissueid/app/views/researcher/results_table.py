@@ -18,13 +18,13 @@ from PySide6.QtGui import QColor, QFont, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 from tissueid.app.theme import Theme
-from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.engine_outcome import EngineOutcome
 from tissueid.app.words import sentence
 from tissueid.formatting import axis_label, clean, fixed, label_and_unit, plain_text, plus_minus, subject_text
 from tissueid.identification import engine_label
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
+from tissueid.units import shown_si
 
 SERIES = ("measured", "model", "good", "poor", "text", "check", "muted")
 """Roles of the theme for the colours of results: the maximum number that can be distinguished."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissueid.app.theme import LIGHT
-from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
 from tissueid.language import _
+from tissueid.units import shown_si
 
 if TYPE_CHECKING:  # matplotlib is imported when the first figure is drawn
     from matplotlib.figure import Figure

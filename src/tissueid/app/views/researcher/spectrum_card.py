@@ -11,11 +11,11 @@ from PySide6.QtWidgets import QComboBox, QVBoxLayout, QWidget
 
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
-from tissueid.app.units import shown
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
-from tissueid.formatting import display_unit, superscript
+from tissueid.formatting import superscript
 from tissueid.language import _, marked
+from tissueid.units import display_unit, shown
 
 _NOTHING = np.zeros(0)
 _TICKS = 4

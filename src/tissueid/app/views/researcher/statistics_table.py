@@ -9,7 +9,6 @@ from PySide6.QtGui import QColor, QPixmap, QResizeEvent
 from PySide6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from tissueid.app.theme import Theme
-from tissueid.app.units import shown_si
 from tissueid.app.views.researcher.colours import series
 from tissueid.app.views.researcher.labels_of_tests import distinguishing_labels
 from tissueid.app.views.researcher.signal_loading import Channel, LoadedTest
@@ -18,6 +17,7 @@ from tissueid.formatting import plus_minus
 from tissueid.language import _
 from tissueid.messages import MISSING
 from tissueid.records import Estimate
+from tissueid.units import shown_si
 
 _ROW = 22
 _NAME_WIDTH = 150

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
-from tissueid.app.units import shown_si
 from tissueid.app.words import in_words, sentence
 from tissueid.errors import TissueIDError, UnusableInputError
 from tissueid.formatting import clean, label_and_unit, local_minute, local_time, number, subject_text
@@ -19,6 +18,7 @@ from tissueid.procedures.recovery import unfinished_journals
 from tissueid.sessions import Outline, read_outline, read_session_head
 from tissueid.sessions.accepted_result import AcceptedResult, is_sitting_key, read_result, result_path, sitting_of
 from tissueid.sessions.quality import Quality, quality_of
+from tissueid.units import shown_si
 
 MOST_SHOWN = 30
 MOST_READ = 200

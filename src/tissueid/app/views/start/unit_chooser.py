@@ -7,8 +7,8 @@ from PySide6.QtWidgets import QComboBox, QWidget
 
 from tissueid.app.labelled_row import labelled_row
 from tissueid.app.unit_choice import SETTING, show_everywhere
-from tissueid.app.units import SYSTEMS, System, in_force, use
 from tissueid.language import _, marked
+from tissueid.units import SYSTEMS, System, in_force, use
 
 NAMES: dict[System, str] = {"clinical": marked("Clinical (mm, g)"), "si": marked("SI (m, kg)")}
 

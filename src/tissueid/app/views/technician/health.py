@@ -14,13 +14,13 @@ from tissueid.app.context import AppContext
 from tissueid.app.jobs import PageJob
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme, faint
-from tissueid.app.units import figure, unit_of
 from tissueid.app.views.technician.checkup import Background, Checkup, LastTest, Light, Link, ask, background, light
 from tissueid.app.views.technician.events import moment
 from tissueid.app.views.technician.tab import FactsCard, Tab, mark_level, plain_label, tip
 from tissueid.calibration.file import Calibration
-from tissueid.formatting import clean, fixed, grouped, number
+from tissueid.formatting import clean, figure_text, fixed, grouped, number
 from tissueid.language import _, marked
+from tissueid.units import unit_of
 
 _LEVELS = ("poor", "check", "good")
 _WORDS = {"poor": marked("red"), "check": marked("yellow"), "good": marked("green"), "": marked("dark")}
@@ -271,8 +271,8 @@ def _identity(checkup: Checkup | None) -> dict[str, str]:
             clinical=number(clinical.max_force_n), research=number(research.max_force_n)
         ),
         _("Position limits"): _("{low} to {high} {unit}").format(
-            low=figure("position", clinical.min_position_m),
-            high=figure("position", clinical.max_position_m),
+            low=figure_text("position", clinical.min_position_m),
+            high=figure_text("position", clinical.max_position_m),
             unit=unit_of("position").symbol,
         ),
         _("Heat, time limit"): f"{number(clinical.max_temperature_c)} °C, {number(clinical.max_seconds)} s",

@@ -14,16 +14,16 @@ from tissueid.app.theme import Theme
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import mark_level, plain_label, tip, unmarked
 from tissueid.app.words import sentence
-from tissueid.calibration.comparison import Residuals, Trend, residuals, trend
+from tissueid.calibration.comparison import Residuals, residuals, trend
 from tissueid.calibration.file import Calibration, Quantity
-from tissueid.calibration.labels import label_of, notes_of, problems_of, readable, verdict_of
-from tissueid.formatting import clean, display_unit
+from tissueid.calibration.labels import label_of, notes_of, problems_of, unit_of_quantity, verdict_of
+from tissueid.formatting import clean
 from tissueid.language import _
 from tissueid.messages import translated
+from tissueid.units import display_unit, fine_unit
 
 _PREFERRED = "force_constant_n_per_a"
 _MOST_LINES = 4
-_SMALL = {"m": ("µm", 1e6), "A": ("mA", 1e3)}
 
 
 class StaticsPanel(QWidget):
@@ -125,7 +125,7 @@ class StaticsPanel(QWidget):
         found = self._residuals[number]
         self.off.say_missing("")
         x_unit, x_scale = display_unit(found.x_unit)
-        y_unit, y_scale = _SMALL[found.y_unit]
+        y_unit, y_scale = fine_unit(found.y_unit)
         self.off.retitle(translated(found.label), y_unit)
         self.off.relabel(f"{_('Position') if found.x_unit == 'm' else _('Reading')} ({x_unit})")
         x, y = x_scale * found.x, y_scale * found.y
@@ -144,7 +144,7 @@ class StaticsPanel(QWidget):
             return
         found = trend(self._all, name)
         self.over_dates.say_missing("")
-        unit, scale = _unit_of(found)
+        unit, scale = unit_of_quantity(name, Quantity(value=float(found.value[-1]), unit=found.unit))
         self.over_dates.retitle(_("{name} by date").format(name=translated(label_of(name))), unmarked(unit))
         days = np.array([(made - datetime.now(UTC)).total_seconds() / 86400.0 for made in found.dates])
         value, std = scale * found.value, np.nan_to_num(scale * found.std)
@@ -167,15 +167,3 @@ class StaticsPanel(QWidget):
         for card in (self.off, self.over_dates):
             card.apply_theme(theme)
         self.model.apply_theme(theme)
-
-
-def _unit_of(found: Trend) -> tuple[str, float]:
-    """The unit in which a figure is read, and how many of it make one SI unit."""
-    newest = float(found.value[-1])
-    _, _, unit = readable(found.name, Quantity(value=newest, unit=found.unit))
-    scales = {"µm": 1e6, "mA": 1e3, "mV": 1e3, "mm/A": 1e3}
-    if unit in scales and unit != display_unit(found.unit)[0]:
-        return unit, scales[unit]
-    if found.name == "calibration_relative_uncertainty":
-        return unit, 100.0
-    return display_unit("m s-2" if found.unit == "m/s^2" else found.unit)

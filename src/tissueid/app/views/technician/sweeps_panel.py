@@ -13,7 +13,6 @@ from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabe
 from tissueid.app.calibration_figures import figure_of
 from tissueid.app.plotting import PlotCard
 from tissueid.app.theme import Theme
-from tissueid.app.units import figure, shown_si, unit_of
 from tissueid.app.views.technician.pieces import PiecesModel, table_of
 from tissueid.app.views.technician.tab import mark_level, plain_label
 from tissueid.calibration.comparison import (
@@ -26,10 +25,11 @@ from tissueid.calibration.comparison import (
 )
 from tissueid.calibration.file import Calibration, Quantity
 from tissueid.calibration.labels import label_of
-from tissueid.formatting import clean, display_unit, fixed, plus_minus
+from tissueid.formatting import clean, figure_text, fixed, plus_minus
 from tissueid.language import _, marked
 from tissueid.messages import MISSING, translated
 from tissueid.records import Estimate
+from tissueid.units import display_unit, shown_si, unit_of
 
 MOST = 4
 """Maximum number of sweeps that can be distinguished by colour."""
@@ -247,19 +247,19 @@ def _region_words(sweep: Calibration) -> str:
     if region is None:
         return _("It does not say where the coil is linear.")
     return _("Linear from {low} to {high} {unit}.").format(
-        low=figure("position", region[0]), high=figure("position", region[1]), unit=unit_of("position").symbol
+        low=figure_text("position", region[0]), high=figure_text("position", region[1]), unit=unit_of("position").symbol
     )
 
 
 def _profile_words(found: Comparison) -> str:
     if found.common_m is None:
         return _("Their linear regions do not overlap.")
-    low, high = (figure("position", end) for end in found.common_m)
+    low, high = (figure_text("position", end) for end in found.common_m)
     unit = unit_of("position").symbol
     if not np.isfinite(found.profile):
         return _("Both are linear from {low} to {high} {unit}.").format(low=low, high=high, unit=unit)
     mean, largest = (f"{fixed(100.0 * share, 1)} %" for share in (found.profile, found.largest))
-    where = figure("position", found.largest_at_m)
+    where = figure_text("position", found.largest_at_m)
     return _(
         "Over {low} to {high} {unit}, where both are linear: mean {mean}, largest {largest}, at {where} {unit}."
     ).format(low=low, high=high, unit=unit, mean=mean, largest=largest, where=where)
